@@ -34,6 +34,7 @@ for _name in (
     "cmp_tactile_driver",
     "cmp_tactile_processing",
     "cmp_tactile_simulation",
+    "cmp_tactile_viewer",
 ):
     importlib.import_module(_name)
 

@@ -19,6 +19,7 @@ SUITE = (
     "cmp_tactile_driver",
     "cmp_tactile_processing",
     "cmp_tactile_simulation",
+    "cmp_tactile_viewer",
     "cmp_tactile_bringup",
 )
 UNDERLAY = ("composition_interfaces", "tf2_msgs", "tf2_ros_py")

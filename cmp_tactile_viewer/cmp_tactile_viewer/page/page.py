@@ -1,0 +1,251 @@
+"""Joins it all: takes snapshots, draws the newest of each sensor, and asks the source for more."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import viser
+
+from cmp_tactile_viewer.page import camera_image
+from cmp_tactile_viewer.page.gel import LEAST_RANGE, Gel
+from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPanel, health_html
+from cmp_tactile_viewer.page.plots import Plots
+from cmp_tactile_viewer.page.server import Access, PageServer
+from cmp_tactile_viewer.scene.history import History
+from cmp_tactile_viewer.scene.surface_mesh import MM
+from cmp_tactile_viewer.snapshot import HealthLine, ShownSensor, Snapshot, Source
+
+# Pictures a second, and of these plots, clocks and health, which are read, not watched.
+RATE_HZ, SLOW_HZ = 30.0, 8.0
+PLOT_LENGTHS = ("5", "20", "60")
+NO_IMAGE = np.zeros((48, 64, 3), np.uint8)
+PANEL_PX, LEFT_PX = 330, 400
+JPEG_QUALITY = 80
+
+
+@dataclass
+class _Shown:
+    """What belongs to one sensor."""
+
+    gel: Gel
+    image: Any
+    plots: Plots
+    history: History = field(default_factory=History)
+    newest: Snapshot | None = None
+    drawn: Snapshot | None = None
+
+
+class Page:
+    """Serves a page and keeps it up to date while somebody looks; a thread of its own draws.
+
+    The source is started with the first browser that looks, and paused when the last one leaves.
+    """
+
+    def __init__(self, source: Source, access: Access, rate_hz: float = RATE_HZ) -> None:
+        """Raises ViewerError where the address cannot be listened on."""
+        self._source, self._period_s = source, 1 / rate_hz
+        self._server = PageServer(access, "cmp_tactile")
+        self._wake, self._ended = threading.Event(), False
+        self._changed = self._slow_is_due = False
+        self._health: list[HealthLine] = []
+        self._health_shown: list[HealthLine] | None = None
+        self._viewers = 0
+        self._guard = threading.Lock()
+        self.pictures = 0
+        self._build(access)
+        self._server.on_client_connect(self._come)
+        self._server.on_client_disconnect(lambda _: self._leave())
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """The address to open in a browser."""
+        return self._server.url
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._server.get_port())
+
+    @property
+    def viewers(self) -> int:
+        """How many browsers look."""
+        return self._viewers
+
+    def show(self, sensor: str, snapshot: Snapshot) -> None:
+        """Draw it as soon as there is time; a newer one takes its place.
+
+        Raises KeyError for a sensor that the source has not.
+        """
+        shown = self._sensors[sensor]
+        with self._guard:
+            shown.history.add(snapshot)
+            shown.newest = snapshot
+        self._wake.set()
+
+    def show_health(self, lines: list[HealthLine]) -> None:
+        """Replace the list of what is the matter."""
+        self._health = lines
+        self._wake.set()
+
+    def close(self) -> None:
+        """End the page; browsers look for it again until it is back."""
+        self._ended = True
+        self._wake.set()
+        self._thread.join()
+        self._source.close()
+        self._server.stop()
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _build(self, access: Access) -> None:
+        server, gui, source = self._server, self._server.gui, self._source
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        server.scene.set_up_direction("+z")
+        self._sensors = {
+            sensor.name: self._add_sensor(sensor, number == 0)
+            for number, sensor in enumerate(source.sensors)
+        }
+        self._aim_first()
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(PANEL_PX)
+        self._playback: PlaybackPanel | None = None
+        if source.playback is not None:
+            with gui.add_folder("recording"):
+                self._playback = PlaybackPanel(gui, source.playback, self._wake.set)
+        with gui.add_folder("health"):
+            self._health_list = gui.add_html(health_html([]))
+        if not access.read_only:
+            self._add_controls()
+        with gui.add_folder("show"):
+            self._panel = ShowPanel(gui, camera_image.VIEWS, self._aim)
+            self._panel.on_change(self._look_changed)
+        with gui.add_folder("plots"):
+            self._length = gui.add_dropdown("seconds", PLOT_LENGTHS, initial_value=PLOT_LENGTHS[1])
+            self._hold = gui.add_checkbox("hold", False, hint="Stop the plots, to scroll back")
+            self._back = gui.add_slider("back, s", 0.0, 120.0, 0.5, 0.0)
+            for handle in (self._length, self._hold, self._back):
+                handle.on_update(lambda _: self._look_changed())
+
+    def _add_controls(self) -> None:
+        gui = self._server.gui
+        actions, settings = self._source.actions(), self._source.settings()
+        for name in self._sensors:
+            if actions.get(name) or settings.get(name):
+                with gui.add_folder(name):
+                    ControlPanel(gui, actions.get(name, ()), settings.get(name, ()))
+
+    def _add_sensor(self, sensor: ShownSensor, first: bool) -> _Shown:
+        gui = self._server.gui
+        gel = Gel(self._server.scene, sensor)
+        panel = gui.add_panel()
+        with panel.add_tab(sensor.name):
+            image = gui.add_image(NO_IMAGE, format="jpeg", jpeg_quality=JPEG_QUALITY)
+            plots = Plots(gui)
+        if first:
+            panel.dock_left()
+            panel.set_width(LEFT_PX)
+            self._first_panel = panel
+        else:
+            panel.dock_below(self._first_panel)
+        return _Shown(gel, image, plots)
+
+    def _extent(self) -> tuple[Any, float]:
+        """Middle of all gels (3,) and how far they reach from it, mm."""
+        places = np.array([sensor.position for sensor in self._source.sensors]) * MM
+        middle = (places.min(axis=0) + places.max(axis=0)) / 2
+        pattern = self._source.sensors[0].description.pattern
+        size = MM * pattern.pitch * max(pattern.shape.rows, pattern.shape.cols)
+        return middle, float(np.linalg.norm(places - middle, axis=1).max() + size / 2)
+
+    def _aim_first(self) -> None:
+        camera, (middle, reach) = self._server.initial_camera, self._extent()
+        camera.look_at = middle
+        camera.position = middle + reach * np.array((0.9, -2.0, 1.6))
+
+    def _aim(self, preset: str, client: viser.ClientHandle | None) -> None:
+        if client is None:
+            return
+        middle, reach = self._extent()
+        directions = {"fit": (0.9, -2.0, 1.6), "top": (0.0, -1e-3, 2.7), "side": (0.0, -2.7, 0.15)}
+        client.camera.look_at = middle
+        client.camera.position = middle + reach * np.array(directions[preset])
+
+    def _come(self, _client: object) -> None:
+        with self._guard:
+            self._viewers += 1
+            first = self._viewers == 1
+        if first:
+            self._source.start(self)
+        self._look_changed()
+
+    def _leave(self) -> None:
+        with self._guard:
+            self._viewers -= 1
+            last = self._viewers == 0
+        if last:
+            self._source.pause()
+
+    def _look_changed(self) -> None:
+        self._changed = True
+        self._wake.set()
+
+    def _run(self) -> None:
+        slow = 0.0
+        while True:
+            # What is drawn seldom is drawn once more where nothing follows.
+            self._wake.wait(1 / SLOW_HZ if self._slow_is_due else None)
+            self._wake.clear()
+            if self._ended:
+                return
+            begin = time.monotonic()
+            if self._viewers:
+                is_slow_turn = begin - slow >= 1 / SLOW_HZ
+                self._draw(is_slow_turn)
+                self._slow_is_due = not is_slow_turn
+                if is_slow_turn:
+                    slow = begin
+            time.sleep(max(0.0, self._period_s - (time.monotonic() - begin)))
+
+    def _draw(self, slow_turn: bool) -> None:
+        changed, self._changed = self._changed, False
+        look, (views, gridlines) = self._panel.look, self._panel.image
+        if changed:
+            for shown in self._sensors.values():
+                shown.gel.range.start(look.colour, LEAST_RANGE.get(look.colour, 1.0))
+        with self._server.atomic():
+            for shown in self._sensors.values():
+                snapshot = shown.newest
+                if snapshot is None or (snapshot is shown.drawn and not changed):
+                    continue
+                shown.gel.draw(snapshot, look)
+                picture = camera_image.picture(snapshot, views, gridlines)
+                shown.image.visible = picture is not None
+                if picture is not None:
+                    shown.image.image = picture
+                shown.drawn = snapshot
+                self.pictures += 1
+            if slow_turn or changed:
+                self._draw_slow(changed)
+
+    def _draw_slow(self, changed: bool) -> None:
+        self._panel.show_range(max(shown.gel.range.top for shown in self._sensors.values()))
+        hold, back_s = self._hold.value, self._back.value
+        for shown in self._sensors.values():
+            if not hold or changed:
+                with self._guard:
+                    shown.plots.draw(shown.history, float(self._length.value), back_s)
+        if self._playback is not None:
+            self._playback.show()
+        if self._health is not self._health_shown:
+            self._health_shown = self._health
+            self._health_list.content = health_html(self._health)

@@ -1,0 +1,201 @@
+"""The panels beside the scene: what is shown, health, buttons, parameters, playback."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any
+
+import viser
+
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_viewer.page.gel import ARROWS, COLOURS, UNITS, Look
+from cmp_tactile_viewer.scene import surface_mesh
+from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, Playback, Setting
+
+# Sign and colour: the signs differ, for who does not see the colours.
+SIGNS = {
+    Level.OK: ("&#10003;", "#00795a"),
+    Level.WARN: ("!", "#a05a00"),
+    Level.ERROR: ("&#10007;", "#b00020"),
+}
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+CAMERAS = ("fit", "top", "side")
+SMALL = "font-size:0.85em;line-height:1.35;padding:0 0.6em"
+
+
+class ShowPanel:
+    """What is drawn, by whoever looks; all browsers see the same."""
+
+    def __init__(
+        self, gui: viser.GuiApi, views: Sequence[str], aim: Callable[[str, Any], None]
+    ) -> None:
+        """aim: called with the name of a camera preset and the client that asked for it."""
+        buttons = gui.add_button_group("camera", CAMERAS)
+        buttons.on_click(lambda event: aim(event.target.value, event.client))
+        self._colour = gui.add_dropdown("colour", COLOURS, hint="What the surface's colour shows")
+        self._legend = gui.add_html("")
+        self._arrows = gui.add_dropdown("arrows", ARROWS)
+        self._gain = gui.add_slider(
+            "arrow length", 0.1, 10.0, 0.1, 1.0, hint="1: 1 N of a contact is 1 mm long"
+        )
+        self._at_rest = gui.add_checkbox("surface at rest", True)
+        self._contacts = gui.add_checkbox(
+            "contacts", True, hint="Outline, force with error, moment"
+        )
+        self._texts = gui.add_checkbox("texts", True)
+        self._view = gui.add_dropdown("image", (*views, "none"))
+        self._gridlines = gui.add_checkbox("gridlines", True)
+        self._shown = ("", 0.0)
+
+    def on_change(self, call: Callable[[], None]) -> None:
+        """Call when any of it has changed."""
+        for handle in (
+            self._colour, self._arrows, self._gain, self._at_rest, self._contacts, self._texts,
+            self._view, self._gridlines,
+        ):  # fmt: skip
+            handle.on_update(lambda _: call())
+
+    @property
+    def look(self) -> Look:
+        """What is chosen for the scene."""
+        return Look(
+            self._colour.value,
+            self._arrows.value,
+            self._gain.value,
+            self._at_rest.value,
+            self._contacts.value,
+            self._texts.value,
+        )
+
+    @property
+    def image(self) -> tuple[str, bool]:
+        """Which views, "none" for no image, and whether gridlines are drawn into them."""
+        return self._view.value, self._gridlines.value
+
+    def show_range(self, top: float) -> None:
+        """Show where the colours end, in SI units."""
+        if (self._colour.value, top) != self._shown:
+            self._shown = (self._colour.value, top)
+            self._legend.content = _legend(*self._shown)
+
+
+def _legend(colour: str, top: float) -> str:
+    if colour not in UNITS:
+        return ""
+    factor, unit = UNITS[colour]
+    stops = [f"rgb({r},{g},{b})" for r, g, b in surface_mesh.band_colours().tolist()]
+    return (
+        f'<div style="{SMALL};display:flex;gap:0.5em;align-items:center"><span>0</span>'
+        f'<span style="flex:1;height:0.8em;background:linear-gradient(to right,{",".join(stops)})">'
+        f"</span><span>{top * factor:g} {unit}</span></div>"
+    )
+
+
+def health_html(lines: Iterable[HealthLine]) -> str:
+    """A list, the worst first; texts are shown as they are, never taken as HTML."""
+    items = []
+    for line in sorted(lines, key=lambda item: -item.level):
+        sign, colour = SIGNS[line.level]
+        about, text = html.escape(line.about), html.escape(line.text)
+        items.append(
+            f'<div style="margin:0.3em 0"><b style="color:{colour}">{sign} {about}</b> {text}</div>'
+        )
+    return f'<div style="{SMALL}">{"".join(items) or "nothing to report yet"}</div>'
+
+
+class ControlPanel:
+    """Buttons and parameters of one sensor, and what the last of them answered."""
+
+    def __init__(
+        self, gui: viser.GuiApi, actions: Sequence[Action], settings: Sequence[Setting]
+    ) -> None:
+        for action in actions:
+            button = gui.add_button(action.label, hint=action.hint)
+            button.on_click(partial(self._press, action.label, action.run))
+        self._answer = gui.add_html("")
+        if settings:
+            with gui.add_folder("parameters", expand_by_default=False):
+                for setting in settings:
+                    self._add(gui, setting)
+
+    def _add(self, gui: viser.GuiApi, setting: Setting) -> None:
+        value, hint = setting.value, setting.description
+        handle: Any
+        if setting.choices:
+            handle = gui.add_dropdown(
+                setting.name, setting.choices, initial_value=str(value), hint=hint
+            )
+        elif isinstance(value, bool):
+            handle = gui.add_checkbox(setting.name, value, hint=hint)
+        elif isinstance(value, (int, float)):
+            handle = gui.add_number(
+                setting.name, value, min=setting.low, max=setting.high, hint=hint
+            )
+        else:
+            handle = gui.add_text(setting.name, value, hint=hint)
+        handle.on_update(partial(self._change, setting))
+
+    def _change(self, setting: Setting, event: viser.GuiEvent[Any]) -> None:
+        if event.client is not None:
+            self._press(setting.name, lambda: setting.change(event.target.value), event)
+
+    def _press(self, label: str, run: Callable[[], str], _event: object) -> None:
+        self._say(Level.OK, label, "...")
+        try:
+            self._say(Level.OK, label, run())
+        except CmpTactileError as error:
+            self._say(Level.ERROR, label, str(error))
+
+    def _say(self, level: Level, label: str, text: str) -> None:
+        self._answer.content = health_html([HealthLine(level, f"{label}:", text)])
+
+
+class PlaybackPanel:
+    """Slider, play, steps and speed of a recording."""
+
+    def __init__(self, gui: viser.GuiApi, playback: Playback, wake: Callable[[], None]) -> None:
+        self._playback, self._wake = playback, wake
+        end = max(playback.length_s, 1e-3)
+        self._time: Any = gui.add_slider("time, s", 0.0, end, max(end / 2000, 1e-3), 0.0)
+        self._time.on_update(self._seek)
+        self._play = gui.add_button("pause")
+        self._play.on_click(lambda _: self._toggle())
+        steps = gui.add_button_group("step", ("one back", "one on"))
+        steps.on_click(lambda event: self._step(-1 if event.target.value == "one back" else 1))
+        self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+        self._speed.on_update(lambda _: setattr(playback, "speed", float(self._speed.value)))
+        self._state = gui.add_html("")
+
+    def show(self) -> None:
+        """Show where the recording is."""
+        playback = self._playback
+        if playback.seek_s is None:
+            self._time.value = round(min(playback.position_s, self._time.max), 3)
+        running = playback.playing and not playback.ended
+        self._play.label = "pause" if running else "play"
+        state = "at the end" if playback.ended else "playing" if running else "paused"
+        self._state.content = (
+            f'<div style="{SMALL}">{playback.position_s:.2f} of {playback.length_s:.2f} s, '
+            f"{state}</div>"
+        )
+
+    def _seek(self, event: viser.GuiEvent[Any]) -> None:
+        # The page moves the slider, too.
+        if event.client is not None:
+            self._playback.seek_s = float(self._time.value)
+            self._wake()
+
+    def _toggle(self) -> None:
+        playback = self._playback
+        if playback.ended:
+            playback.seek_s, playback.playing = 0.0, True
+        else:
+            playback.playing = not playback.playing
+        self._wake()
+
+    def _step(self, frames: int) -> None:
+        self._playback.playing = False
+        self._playback.steps += frames
+        self._wake()

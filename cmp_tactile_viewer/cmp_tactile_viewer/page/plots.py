@@ -1,0 +1,142 @@
+"""Plots of the last seconds of one sensor: forces with error bands, slip, latency and rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+from viser import uplot
+
+from cmp_tactile_viewer.scene.history import History
+
+RGB = tuple[int, int, int]
+Dash = tuple[int, ...]
+# Okabe and Ito's colours, which the colour-blind tell apart; the lines differ in dashes as well.
+FORCES: tuple[tuple[str, str, str, RGB, Dash], ...] = (
+    ("fx", "std_x", "Fx", (0, 114, 178), ()),
+    ("fy", "std_y", "Fy", (230, 159, 0), (8, 4)),
+    ("fz", "std_z", "Fz", (0, 158, 115), (2, 2)),
+)
+REST: tuple[tuple[str, float, str, RGB, Dash], ...] = (
+    ("slip_ratio", 100.0, "slip ratio, %", (213, 94, 0), (8, 4)),
+    ("latency_ms", 1.0, "latency, ms", (204, 121, 167), ()),
+    ("rate_hz", 1.0, "rate, Hz", (90, 90, 90), (2, 2)),
+)
+CONTACT_COLOUR = (86, 180, 233)
+HEIGHT_PX = 160
+BANDS_SIGMA = 2.0
+LEGEND_STYLE = "font-size:0.8em;display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em"
+# A contact fills the lowest part of its plot.
+CONTACT_SCALE = (0.0, 14.0)
+# Ends of the y axis: at least so far apart, and so much of that beyond the values.
+LEAST_SPAN, MARGIN = 0.02, 0.08
+
+Window = dict[str, NDArray[np.float64]]
+Columns = tuple[NDArray[np.float64], ...]
+
+
+class Plots:
+    """Two plots that show a window of a history."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        empty = History().window(1.0)
+        lines = [_line(label, colour, dash) for _, _, label, colour, dash in FORCES]
+        limits = [uplot.Series(label=f"{label} {end}", width=0) for label in "xyz" for end in "+-"]
+        contact = uplot.Series(
+            label="contact", scale="contact", width=0, fill=_css(CONTACT_COLOUR, 0.8)
+        )
+        gui.add_html(_legend("Force, N", [*FORCES, ("", "", "contact", CONTACT_COLOUR, ())]))
+        self._forces = gui.add_uplot(
+            _force_data(empty),
+            series=(uplot.Series(label="s"), *lines, *limits, contact),
+            bands=_bands(),
+            **_common(),
+        )
+        gui.add_html(_legend("", REST))
+        self._rest = gui.add_uplot(
+            _rest_data(empty),
+            series=(
+                uplot.Series(label="s"),
+                *(_line(label, colour, dash) for _, _, label, colour, dash in REST),
+            ),
+            **_common(),
+        )
+
+    def draw(self, history: History, length_s: float, back_s: float) -> None:
+        """Show the part of a history that `History.window` gives."""
+        window = history.window(length_s, back_s)
+        for plot, data in ((self._forces, _force_data(window)), (self._rest, _rest_data(window))):
+            values = data[1:-1] if plot is self._forces else data[1:]
+            plot.scales = _scales(_ends(np.concatenate(values)))
+            plot.data = data
+
+
+def _common() -> dict[str, Any]:
+    grid = uplot.Axis_Grid(stroke="#dddddd", width=1)
+    return {
+        "scales": _scales((0.0, 1.0)),
+        "axes": (uplot.Axis(grid=grid), uplot.Axis(grid=grid, scale="y", size=46)),
+        "height": HEIGHT_PX,
+        "legend": uplot.Legend(show=False),
+    }
+
+
+def _scales(ends: tuple[float, float]) -> dict[str, uplot.Scale]:
+    """uPlot would find no ends where a value is NaN, and leave the plot empty."""
+    return {
+        "x": uplot.Scale(time=False),
+        "y": uplot.Scale(auto=False, range=ends),
+        "contact": uplot.Scale(auto=False, range=CONTACT_SCALE),
+    }
+
+
+def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    margin = max((LEAST_SPAN - (high - low)) / 2, MARGIN * (high - low))
+    return low - margin, high + margin
+
+
+def _css(colour: RGB, opacity: float = 1.0) -> str:
+    return f"rgba({','.join(map(str, colour))},{opacity:g})"
+
+
+def _line(label: str, colour: RGB, dash: Dash) -> uplot.Series:
+    return uplot.Series(label=label, stroke=_css(colour), width=2, dash=dash)
+
+
+def _legend(title: str, lines: Iterable[tuple[Any, Any, str, RGB, Dash]]) -> str:
+    """What each line is, in its colour and dashes."""
+    parts = [f"<b>{title}</b>"] if title else []
+    for _, _, label, colour, dash in lines:
+        style = {0: "solid", 8: "dashed"}.get(dash[0] if dash else 0, "dotted")
+        parts.append(
+            f'<span style="white-space:nowrap"><span style="display:inline-block;width:1.6em;'
+            f'margin-right:0.3em;vertical-align:middle;border-top:3px {style} {_css(colour)}">'
+            f"</span>{label}</span>"
+        )
+    return f'<div style="{LEGEND_STYLE}">{"".join(parts)}</div>'
+
+
+def _bands() -> tuple[uplot.Band, ...]:
+    first = 1 + len(FORCES)
+    return tuple(
+        uplot.Band(series=(first + 2 * number, first + 2 * number + 1), fill=_css(colour, 0.25))
+        for number, (_, _, _, colour, _) in enumerate(FORCES)
+    )
+
+
+def _force_data(window: Window) -> Columns:
+    limits: list[NDArray[np.float64]] = []
+    for name, deviation, *_ in FORCES:
+        half = BANDS_SIGMA * window[deviation]
+        limits += [window[name] + half, window[name] - half]
+    lines = (window[name] for name, *_ in FORCES)
+    return (window["time_s"], *lines, *limits, window["contact"])
+
+
+def _rest_data(window: Window) -> Columns:
+    return (window["time_s"], *(factor * window[name] for name, factor, *_ in REST))

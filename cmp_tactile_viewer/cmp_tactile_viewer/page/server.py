@@ -1,0 +1,197 @@
+"""A viser server that is safe by default: only this machine, only its own page, no tunnel."""
+
+from __future__ import annotations
+
+import http
+import io
+import ipaddress
+import logging
+import secrets
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import viser
+import websockets.asyncio.server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from cmp_tactile_viewer.errors import ViewerError
+
+LOCAL = ("127.0.0.1", "localhost", "::1")
+DEFAULT_PORT = 8080
+COOKIE = "cmp_tactile_token"
+# Of a page that is refused: one sentence that says what to do.
+ASK_FOR_ADDRESS = (
+    "This page needs its token: open the address that was printed, which ends in ?token=..."
+)
+OTHER_PAGE = "Refused: this request comes from another page."
+_serving = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Access:
+    """Who may see the page, and press its buttons.
+
+    host: address to listen on.  port: None for the first that is free from DEFAULT_PORT on.
+    token: that an address must have; empty for none.  read_only: no buttons, no parameters.
+    """
+
+    host: str = "127.0.0.1"
+    port: int | None = None
+    token: str = ""
+    read_only: bool = False
+
+    @property
+    def is_local(self) -> bool:
+        """Whether only this machine can connect."""
+        return self.host in LOCAL
+
+
+class PageServer(viser.ViserServer):  # type: ignore[misc,unused-ignore]
+    """Viser without its tunnel, and with a guard before every request."""
+
+    def __init__(self, access: Access, title: str) -> None:
+        """Raises ViewerError where the address cannot be listened on."""
+        self.access = access
+        _check_address(access)
+        with _guarded(Guard(access)), redirect_stdout(io.StringIO()):
+            super().__init__(access.host, access.port or DEFAULT_PORT, title, verbose=False)
+        port = self.get_port()
+        if access.port not in (None, 0, port):
+            self.stop()
+            msg = f"port {access.port} of {access.host} is taken: choose another one with --port"
+            raise ViewerError(msg)
+
+    @property
+    def url(self) -> str:
+        """The address to open, with its token."""
+        host = self.access.host
+        if host in ("0.0.0.0", "::"):  # noqa: S104
+            host = socket.gethostname()
+        elif ":" in host:
+            host = f"[{host}]"
+        token = f"/?token={self.access.token}" if self.access.token else ""
+        return f"http://{host}:{self.get_port()}{token}"
+
+    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
+        """Nothing leaves this machine: viser's own would open a tunnel for whoever asks."""
+        return None
+
+    def stop(self) -> None:
+        """End; the browsers look for the page again until it is back."""
+        with redirect_stdout(io.StringIO()):
+            super().stop()
+
+
+def _check_address(access: Access) -> None:
+    """Listen for a moment: viser would try a thousand ports in silence."""
+    try:
+        family = socket.getaddrinfo(access.host, None, type=socket.SOCK_STREAM)[0][0]
+        with socket.socket(family, socket.SOCK_STREAM) as trial:
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind((access.host, access.port or 0))
+    except OSError as error:
+        where = f"{access.host}, port {access.port}" if access.port else access.host
+        msg = f"cannot listen on {where}: {error.strerror or error}"
+        raise ViewerError(msg) from None
+
+
+class Guard:
+    """Answers requests that must not reach the page; None for those that may."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+
+    def refusal(self, request: Request) -> str:
+        """Why a request is refused; empty for one that may pass.
+
+        A page elsewhere may send requests to this machine from the user's browser: by name
+        resolution that changes (another Host), or by a WebSocket, which no browser forbids
+        (another Origin).
+        """
+        host = request.headers.get("Host", "")
+        if not self._is_own_name(urlsplit(f"//{host}").hostname or ""):
+            return OTHER_PAGE
+        origin = request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return OTHER_PAGE
+        return "" if self.token_of(request) is not None else ASK_FOR_ADDRESS
+
+    def token_of(self, request: Request) -> str | None:
+        """The right token of a request, "" where none is needed, None where it has not got it."""
+        expected = self._access.token
+        if not expected:
+            return ""
+        given = parse_qs(urlsplit(request.path).query).get("token", [])
+        try:
+            cookie = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE)
+        except CookieError:
+            cookie = None
+        if cookie is not None:
+            given.append(cookie.value)
+        right = (secrets.compare_digest(item.encode(), expected.encode()) for item in given)
+        return expected if any(right) else None
+
+    def _is_own_name(self, name: str) -> bool:
+        if name in LOCAL:
+            return True
+        if self._access.is_local:
+            return False
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            own = socket.gethostname().lower()
+            return name in (self._access.host.lower(), own, f"{own}.local", socket.getfqdn())
+        return True
+
+
+Answer = Callable[[Any, Request], Response | None]
+
+
+def _with_guard(guard: Guard, answer: Answer) -> Answer:
+    def answered(connection: Any, request: Request) -> Response | None:
+        reason = guard.refusal(request)
+        if reason:
+            body = reason.encode()
+            size = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))}
+            status = http.HTTPStatus.FORBIDDEN
+            return Response(status.value, status.phrase, Headers(size), body)
+        response = answer(connection, request)
+        token = guard.token_of(request)
+        if response is not None and token:
+            response.headers["Set-Cookie"] = f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
+        return response
+
+    return answered
+
+
+@contextmanager
+def _guarded(guard: Guard) -> Iterator[None]:
+    """Viser has no place for a guard: while a server starts, it gets a `serve` that sets one.
+
+    Raises ViewerError where the server did not take it: it would be open to everybody.
+    """
+    original = websockets.asyncio.server.serve
+    taken = []
+
+    def serve(*args: Any, process_request: Answer, **options: Any) -> Any:
+        taken.append(True)
+        return original(*args, process_request=_with_guard(guard, process_request), **options)
+
+    # websockets logs a traceback for every browser that closes its connection in the middle.
+    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+    with _serving:
+        websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
+        try:
+            yield
+        finally:
+            websockets.asyncio.server.serve = original  # type: ignore[misc]
+    if not taken:
+        msg = f"found viser {viser.__version__}, which cannot be guarded; expected 1.1"
+        raise ViewerError(msg)

@@ -1,0 +1,143 @@
+"""The gel's surface as triangles, sorted by colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.drawing.looks import DEPTH_PALETTE
+from cmp_tactile_processing.drawing.shapes import mesh_vertices
+from cmp_tactile_processing.measured import ForceField, Surface
+
+MM = 1e3
+# The page's meshes have one colour each: so many steps are told apart, and read on the legend.
+BANDS = 14
+
+
+def band_colours() -> NDArray[np.uint8]:
+    """Colours (BANDS, 3) RGB, from the palette that RViz shows too."""
+    middle = (np.arange(BANDS) + 0.5) / BANDS * len(DEPTH_PALETTE)
+    return np.rint(255 * DEPTH_PALETTE[middle.astype(int), :3]).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """vertices (V, 3) float32 mm; faces (F, 3) uint32, seen from +z counter-clockwise."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+
+
+# Of a band without triangles: viewers want at least one, so this one has no area.
+EMPTY = Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32))
+
+
+def refined_surface(surface: Surface) -> NDArray[np.float64]:
+    """Points (2 rows - 1, 2 cols - 1, 3) m: markers, the middle of each line between two, cells.
+
+    A virtual marker that is not known is replaced by the middle of its corners.  The middle of a
+    cell is that of the Coons patch of its four lines.
+    """
+    corners = surface.position
+    fine = refined(corners)
+    fine[::2, 1::2] = _known_or(_middle(surface.row_position), fine[::2, 1::2])
+    fine[1::2, ::2] = _known_or(_middle(surface.col_position), fine[1::2, ::2])
+    lines = fine[:-1:2, 1::2] + fine[2::2, 1::2] + fine[1::2, :-1:2] + fine[1::2, 2::2]
+    ends = corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]
+    fine[1::2, 1::2] = lines / 2 - ends / 4
+    return fine
+
+
+def refined(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (rows, cols, ...) with the means between neighbours, (2 rows - 1, 2 cols - 1, ...)."""
+    rows, cols = values.shape[:2]
+    fine = np.empty((2 * rows - 1, 2 * cols - 1, *values.shape[2:]))
+    fine[::2, ::2] = values
+    fine[::2, 1::2] = (values[:, :-1] + values[:, 1:]) / 2
+    fine[1::2] = (fine[:-1:2] + fine[2::2]) / 2
+    return fine
+
+
+def _middle(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    count = line.shape[2]
+    return np.asarray((line[:, :, (count - 1) // 2] + line[:, :, count // 2]) / 2)
+
+
+def _known_or(values: NDArray[np.float64], otherwise: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(np.isfinite(values), values, otherwise)
+
+
+def whole_mesh(points: NDArray[np.float64]) -> Mesh:
+    """All triangles of a grid of points (rows, cols, 3) m that are known."""
+    known = np.asarray(np.isfinite(points).all(axis=-1))
+    faces = mesh_vertices(known).reshape(-1, 3)
+    return _compact(points.reshape(-1, 3), faces)
+
+
+def colour_bands(
+    points: NDArray[np.float64], values: NDArray[np.float64], top: float
+) -> list[Mesh]:
+    """BANDS meshes: the triangles whose mean value is in each step from 0 to `top`.
+
+    points (rows, cols, 3) m; values (rows, cols), of which NaN counts as 0.
+    """
+    known = np.asarray(np.isfinite(points).all(axis=-1))
+    faces = mesh_vertices(known).reshape(-1, 3)
+    level = np.nan_to_num(values.ravel())[faces].mean(axis=1) * (BANDS / top)
+    band = np.clip(level, 0, BANDS - 1).astype(np.intp)
+    flat = points.reshape(-1, 3)
+    return [_compact(flat, faces[band == number]) for number in range(BANDS)]
+
+
+def _compact(points: NDArray[np.float64], faces: NDArray[np.intp]) -> Mesh:
+    """Only the points that faces (F, 3) use."""
+    if not len(faces):
+        return EMPTY
+    used = np.zeros(len(points), bool)
+    used[faces.ravel()] = True
+    number = np.cumsum(used, dtype=np.uint32) - 1
+    return Mesh((points[used] * MM).astype(np.float32), number[faces].astype(np.uint32))
+
+
+def pressure_at(surface: Surface, force: ForceField) -> NDArray[np.float64]:
+    """Normal pressure (rows, cols) Pa at the markers at rest, between the nodes' linearly."""
+    nodes = force.position.reshape(force.rows, force.cols, 3)
+    x, y = nodes[0, :, 0], nodes[:, 0, 1]
+    step = (x[-1] - x[0]) / (len(x) - 1), (y[-1] - y[0]) / (len(y) - 1)
+    pressure = -force.force[:, 2].reshape(force.rows, force.cols) / abs(step[0] * step[1])
+    column = np.nan_to_num((surface.reference[..., 0] - x[0]) / step[0])
+    row = np.nan_to_num((surface.reference[..., 1] - y[0]) / step[1])
+    inside = (column >= 0) & (column <= len(x) - 1) & (row >= 0) & (row <= len(y) - 1)
+    j = np.clip(column.astype(np.intp), 0, len(x) - 2)
+    i = np.clip(row.astype(np.intp), 0, len(y) - 2)
+    across, down = column - j, row - i
+    left = (1 - down) * pressure[i, j] + down * pressure[i + 1, j]
+    right = (1 - down) * pressure[i, j + 1] + down * pressure[i + 1, j + 1]
+    return np.where(inside, (1 - across) * left + across * right, 0.0)
+
+
+class ColourRange:
+    """The value at which the colours end: grows to the next of 1, 2, 5, 10 ... and stays there.
+
+    A range that followed every frame would make two frames look alike that are not.
+    """
+
+    def __init__(self, kind: str, least: float) -> None:
+        self._kind, self.top = kind, least
+
+    def take(self, values: NDArray[np.float64]) -> bool:
+        """Grow where a value is above; whether it did."""
+        known = values[np.isfinite(values)]
+        largest = float(known.max()) if known.size else 0.0
+        if largest <= self.top:
+            return False
+        power = 10.0 ** np.floor(np.log10(largest))
+        self.top = float(next(step * power for step in (1, 2, 5, 10) if step * power >= largest))
+        return True
+
+    def start(self, kind: str, least: float) -> None:
+        """Begin at the least again where the values are of another kind from now on."""
+        if kind != self._kind:
+            self._kind, self.top = kind, least

@@ -1,0 +1,173 @@
+"""What a source gives to the page and what the page asks of it: `Snapshot`, `Source`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.measured import ForceField, Grid, Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+NO_TURN = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class ShownSensor:
+    """A sensor on the page.
+
+    position (x, y, z) m and orientation, a quaternion (w, x, y, z): the gel frame in the scene.
+    """
+
+    name: str
+    description: SensorDescription
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    orientation: tuple[float, float, float, float] = NO_TURN
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What one sensor showed at one moment; None for what is not known.
+
+    stamp_ns: of the frame.  frame: the camera image, (H, W) grey or (H, W, 3) BGR uint8.
+    latency_s: from the frame's stamp until its force was there; NaN where that means nothing.
+    """
+
+    stamp_ns: int
+    frame: NDArray[np.uint8] | None = None
+    left: Grid | None = None
+    right: Grid | None = None
+    surface: Surface | None = None
+    force: ForceField | None = None
+    latency_s: float = float("nan")
+
+
+class Level(IntEnum):
+    """How serious a line of the health list is; the values are those of DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class HealthLine:
+    """One line of the health list: what it is about, what is the matter, and what helps."""
+
+    level: Level
+    about: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Action:
+    """A button: `run` does it and returns what to say; it raises CmpTactileError in plain words."""
+
+    label: str
+    hint: str
+    run: Callable[[], str]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A parameter that may be changed on the page.
+
+    change: takes the new value and returns what to say; raises CmpTactileError where it is refused.
+    """
+
+    name: str
+    value: bool | float | str
+    description: str
+    change: Callable[[bool | float | str], str]
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+
+@dataclass
+class Playback:
+    """Where a recording is, and what was asked of it; the page writes, the source obeys.
+
+    length_s: 0 until it is known.  position_s: of the frame on show.  seek_s: where to go, None
+    when there.  steps: frames to go on while it is paused.
+    """
+
+    length_s: float
+    position_s: float = 0.0
+    playing: bool = True
+    speed: float = 1.0
+    seek_s: float | None = None
+    steps: int = 0
+    ended: bool = False
+
+    @property
+    def is_sought(self) -> bool:
+        """Whether another place is asked for."""
+        return self.seek_s is not None
+
+
+class Audience(Protocol):
+    """What a source needs of the page."""
+
+    def show(self, sensor: str, snapshot: Snapshot) -> None:
+        """Show it as soon as there is time; a newer one takes its place."""
+
+    def show_health(self, lines: list[HealthLine]) -> None:
+        """Replace the list of what is the matter."""
+
+
+class Source(Protocol):
+    """Where snapshots come from.
+
+    sensors: what is shown.  actions: buttons, by sensor.  settings: by sensor.  playback: of a
+    recording, None for what is live.
+    """
+
+    sensors: tuple[ShownSensor, ...]
+    playback: Playback | None
+
+    def actions(self) -> Mapping[str, tuple[Action, ...]]:
+        """The buttons of each sensor."""
+
+    def settings(self) -> Mapping[str, tuple[Setting, ...]]:
+        """The parameters of each sensor."""
+
+    def start(self, audience: Audience) -> None:
+        """Begin to give snapshots: somebody looks."""
+
+    def pause(self) -> None:
+        """Nobody looks any more: cost nothing until `start`."""
+
+    def close(self) -> None:
+        """End; nothing comes afterwards."""
+
+
+@dataclass
+class PassiveSource:
+    """A source that has no buttons and no parameters, and costs nothing while nobody looks."""
+
+    sensors: tuple[ShownSensor, ...]
+    playback: Playback | None = None
+    audience: Audience | None = field(default=None, init=False)
+
+    def actions(self) -> Mapping[str, tuple[Action, ...]]:
+        """None."""
+        return {}
+
+    def settings(self) -> Mapping[str, tuple[Setting, ...]]:
+        """None."""
+        return {}
+
+    def start(self, audience: Audience) -> None:
+        """Remember who looks."""
+        self.audience = audience
+
+    def pause(self) -> None:
+        """Nothing is to be done."""
+
+    def close(self) -> None:
+        """Nothing is to be done."""

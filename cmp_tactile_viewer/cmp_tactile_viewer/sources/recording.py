@@ -1,0 +1,337 @@
+"""Shows a recording: frames that are processed as they are played, or results that were stored."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rosbags.serde import SerdeError
+
+from cmp_tactile_driver.bags.reader import (
+    STORAGE_SUFFIXES,
+    RecordedFrame,
+    TimeSpan,
+    open_storage,
+)
+from cmp_tactile_driver.bags.recording import is_bag, open_recording
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.force.advice import ADVICE, single_flags
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.ros.messages import reading
+from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.snapshot import (
+    Audience,
+    HealthLine,
+    Level,
+    PassiveSource,
+    Playback,
+    ShownSensor,
+    Snapshot,
+)
+
+if TYPE_CHECKING:
+    from cmp_tactile_processing.pipeline import Pipeline
+
+SURFACE, FORCE_FIELD, GRID = (
+    f"cmp_tactile_msgs/msg/{name}" for name in ("Surface", "ForceField", "Grid")
+)
+# Looks into the recording so far before a place, to find the frame before it.
+BACK_S = 0.5
+DEFAULT_RATE_HZ = 30.0
+# Messages of one frame come within so many others.
+MOST_OPEN = 20
+
+
+class Frames(Protocol):
+    """The snapshots of a recording, from anywhere in it.
+
+    length_s: from its beginning to its last message.
+    """
+
+    length_s: float
+
+    def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
+        """Snapshots and their times since the beginning, s, from a time on."""
+
+
+class ProcessedFrames:
+    """Camera frames that go through the whole chain when they are shown."""
+
+    def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
+        """Raises FrameSourceError where there is nothing to read."""
+        size = sensor.image.width, sensor.image.height
+        self._recording = open_recording(
+            path, topic=topic, frame_rate=DEFAULT_RATE_HZ, frame_id="", expected_size=size
+        )
+        first = next(self._frames(0.0), None)
+        if first is None:
+            msg = f"{path}: found no frame of {size[0]} x {size[1]} pixels"
+            raise ViewerError(msg)
+        self._begin_ns = first.time_ns
+        self.length_s = self._recording.duration
+        self._sensor = sensor
+
+    def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
+        """As `Frames.read`; the trackers begin again, and the reference stays."""
+        self._pipeline.reset()
+        for frame in self._frames(start_s):
+            done = self._pipeline.process(frame.image, frame.stamp_ns)
+            shown = Snapshot(
+                frame.stamp_ns, frame.image, done.left, done.right, done.surface, done.force
+            )
+            yield (frame.time_ns - self._begin_ns) * 1e-9, shown
+
+    @cached_property
+    def _pipeline(self) -> Pipeline:
+        """Made with the first frame that is shown: the page is there before the kernels are."""
+        from cmp_tactile_processing.pipeline import Pipeline
+
+        return Pipeline(self._sensor, auto_reference="when_still")
+
+    def _frames(self, start_s: float) -> Iterator[RecordedFrame]:
+        messages = self._recording.messages(TimeSpan(start=start_s))
+        return (item for item in messages if isinstance(item, RecordedFrame))
+
+
+class StoredResults:
+    """What nodes or `cmp_tactile process` wrote into a bag, with the camera image where it has one.
+
+    Messages that cannot be used are left out; `problem` keeps the last reason.
+    """
+
+    def __init__(self, path: Path, sensor: SensorDescription) -> None:
+        """Raises BagError for what is no bag, ViewerError for one of several sensors."""
+        self._storage = open_storage(path)
+        self._topics = _result_topics(path, self._storage.topics)
+        self._sensor, self.problem = sensor, ""
+        self._placements = {name: view.placement for name, view in build_views(sensor).items()}
+        first_ns, last_ns = self._storage.times_ns
+        self._begin_ns, self.length_s = first_ns, (last_ns - first_ns) * 1e-9
+
+    def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
+        """As `Frames.read`."""
+        store = simulation_typestore()
+        open_ones: dict[int, Snapshot] = {}
+        first_ns = self._begin_ns + round(start_s * 1e9)
+        for stored in self._storage.messages(list(self._topics), first_ns):
+            field = self._topics[stored.topic]
+            kind = self._storage.topics[stored.topic]
+            try:
+                message: Any = store.deserialize_cdr(stored.data, kind)
+                stamp_ns = reading.stamp_ns(message.header.stamp)
+                value = self._value(field, message)
+            except (CmpTactileError, SerdeError, ValueError) as error:
+                self.problem = f"{stored.topic} at {stored.time_ns} ns: {error}"
+                continue
+            snapshot = open_ones.pop(stamp_ns, Snapshot(stamp_ns))
+            open_ones[stamp_ns] = replace(snapshot, **{field: value})
+            if len(open_ones) > MOST_OPEN:
+                yield self._timed(open_ones.pop(next(iter(open_ones))))
+        for snapshot in open_ones.values():
+            yield self._timed(snapshot)
+
+    def _timed(self, snapshot: Snapshot) -> tuple[float, Snapshot]:
+        return (snapshot.stamp_ns - self._begin_ns) * 1e-9, snapshot
+
+    def _value(self, field: str, message: Any) -> Any:
+        if field == "frame":
+            return reading.image_from_msg(message)
+        if field == "surface":
+            return reading.surface_from_msg(message, self._sensor.pattern.shape)
+        if field == "force":
+            return reading.force_field_from_msg(message)
+        placement = self._placements.get(field)
+        return reading.grid_from_msg(message, self._sensor.pattern.shape, placement)
+
+
+def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
+    """The field of a Snapshot that each topic fills."""
+    found: dict[str, str] = {}
+    for topic, kind in sorted(topics.items()):
+        name, truth = topic.rpartition("/")[2], "/truth/" in topic
+        if truth:
+            continue
+        if kind == SURFACE and name == "surface":
+            found[topic] = "surface"
+        elif kind == FORCE_FIELD:
+            found[topic] = "force"
+        elif kind == GRID:
+            found[topic] = topic.split("/")[-2]
+        elif kind == "sensor_msgs/msg/Image" and topic.endswith("/image_raw"):
+            found[topic] = "frame" if topic.split("/")[-2] not in ("left", "right") else ""
+    found = {topic: field for topic, field in found.items() if field}
+    for field in ("surface", "force"):
+        several = [topic for topic, other in found.items() if other == field]
+        if len(several) > 1:
+            msg = f"{path}: found results of several sensors: {', '.join(several)}; expected one"
+            raise ViewerError(msg)
+    return found
+
+
+def open_frames(path: Path, sensor: SensorDescription, topic: str = "") -> Frames:
+    """The stored results of a bag that has surfaces; else its frames, processed when shown.
+
+    Forces alone are shown where the bag has no images.  Raises CmpTactileError for what cannot be
+    read.
+    """
+    if path.suffix in STORAGE_SUFFIXES if path.is_file() else path.is_dir() and is_bag(path):
+        fields = _result_topics(path, open_storage(path).topics).values()
+        if "surface" in fields or ("force" in fields and "frame" not in fields):
+            return StoredResults(path, sensor)
+    return ProcessedFrames(path, sensor, topic)
+
+
+@dataclass
+class RecordingSource(PassiveSource):
+    """Plays a recording to the page, at its own pace or as its slider says."""
+
+    frames: Frames | None = None
+
+    def __post_init__(self) -> None:
+        assert self.playback is not None  # noqa: S101  `open_source` gives one
+        self._player = threading.Thread(target=self._play, name="recording", daemon=True)
+        self._looked_at, self._ended = threading.Event(), threading.Event()
+        self._player.start()
+
+    def start(self, audience: Audience) -> None:
+        """Go on from where it was."""
+        self.audience = audience
+        self._looked_at.set()
+
+    def pause(self) -> None:
+        """Stand still until somebody looks again."""
+        self._looked_at.clear()
+
+    def close(self) -> None:
+        """End."""
+        self._ended.set()
+        self._looked_at.set()
+        self._player.join()
+
+    def _play(self) -> None:
+        while self._looked_at.wait() and not self._ended.is_set():
+            if not self._play_on_or_report():
+                return
+
+    def _play_on_or_report(self) -> bool:
+        try:
+            self._play_on()
+        except CmpTactileError as error:
+            self._report(Level.ERROR, str(error))
+            return False
+        return True
+
+    def _play_on(self) -> None:
+        """Play from the place that was asked for, until another one is or the recording ends."""
+        playback, frames, audience = self.playback, self.frames, self.audience
+        assert playback is not None and frames is not None and audience is not None  # noqa: S101, PT018
+        start_s = playback.seek_s or 0.0
+        playback.seek_s, playback.ended = None, False
+        clock = _Clock()
+        sought = True
+        for time_s, snapshot in frames.read(start_s):
+            if not sought and not self._may_go_on(playback):
+                return
+            if playback.playing and not sought:
+                clock.wait(time_s, playback, self._ended)
+            elif playback.steps > 0:
+                playback.steps -= 1
+            if playback.is_sought or self._ended.is_set():
+                return
+            sought = False
+            playback.position_s = time_s
+            audience.show(self.sensors[0].name, snapshot)
+            self._report_frame(snapshot)
+        playback.ended = True
+        self._report(Level.OK, "the recording has ended")
+        while not self._ended.is_set() and not playback.is_sought:
+            if playback.steps < 0:
+                self._step_back(playback)
+            time.sleep(0.05)
+
+    def _may_go_on(self, playback: Playback) -> bool:
+        """Wait while it is paused; False where another place is asked for."""
+        while not playback.playing and playback.steps == 0 and not playback.is_sought:
+            if self._ended.wait(0.02):
+                return False
+        self._looked_at.wait()
+        if playback.steps < 0:
+            self._step_back(playback)
+        return not playback.is_sought and not self._ended.is_set()
+
+    def _step_back(self, playback: Playback) -> None:
+        """Ask for the last frame before the one on show."""
+        assert self.frames is not None  # noqa: S101  as in `_play_on`
+        playback.steps += 1
+        begin = max(playback.position_s - BACK_S, 0.0)
+        before = begin
+        for time_s in self._times(begin):
+            if time_s >= playback.position_s - 1e-6:
+                break
+            before = time_s
+        playback.seek_s = before
+
+    def _times(self, start_s: float) -> Iterator[float]:
+        assert self.frames is not None  # noqa: S101  as in `_play_on`
+        return (time_s for time_s, _ in self.frames.read(start_s))
+
+    def _report_frame(self, snapshot: Snapshot) -> None:
+        lines = list(snapshot_health(snapshot))
+        problem = getattr(self.frames, "problem", "")
+        if problem:
+            lines.append(HealthLine(Level.WARN, "recording:", problem))
+        self._show_lines(lines or [HealthLine(Level.OK, "recording:", "all markers as expected")])
+
+    def _report(self, level: Level, text: str) -> None:
+        self._show_lines([HealthLine(level, "recording:", text)])
+
+    def _show_lines(self, lines: list[HealthLine]) -> None:
+        if self.audience is not None:
+            self.audience.show_health(lines)
+
+
+class _Clock:
+    """Paces frames by their times; what was late is not made up for."""
+
+    def __init__(self) -> None:
+        self._wall_s = time.monotonic()
+        self._time_s: float | None = None
+
+    def wait(self, time_s: float, playback: Playback, ended: threading.Event) -> None:
+        """Until the frame of that time is due."""
+        if self._time_s is not None:
+            due = self._wall_s + (time_s - self._time_s) / playback.speed
+            while (left := due - time.monotonic()) > 0:
+                if ended.wait(min(left, 0.1)) or playback.is_sought:
+                    return
+        self._wall_s, self._time_s = time.monotonic(), time_s
+
+
+def snapshot_health(snapshot: Snapshot) -> Iterator[HealthLine]:
+    """What a snapshot itself says is the matter: faults of the views, flags of the force."""
+    for grid, view in ((snapshot.left, "left view:"), (snapshot.right, "right view:")):
+        if grid is not None and grid.reason:
+            fault = f" ({grid.fault.value})" if grid.fault.value else ""
+            yield HealthLine(Level.WARN, view, f"{grid.reason}{fault}")
+    if snapshot.force is not None:
+        for flag in single_flags(snapshot.force.flags):
+            yield HealthLine(Level.WARN, "force:", ADVICE[flag])
+
+
+def open_source(
+    path: Path, sensor: SensorDescription, topic: str = "", name: str = ""
+) -> RecordingSource:
+    """A source that plays a bag, a results file, a folder of images or a video.
+
+    name: on the page; empty for the sensor's.  Raises CmpTactileError for what cannot be read.
+    """
+    frames = open_frames(path, sensor, topic)
+    shown = ShownSensor(name or sensor.ros_name, sensor)
+    return RecordingSource((shown,), Playback(frames.length_s), frames)
