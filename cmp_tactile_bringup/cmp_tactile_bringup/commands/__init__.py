@@ -34,6 +34,7 @@ SUBCOMMANDS = {
     "process": ("process.Process", "process recordings without ROS"),
     "record": ("record.Record", "record a sensor that runs"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
+    "view": ("view.View", "show a recording in a browser"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
     "info": ("description.Info", "show a sensor and the installation"),
 }

@@ -98,7 +98,8 @@ class Demo(Command):
             console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}", soft_wrap=True)
         if page:
             console.print(
-                f"Open [bold]{escape(printable(str(page)))}[/] to see what the sensor felt.",
+                f"Open [bold]{escape(printable(str(page)))}[/] to see what the sensor felt, or "
+                f"go through it in a browser: [bold]cmp_tactile view {escape(self.recording)}[/]",
                 soft_wrap=True,
             )
         return int(bool(missed))

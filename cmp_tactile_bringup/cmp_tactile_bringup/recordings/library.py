@@ -5,6 +5,7 @@ The simulator is imported only for names without such a path.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -23,6 +24,8 @@ SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
 """What is replayed and processed, beside packaged scenes."""
 
 SHOWN_NAMES = 6
+# Of a record in the summary of a results file, and of the description in it.
+MOST_BYTES = 2**24
 
 MakingProgress = Callable[[str, float], None]
 """Called with what is done and its share, 0 to 1, while a recording is made."""
@@ -109,14 +112,30 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
 
 
 def sensor_of_recording(source: str) -> str:
-    """The file of the description that lies beside a bag; empty where there is none.
+    """The file of the description that lies beside a bag, or in results; empty for none.
 
     The sensor of a packaged scene is known without simulating it.
     """
     if is_packaged(Path(source)):
         return sensor_of_scene(source)
-    beside = Path(source).expanduser() / SENSOR_FILE
-    return str(beside) if beside.is_file() else ""
+    path = Path(source).expanduser()
+    if path.is_file() and path.suffix == ".mcap":
+        return _attached_sensor(path)
+    return str(path / SENSOR_FILE) if (path / SENSOR_FILE).is_file() else ""
+
+
+def _attached_sensor(path: Path) -> str:
+    """A file with the description that is attached to results; empty where none is."""
+    from mcap.exceptions import McapError
+    from mcap.reader import SeekingReader
+
+    with path.open("rb") as file:
+        try:
+            attached = SeekingReader(file, record_size_limit=MOST_BYTES).iter_attachments()
+            data = next((item.data for item in attached if item.name == SENSOR_FILE), b"")
+        except (McapError, ValueError, struct.error):
+            return ""
+    return _kept(data.decode("utf-8", "replace")) if data else ""
 
 
 def sensor_of_scene(name_or_path: str) -> str:
@@ -127,7 +146,11 @@ def sensor_of_scene(name_or_path: str) -> str:
     for path in packaged_sensors().values():
         if dict(read_yaml(path).items()) == mapping:
             return str(path)
-    text = dump_yaml(mapping)
+    return _kept(dump_yaml(mapping))
+
+
+def _kept(text: str) -> str:
+    """A file in the cache with the text of a sensor description."""
     path = default_cache_dir() / "sensors" / f"{digest(text)[:16]}.yaml"
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)

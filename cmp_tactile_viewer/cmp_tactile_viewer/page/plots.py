@@ -27,13 +27,15 @@ REST: tuple[tuple[str, float, str, RGB, Dash], ...] = (
 )
 CONTACT_COLOUR = (86, 180, 233)
 HEIGHT_PX = 160
+PADDING_PX = (10, 14, 0, 0)
 BANDS_SIGMA = 2.0
 LEGEND_STYLE = "font-size:0.8em;display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em"
 # A contact fills the lowest part of its plot.
 CONTACT_SCALE = (0.0, 14.0)
 # Ends of the y axis: at least so far apart, and so much of that beyond the values.
-LEAST_SPAN, MARGIN = 0.02, 0.08
+LEAST_SPAN, MARGIN, LEAST_LENGTH_S = 0.02, 0.08, 0.5
 
+Ends = tuple[float, float]
 Window = dict[str, NDArray[np.float64]]
 Columns = tuple[NDArray[np.float64], ...]
 
@@ -70,30 +72,35 @@ class Plots:
         window = history.window(length_s, back_s)
         for plot, data in ((self._forces, _force_data(window)), (self._rest, _rest_data(window))):
             values = data[1:-1] if plot is self._forces else data[1:]
-            plot.scales = _scales(_ends(np.concatenate(values)))
+            plot.scales = _scales(_times(data[0]), _ends(np.concatenate(values)))
             plot.data = data
 
 
 def _common() -> dict[str, Any]:
     grid = uplot.Axis_Grid(stroke="#dddddd", width=1)
     return {
-        "scales": _scales((0.0, 1.0)),
+        "scales": _scales((0.0, 1.0), (0.0, 1.0)),
         "axes": (uplot.Axis(grid=grid), uplot.Axis(grid=grid, scale="y", size=46)),
         "height": HEIGHT_PX,
+        "padding": PADDING_PX,
         "legend": uplot.Legend(show=False),
     }
 
 
-def _scales(ends: tuple[float, float]) -> dict[str, uplot.Scale]:
+def _scales(times: Ends, ends: Ends) -> dict[str, uplot.Scale]:
     """uPlot would find no ends where a value is NaN, and leave the plot empty."""
     return {
-        "x": uplot.Scale(time=False),
+        "x": uplot.Scale(time=False, auto=False, range=times),
         "y": uplot.Scale(auto=False, range=ends),
         "contact": uplot.Scale(auto=False, range=CONTACT_SCALE),
     }
 
 
-def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
+def _times(times: NDArray[np.float64]) -> Ends:
+    return float(times[0]), max(float(times[-1]), float(times[0]) + LEAST_LENGTH_S)
+
+
+def _ends(values: NDArray[np.float64]) -> Ends:
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     margin = max((LEAST_SPAN - (high - low)) / 2, MARGIN * (high - low))

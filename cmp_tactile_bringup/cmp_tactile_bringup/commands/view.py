@@ -1,0 +1,118 @@
+"""`cmp_tactile view`: a recording or results in a browser."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cmp_tactile_bringup.commands.options import Command, Number, argument, option
+
+if TYPE_CHECKING:
+    from cmp_tactile_viewer.page.page import Page
+    from cmp_tactile_viewer.page.server import Access
+    from cmp_tactile_viewer.snapshot import Source
+
+PAGE = "Page"
+
+
+@dataclass(frozen=True, kw_only=True)
+class View(Command):
+    """Show a recording in a browser: the gel's surface with forces and contacts in 3-D, the camera
+    image with gridlines, plots of forces and slip, and what is the matter. A slider goes through
+    it. Camera frames are processed when they are shown; results of `cmp_tactile process` and of a
+    recorded sensor are shown as they were stored. Ctrl-C ends it. Needs no running ROS and no
+    internet.
+
+    A sensor that runs is shown by view:=true, an argument of every launch file and of the commands
+    that start nodes.
+    """
+
+    source: Annotated[
+        Path,
+        argument(
+            "SOURCE",
+            "a ROS 2 bag, results of `cmp_tactile process`, a folder of images, one image, a "
+            "video, or a packaged scene, as grasp",
+        ),
+    ]
+    sensor: Annotated[
+        str | None,
+        option(
+            "file of a sensor description or name of a packaged one; simulated recordings and "
+            "results know their own"
+        ),
+    ] = None
+    topic: Annotated[str, option("image topic of a bag that has several")] = ""
+    paused: Annotated[bool, option("begin paused, at the first frame")] = False
+    host: Annotated[
+        str,
+        option("address to listen on; 0.0.0.0 for the whole network", group=PAGE),
+    ] = "127.0.0.1"
+    port: Annotated[
+        int | None,
+        option(
+            "to listen on (default: the first that is free from 8080 on)",
+            Number(1, 65535, kind=int),
+            group=PAGE,
+        ),
+    ] = None
+    token: Annotated[
+        str, option("that the address must have, against others on the network", group=PAGE)
+    ] = ""
+    read_only: Annotated[bool, option("no buttons and no parameters", group=PAGE)] = False
+    open: Annotated[bool, option("open it in this machine's browser", group=PAGE)] = False
+
+    def run(self) -> int:
+        """Serve the page until a signal comes."""
+        from cmp_tactile_bringup.recordings.library import (
+            check_source,
+            is_packaged,
+            recorded_source,
+            required_sensor,
+        )
+        from cmp_tactile_bringup.terminal.output import shown_stages
+        from cmp_tactile_processing.sensor.description import load_sensor
+
+        check_source(self.source)
+        sensor = load_sensor(required_sensor(self.source, self.sensor))
+        path = self.source.expanduser()
+        if is_packaged(self.source):
+            with shown_stages() as on_stage:
+                path = recorded_source(self.source, on_stage)
+        from cmp_tactile_viewer.page.server import Access
+        from cmp_tactile_viewer.sources.recording import open_source
+
+        source = open_source(path, sensor, self.topic)
+        if source.playback is not None:
+            source.playback.playing = not self.paused
+        access = Access(self.host, self.port, self.token, self.read_only)
+        return serve(source, access, open_browser=self.open)
+
+
+def serve(source: Source, access: Access, *, open_browser: bool = False) -> int:
+    """Serve a page until SIGINT or SIGTERM, and say where; raises ViewerError."""
+    from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+    from cmp_tactile_viewer.page.page import Page
+
+    stop = StopSignal()
+    with Page(source, access) as page:
+        _say_where(page, access)
+        if open_browser:
+            import webbrowser
+
+            webbrowser.open(page.url)
+        stop.wait()
+    return 0
+
+
+def _say_where(page: Page, access: Access) -> None:
+    print(f"Open {page.url} in a browser. Ctrl-C ends it.", flush=True)
+    if not access.is_local and not access.read_only:
+        who = "anyone who has this address" if access.token else "anyone on that network"
+        print(
+            f"warning: listening on {access.host}, port {page.port}: {who} can press the buttons; "
+            "--read-only takes them off" + ("" if access.token else ", --token asks for a word"),
+            file=sys.stderr,
+        )
