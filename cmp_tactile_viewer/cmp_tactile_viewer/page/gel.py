@@ -155,10 +155,10 @@ class _DrawnContact:
     def __init__(self, scene: viser.SceneApi, name: str) -> None:
         colour = forces.slip_colour(SlipState.UNKNOWN)
         self._outline = scene.add_line_segments(
-            f"{name}/outline", NO_LINES, np.array(colour), thickness=4.0
+            f"{name}/outline", NO_LINES, np.array(colour), thickness=4.0, thickness_units="screen"
         )
         self._moment = scene.add_line_segments(
-            f"{name}/moment", NO_LINES, np.array(colour), thickness=3.0
+            f"{name}/moment", NO_LINES, np.array(colour), thickness=3.0, thickness_units="screen"
         )
         self._centre = scene.add_icosphere(f"{name}/centre_of_pressure", radius=0.3, color=colour)
         self._resultant = scene.add_arrows(

@@ -22,8 +22,12 @@ from cmp_tactile_viewer.snapshot import HealthLine, ShownSensor, Snapshot, Sourc
 # Pictures a second, and of these plots, clocks and health, which are read, not watched.
 RATE_HZ, SLOW_HZ = 30.0, 8.0
 PLOT_LENGTHS = ("5", "20", "60")
+# Share of the width between two gels that is looked at from as near as one gel is.
+FILLED = 0.65
 NO_IMAGE = np.zeros((48, 64, 3), np.uint8)
-PANEL_PX, LEFT_PX = 330, 400
+# Widths of the panels, and heights of a plot: of one sensor, and of each of several.
+PANEL_PX, LEFT_PX, LEFT_OF_SEVERAL_PX = 330, 400, 310
+PLOT_PX, PLOT_OF_SEVERAL_PX = 160, 100
 JPEG_QUALITY = 80
 
 
@@ -145,15 +149,15 @@ class Page:
                     ControlPanel(gui, actions.get(name, ()), settings.get(name, ()))
 
     def _add_sensor(self, sensor: ShownSensor, first: bool) -> _Shown:
-        gui = self._server.gui
+        gui, several = self._server.gui, len(self._source.sensors) > 1
         gel = Gel(self._server.scene, sensor)
         panel = gui.add_panel()
         with panel.add_tab(sensor.name):
             image = gui.add_image(NO_IMAGE, format="jpeg", jpeg_quality=JPEG_QUALITY)
-            plots = Plots(gui)
+            plots = Plots(gui, PLOT_OF_SEVERAL_PX if several else PLOT_PX)
         if first:
             panel.dock_left()
-            panel.set_width(LEFT_PX)
+            panel.set_width(LEFT_OF_SEVERAL_PX if several else LEFT_PX)
             self._first_panel = panel
         else:
             panel.dock_below(self._first_panel)
@@ -165,7 +169,8 @@ class Page:
         middle = (places.min(axis=0) + places.max(axis=0)) / 2
         pattern = self._source.sensors[0].description.pattern
         size = MM * pattern.pitch * max(pattern.shape.rows, pattern.shape.cols)
-        return middle, float(np.linalg.norm(places - middle, axis=1).max() + size / 2)
+        apart = float(np.linalg.norm(places - middle, axis=1).max())
+        return middle, max(size / 2, FILLED * (apart + size / 2))
 
     def _aim_first(self) -> None:
         camera, (middle, reach) = self._server.initial_camera, self._extent()

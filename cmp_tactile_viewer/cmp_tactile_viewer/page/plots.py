@@ -26,7 +26,6 @@ REST: tuple[tuple[str, float, str, RGB, Dash], ...] = (
     ("rate_hz", 1.0, "rate, Hz", (90, 90, 90), (2, 2)),
 )
 CONTACT_COLOUR = (86, 180, 233)
-HEIGHT_PX = 160
 PADDING_PX = (10, 14, 0, 0)
 BANDS_SIGMA = 2.0
 LEGEND_STYLE = "font-size:0.8em;display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em"
@@ -43,7 +42,7 @@ Columns = tuple[NDArray[np.float64], ...]
 class Plots:
     """Two plots that show a window of a history."""
 
-    def __init__(self, gui: viser.GuiApi) -> None:
+    def __init__(self, gui: viser.GuiApi, height_px: int) -> None:
         empty = History().window(1.0)
         lines = [_line(label, colour, dash) for _, _, label, colour, dash in FORCES]
         limits = [uplot.Series(label=f"{label} {end}", width=0) for label in "xyz" for end in "+-"]
@@ -55,7 +54,7 @@ class Plots:
             _force_data(empty),
             series=(uplot.Series(label="s"), *lines, *limits, contact),
             bands=_bands(),
-            **_common(),
+            **_common(height_px),
         )
         gui.add_html(_legend("", REST))
         self._rest = gui.add_uplot(
@@ -64,7 +63,7 @@ class Plots:
                 uplot.Series(label="s"),
                 *(_line(label, colour, dash) for _, _, label, colour, dash in REST),
             ),
-            **_common(),
+            **_common(height_px),
         )
 
     def draw(self, history: History, length_s: float, back_s: float) -> None:
@@ -76,12 +75,12 @@ class Plots:
             plot.data = data
 
 
-def _common() -> dict[str, Any]:
+def _common(height_px: int) -> dict[str, Any]:
     grid = uplot.Axis_Grid(stroke="#dddddd", width=1)
     return {
         "scales": _scales((0.0, 1.0), (0.0, 1.0)),
         "axes": (uplot.Axis(grid=grid), uplot.Axis(grid=grid, scale="y", size=46)),
-        "height": HEIGHT_PX,
+        "height": height_px,
         "padding": PADDING_PX,
         "legend": uplot.Legend(show=False),
     }

@@ -1,0 +1,126 @@
+"""Takes the pictures of docs/viewer.md: the page in a headless Chromium.
+
+Run it in the environment of the repository, with Debian's package chromium installed:
+`setup/run python3 docs/drawings/viewer.py`
+The scene `grasp` is simulated where it is not in the cache.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Page as Tab
+from playwright.sync_api import sync_playwright
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_simulation.recording.run import recording_of
+from cmp_tactile_viewer.page.page import Page
+from cmp_tactile_viewer.page.server import Access
+from cmp_tactile_viewer.snapshot import (
+    HealthLine,
+    Level,
+    PassiveSource,
+    ShownSensor,
+    Snapshot,
+)
+from cmp_tactile_viewer.sources.recording import snapshot_health
+
+OUTPUT = Path(__file__).parents[1] / "images"
+SCENE = "grasp"
+SIZE = {"width": 1440, "height": 900}
+# Without a graphics card.
+OPTIONS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+# The frame in which the bar is pressed and dragged, and those before it that the plots show.
+CONTACT = 28
+# Fingers of a gripper: 40 mm apart, gels face to face.
+HALF_WAY_M = 0.02
+TO_THE_RIGHT = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
+TO_THE_LEFT = (np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0)
+# What covers the left view of the picture of a fault, px, and its grey.
+COVER, COVER_GREY = (slice(200, 420), slice(60, 260)), 70
+TIMEOUT_MS = 60_000
+QUALITY = 88
+
+
+def main() -> int:
+    """Take all pictures."""
+    bag = recording_of(SCENE)
+    sensor = SensorDescription.load(bag / "sensor.yaml")
+    pipeline = Pipeline(sensor)
+    shown = []
+    for frame in BagReader(bag).frames():
+        done = pipeline.process(frame.image, frame.stamp_ns)
+        stamp, image = frame.stamp_ns, frame.image
+        shown.append(Snapshot(stamp, image, done.left, done.right, done.surface, done.force))
+    covered = shown[CONTACT].frame.copy()
+    covered[COVER] = COVER_GREY
+    stamp = shown[CONTACT].stamp_ns
+    done = pipeline.process(covered, stamp)
+    fault = Snapshot(stamp, covered, done.left, done.right, done.surface, done.force)
+    with _tab() as tab:
+        one = (ShownSensor("sample_rig", sensor),)
+        _take(tab, one, [shown[: CONTACT + 1]], "viewer_contact")
+        _take(tab, one, [[*shown[:CONTACT], fault]], "viewer_fault")
+        two = (
+            ShownSensor("left_finger", sensor, (-HALF_WAY_M, 0.0, 0.0), TO_THE_RIGHT),
+            ShownSensor("right_finger", sensor, (HALF_WAY_M, 0.0, 0.0), TO_THE_LEFT),
+        )
+        _take(tab, two, [shown[: CONTACT + 1]] * 2, "viewer_fingers")
+        _take(tab, one, [shown], "viewer_plots", clip=(0, 0, 400, 720))
+    return 0
+
+
+@contextmanager
+def _tab() -> Iterator[Tab]:
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+    if browser is None:
+        sys.exit("found no chromium: apt install chromium")
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=browser, args=OPTIONS)
+        yield launched.new_page(viewport=SIZE)
+        launched.close()
+
+
+def _take(
+    tab: Tab,
+    sensors: tuple[ShownSensor, ...],
+    snapshots: Sequence[Sequence[Snapshot]],
+    name: str,
+    clip: tuple[int, int, int, int] | None = None,
+) -> None:
+    """Show one snapshot after another of each sensor, and take a picture of the last."""
+    source = PassiveSource(sensors)
+    with Page(source, Access(port=None)) as page:
+        for sensor, items in zip(sensors, snapshots, strict=True):
+            for item in items:
+                page.show(sensor.name, item)
+        lines = [
+            HealthLine(line.level, f"{sensor.name}, {line.about}", line.text)
+            for sensor, items in zip(sensors, snapshots, strict=True)
+            for line in snapshot_health(items[-1])
+        ]
+        page.show_health(lines or [HealthLine(Level.OK, "all", "markers as expected")])
+        tab.goto(page.url)
+        tab.get_by_text("Software WebGL").wait_for(timeout=TIMEOUT_MS)
+        tab.locator(".mantine-Notification-closeButton").click()
+        tab.get_by_text("Software WebGL").wait_for(state="hidden", timeout=TIMEOUT_MS)
+        drawn = page.pictures
+        while page.pictures < max(drawn, len(sensors)):
+            tab.wait_for_timeout(100)
+        tab.wait_for_timeout(3000)
+        place = OUTPUT / f"{name}.png"
+        box = dict(zip(("x", "y", "width", "height"), clip, strict=True)) if clip else None
+        tab.screenshot(path=place, clip=box)
+    Image.open(place).convert("RGB").save(place.with_suffix(".webp"), quality=QUALITY)
+    place.unlink()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
