@@ -88,6 +88,25 @@ class Setting:
     choices: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Pose:
+    """position (x, y, z) m; orientation, a quaternion (w, x, y, z)."""
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    orientation: tuple[float, float, float, float] = NO_TURN
+
+
+@dataclass
+class Touch:
+    """A simulated indenter.  pose: where it is in the gel frame, None until that is known.
+
+    move: asks it to go to a pose.
+    """
+
+    move: Callable[[Pose], None]
+    pose: Pose | None = None
+
+
 @dataclass
 class Playback:
     """Where a recording is, and what was asked of it; the page writes, the source obeys.
@@ -136,6 +155,9 @@ class Source(Protocol):
     def settings(self) -> Mapping[str, tuple[Setting, ...]]:
         """The parameters of each sensor."""
 
+    def touches(self) -> Mapping[str, Touch]:
+        """The simulated indenter of each sensor that has one."""
+
     def start(self, audience: Audience) -> None:
         """Begin to give snapshots: somebody looks."""
 
@@ -159,6 +181,10 @@ class PassiveSource:
         return {}
 
     def settings(self) -> Mapping[str, tuple[Setting, ...]]:
+        """None."""
+        return {}
+
+    def touches(self) -> Mapping[str, Touch]:
         """None."""
         return {}
 

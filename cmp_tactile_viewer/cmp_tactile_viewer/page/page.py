@@ -12,6 +12,7 @@ import viser
 
 from cmp_tactile_viewer.page import camera_image
 from cmp_tactile_viewer.page.gel import LEAST_RANGE, Gel
+from cmp_tactile_viewer.page.indenter import DraggedIndenter
 from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPanel, health_html
 from cmp_tactile_viewer.page.plots import Plots
 from cmp_tactile_viewer.page.server import Access, PageServer
@@ -38,6 +39,7 @@ class _Shown:
     gel: Gel
     image: Any
     plots: Plots
+    indenter: DraggedIndenter | None
     history: History = field(default_factory=History)
     newest: Snapshot | None = None
     drawn: Snapshot | None = None
@@ -161,7 +163,16 @@ class Page:
             self._first_panel = panel
         else:
             panel.dock_below(self._first_panel)
-        return _Shown(gel, image, plots)
+        touch = self._source.touches().get(sensor.name)
+        may_move = not self._server.access.read_only
+        indenter = (
+            None
+            if touch is None
+            else DraggedIndenter(
+                self._server.scene, f"/{sensor.name}/touch", touch, may_move=may_move
+            )
+        )
+        return _Shown(gel, image, plots, indenter)
 
     def _extent(self) -> tuple[Any, float]:
         """Middle of all gels (3,) and how far they reach from it, mm."""
@@ -237,6 +248,8 @@ class Page:
                 shown.image.visible = picture is not None
                 if picture is not None:
                     shown.image.image = picture
+                if shown.indenter is not None:
+                    shown.indenter.draw()
                 shown.drawn = snapshot
                 self.pictures += 1
             if slow_turn or changed:
