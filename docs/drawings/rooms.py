@@ -19,12 +19,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PICTURE = ROOT / "docs" / "images" / "rooms.png"
 # Whatever stands higher, or to the left, may import what stands lower, or to the right.
 COLUMNS = (
-    ("cmp_tactile_bringup", "cmp_tactile_simulation"),
+    ("cmp_tactile_bringup", "cmp_tactile_simulation", "cmp_tactile_viewer"),
     ("cmp_tactile_driver", "cmp_tactile_processing"),
 )
 COLOURS = {
     "cmp_tactile_bringup": "#8a6d3b",
     "cmp_tactile_simulation": "#7a5195",
+    "cmp_tactile_viewer": "#b3562b",
     "cmp_tactile_driver": "#2f6f8f",
     "cmp_tactile_processing": "#2e7d5b",
 }
