@@ -142,8 +142,7 @@ class Audience(Protocol):
 class Source(Protocol):
     """Where snapshots come from.
 
-    sensors: what is shown.  actions: buttons, by sensor.  settings: by sensor.  playback: of a
-    recording, None for what is live.
+    sensors: what is shown.  playback: of a recording, None for what is live.
     """
 
     sensors: tuple[ShownSensor, ...]
@@ -152,8 +151,8 @@ class Source(Protocol):
     def actions(self) -> Mapping[str, tuple[Action, ...]]:
         """The buttons of each sensor."""
 
-    def settings(self) -> Mapping[str, tuple[Setting, ...]]:
-        """The parameters of each sensor."""
+    def settings(self, sensor: str) -> tuple[Setting, ...]:
+        """The parameters of a sensor, looked up now; CmpTactileError where they are not known."""
 
     def touches(self) -> Mapping[str, Touch]:
         """The simulated indenter of each sensor that has one."""
@@ -180,9 +179,10 @@ class PassiveSource:
         """None."""
         return {}
 
-    def settings(self) -> Mapping[str, tuple[Setting, ...]]:
+    def settings(self, sensor: str) -> tuple[Setting, ...]:
         """None."""
-        return {}
+        del sensor
+        return ()
 
     def touches(self) -> Mapping[str, Touch]:
         """None."""

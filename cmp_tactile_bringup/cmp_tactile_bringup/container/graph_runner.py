@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -35,6 +36,7 @@ from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.ros.process import joining_ros
 
+VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
 # How often the components are asked whether they failed, s.
 CHECK_PERIOD = 0.2
@@ -56,9 +58,11 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         graph = _with_recordings(_load(options), stop)
         check_recordings(graph)
         if graph.joined:
-            return _run_elsewhere(graph, ros_args, stop)
+            with _viewer_beside(graph):
+                return _run_elsewhere(graph, ros_args, stop)
         graph, others = _of_this_process(graph, options.only_sensor)
         with (
+            _viewer_beside(graph if not options.only_sensor else None),
             _OtherSensors(others, arguments[1:], end_with_parent=options.end_with_parent) as also,
             running_container(ros_args, graph.container, graph.namespace) as container,
         ):
@@ -126,6 +130,31 @@ def _of_this_process(graph: Graph, only_sensor: str) -> tuple[Graph, list[str]]:
         msg = f"--only-sensor: found {only_sensor!r}, expected one of {', '.join(by_name)}"
         raise GraphError(msg)
     return by_name[only_sensor], []
+
+
+@contextmanager
+def _viewer_beside(graph: Graph | None) -> Iterator[None]:
+    """The page of a graph, where it has one, in a process that ends with this one.
+
+    It is not missed where it ends by itself, as for a port that is taken: the sensors run on.
+    """
+    if graph is None or graph.viewer is None:
+        yield
+        return
+    # JSON's texts are YAML's: a token may be a number.
+    given = (f"{name}:={json.dumps(value)}" for name, value in graph.viewer.items())
+    words = (word for setting in given for word in ("-p", setting))
+    process = subprocess.Popen(
+        python_command(VIEWER, "--ros-args", *words),
+        stdin=subprocess.DEVNULL,
+        # Ctrl-C is for this process, which then ends that one.
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
 
 
 class _OtherSensors:

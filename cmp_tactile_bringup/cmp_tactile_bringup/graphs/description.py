@@ -259,6 +259,17 @@ RUN_ARGUMENTS = (
         "full name of a running container to load into; empty to start one",
         default="",
     ),
+    Argument("view", "boolean", "show the sensors in a browser (docs/viewer.md)", default=False),
+    Argument(
+        "view_host",
+        "text",
+        "address on which the page listens; 0.0.0.0 for the whole network",
+        default="127.0.0.1",
+    ),
+    Argument(
+        "view_port", "integer", "port of the page; 0 for the first free one from 8080 on", default=0
+    ),
+    Argument("view_token", "text", "that the address of the page must have", default=""),
 )
 # Of the launch files alone.
 RVIZ = Argument("rviz", "boolean", "show the sensors in RViz", default=False)
@@ -345,12 +356,13 @@ class Graph:
     """Components in the order in which they are loaded.
 
     container: name of the one that is started.  joined: full name of a running one to load into
-    instead.
+    instead.  viewer: parameters of the page in the browser, None for no page.
     """
 
     components: tuple[Component, ...]
     container: str
     joined: str = ""
+    viewer: Mapping[str, Value] | None = None
 
     @property
     def sensors(self) -> tuple[GraphSensor, ...]:
@@ -443,7 +455,7 @@ class GraphFunction:
             names = [component.full_name for component in found.components]
             file = Path(values["params_file"])
             found = found.with_parameters(parameters_of_nodes(file, names))
-        return found
+        return replace(found, viewer=_viewer(found, values)) if values["view"] else found
 
     def _check(self, found: Graph) -> None:
         if not found.components:
@@ -463,6 +475,29 @@ class GraphFunction:
             if twice:
                 msg = f"{self.label}found {twice[0]!r} twice, expected every {kind} with a name "
                 raise GraphError(msg + "of its own")
+
+
+def _viewer(found: Graph, values: Mapping[str, Any]) -> dict[str, Value]:
+    """Parameters of the node web_viewer for the sensors of a graph, at their mounting poses."""
+    mounts = {
+        item.sensor: [
+            *item.parameters.get("mount_position", [0.0] * 3),
+            *item.parameters.get("mount_orientation", [0.0] * 3),
+        ]
+        for item in found.components
+        if "mount_position" in item.parameters
+    }
+    sensors = found.sensors
+    poses = (mounts.get(sensor, [0.0] * 6) for sensor in sensors)
+    return {
+        "sensors": " ".join(sensor.namespace for sensor in sensors),
+        "sensor_descriptions": os.pathsep.join(str(sensor.description) for sensor in sensors),
+        "sensor_names": " ".join(sensor.name for sensor in sensors),
+        "mounts": ", ".join(" ".join(f"{number:.9g}" for number in pose) for pose in poses),
+        "host": values["view_host"],
+        "port": values["view_port"],
+        "token": values["view_token"],
+    }
 
 
 def graph(

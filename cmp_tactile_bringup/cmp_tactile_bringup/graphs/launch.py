@@ -5,6 +5,8 @@ Needs launch and launch_ros; nothing else of the package imports this module.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.logging import get_logger
@@ -12,7 +14,7 @@ from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Nod
 from launch_ros.descriptions import ComposableNode
 
 from cmp_tactile_bringup.graphs import start
-from cmp_tactile_bringup.graphs.description import RVIZ, Graph, GraphFunction
+from cmp_tactile_bringup.graphs.description import RVIZ, Graph, GraphFunction, Value
 from cmp_tactile_bringup.graphs.packaged import find_graph
 
 
@@ -39,6 +41,8 @@ def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Actio
     graph = start.with_recordings(found, _Progress())
     start.check_recordings(graph)
     actions: list[Action] = [_running(part) for part in graph.by_sensor()]
+    if graph.viewer is not None:
+        actions.append(_web_viewer(graph.viewer))
     if given[RVIZ.name] == "true":
         actions.append(_rviz(graph))
     return actions
@@ -87,6 +91,16 @@ class _Progress:
         if what != self._last:
             self._last = what
             get_logger(start.PACKAGE).info(what)
+
+
+def _web_viewer(parameters: Mapping[str, Value]) -> Node:
+    """A process of its own, which takes nothing from the sensors' interpreters."""
+    return Node(
+        package=start.VIEWER_PACKAGE,
+        executable="web_viewer",
+        parameters=[dict(parameters)],
+        output="both",
+    )
 
 
 def _rviz(graph: Graph) -> Node:

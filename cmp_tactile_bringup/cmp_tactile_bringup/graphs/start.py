@@ -21,6 +21,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 
 PACKAGE = "cmp_tactile_bringup"
+VIEWER_PACKAGE = "cmp_tactile_viewer"
 REPLAY = "cmp_tactile_driver::Replay"
 RECORDER = "cmp_tactile_driver::Recorder"
 

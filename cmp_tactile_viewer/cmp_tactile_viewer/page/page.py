@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -144,11 +145,9 @@ class Page:
 
     def _add_controls(self) -> None:
         gui = self._server.gui
-        actions, settings = self._source.actions(), self._source.settings()
-        for name in self._sensors:
-            if actions.get(name) or settings.get(name):
-                with gui.add_folder(name):
-                    ControlPanel(gui, actions.get(name, ()), settings.get(name, ()))
+        for name, actions in self._source.actions().items():
+            with gui.add_folder(name):
+                ControlPanel(gui, actions, partial(self._source.settings, name))
 
     def _add_sensor(self, sensor: ShownSensor, first: bool) -> _Shown:
         gui, several = self._server.gui, len(self._source.sensors) > 1
@@ -183,18 +182,23 @@ class Page:
         apart = float(np.linalg.norm(places - middle, axis=1).max())
         return middle, max(size / 2, FILLED * (apart + size / 2))
 
-    def _aim_first(self) -> None:
-        camera, (middle, reach) = self._server.initial_camera, self._extent()
-        camera.look_at = middle
-        camera.position = middle + reach * np.array((0.9, -2.0, 1.6))
-
-    def _aim(self, preset: str, client: viser.ClientHandle | None) -> None:
-        if client is None:
-            return
+    def _place(self, preset: str) -> tuple[Any, Any]:
+        """Where a camera looks, and from where (3,), mm; at several gels from beside their line."""
         middle, reach = self._extent()
         directions = {"fit": (0.9, -2.0, 1.6), "top": (0.0, -1e-3, 2.7), "side": (0.0, -2.7, 0.15)}
-        client.camera.look_at = middle
-        client.camera.position = middle + reach * np.array(directions[preset])
+        x, y, z = directions[preset]
+        first, last = (np.array(self._source.sensors[k].position) for k in (0, -1))
+        line = float(np.arctan2(*(last - first)[1::-1])) if len(self._source.sensors) > 1 else 0.0
+        turned = x * np.cos(line) - y * np.sin(line), x * np.sin(line) + y * np.cos(line), z
+        return middle, middle + reach * np.array(turned)
+
+    def _aim_first(self) -> None:
+        camera = self._server.initial_camera
+        camera.look_at, camera.position = self._place("fit")
+
+    def _aim(self, preset: str, client: viser.ClientHandle | None) -> None:
+        if client is not None:
+            client.camera.look_at, client.camera.position = self._place(preset)
 
     def _come(self, _client: object) -> None:
         with self._guard:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,6 +22,7 @@ SIGNS = {
 }
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 CAMERAS = ("fit", "top", "side")
+BUTTONS_IN_ROW = 3
 SMALL = "font-size:0.85em;line-height:1.35;padding:0 0.6em"
 
 
@@ -109,18 +110,36 @@ class ControlPanel:
     """Buttons and parameters of one sensor, and what the last of them answered."""
 
     def __init__(
-        self, gui: viser.GuiApi, actions: Sequence[Action], settings: Sequence[Setting]
+        self,
+        gui: viser.GuiApi,
+        actions: Sequence[Action],
+        settings: Callable[[], Sequence[Setting]],
     ) -> None:
-        for action in actions:
-            button = gui.add_button(action.label, hint=action.hint)
-            button.on_click(partial(self._press, action.label, action.run))
+        self._gui, self._settings = gui, settings
+        known = (*actions, Action("parameters", "Those that may change now", self._show_settings))
+        for first in range(0, len(known), BUTTONS_IN_ROW):
+            row = {action.label: action for action in known[first : first + BUTTONS_IN_ROW]}
+            hint = "; ".join(f"{action.label}: {action.hint}" for action in row.values())
+            group = gui.add_button_group("", tuple(row), hint=hint)
+            group.on_click(partial(self._pressed, row))
         self._answer = gui.add_html("")
-        if settings:
-            with gui.add_folder("parameters", expand_by_default=False):
-                for setting in settings:
-                    self._add(gui, setting)
+        self._folder = gui.add_folder("parameters", visible=False)
+        self._handles: list[Any] = []
 
-    def _add(self, gui: viser.GuiApi, setting: Setting) -> None:
+    def _pressed(self, row: Mapping[str, Action], event: viser.GuiEvent[Any]) -> None:
+        action = row[event.target.value]
+        self._press(action.label, action.run, event)
+
+    def _show_settings(self) -> str:
+        found = self._settings()
+        for handle in self._handles:
+            handle.remove()
+        with self._folder:
+            self._handles = [self._add(self._gui, setting) for setting in found]
+        self._folder.visible = bool(found)
+        return f"{len(found)} that may change"
+
+    def _add(self, gui: viser.GuiApi, setting: Setting) -> Any:
         value, hint = setting.value, setting.description
         handle: Any
         if setting.choices:
@@ -136,6 +155,7 @@ class ControlPanel:
         else:
             handle = gui.add_text(setting.name, value, hint=hint)
         handle.on_update(partial(self._change, setting))
+        return handle
 
     def _change(self, setting: Setting, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:

@@ -1,0 +1,353 @@
+"""What runs on topics as a source of snapshots: subscribed to only while somebody looks."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.ros.messages import reading
+from cmp_tactile_processing.ros.messages.making import gel_frame
+from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.nodes.controls import (
+    RecordingButton,
+    RunningSensor,
+    answer_of,
+    node_settings,
+)
+from cmp_tactile_viewer.snapshot import (
+    Action,
+    Audience,
+    HealthLine,
+    Level,
+    Playback,
+    Pose,
+    Setting,
+    Snapshot,
+    Touch,
+)
+
+RATE_HZ, HEALTH_HZ = 30.0, 1.0
+# Encapsulation and stamp, with which every message begins.
+HEADER = struct.Struct("<4xiI")
+# Frames that may be on their way through the stages at once; an image is a megabyte.
+KEPT = 12
+# A topic is silent after that time, and a node that has not reported for so long is left out.
+SILENT_S, REPORT_AGE_S = 2.0, 5.0
+NS_PER_S = 1_000_000_000
+AT_REST = "nothing may touch the gel"
+# Label, service, hint, and the view without which a sensor has no such service.
+TRIGGERS = (
+    (
+        "zero",
+        "stereo_triangulator/set_reference",
+        f"Count displacement and force from now on; {AT_REST}",
+        "",
+    ),
+    *(
+        (
+            f"inspect {view} print",
+            f"{view}_gridline_tracker/inspect_print",
+            f"Find flaws of the print; {AT_REST}",
+            view,
+        )
+        for view in ("left", "right")
+    ),
+    ("reset indenter", "indenter/reset", "A simulated sensor plays its scene from the start", ""),
+)
+
+
+class _Topic:
+    """The newest messages of a topic as bytes, by stamp: most are never looked at."""
+
+    def __init__(self, name: str, message_type: Any, field: str) -> None:
+        self.name, self.message_type, self.field = name, message_type, field
+        self.kept: OrderedDict[int, bytes] = OrderedDict()
+        self.last_s = time.monotonic()
+        self.subscription: Any = None
+
+    def take(self, data: bytes) -> None:
+        seconds, nanoseconds = HEADER.unpack_from(data)
+        stamp_ns = seconds * NS_PER_S + nanoseconds
+        self.kept[stamp_ns] = data
+        self.last_s = time.monotonic()
+        while len(self.kept) > KEPT:
+            self.kept.popitem(last=False)
+
+    @property
+    def newest(self) -> int:
+        """Its last stamp; -1 before the first."""
+        return next(reversed(self.kept), -1)
+
+
+class _Watched:
+    """The topics of one sensor."""
+
+    def __init__(
+        self, node: Node, sensor: RunningSensor, problem: Callable[[str, str], None]
+    ) -> None:
+        self._node, self.sensor, self._problem = node, sensor, problem
+        shown = sensor.shown.description
+        self._shape = shown.pattern.shape
+        self._placements = {name: view.placement for name, view in build_views(shown).items()}
+        self.name, self.views = sensor.shown.name, tuple(self._placements)
+        # From the end of the chain to its beginning: the last one that speaks gives the stamps.
+        kinds = [("force_field", ForceField, "force"), ("surface", Surface, "surface")]
+        kinds += [(f"{view}/grid", Grid, view) for view in self._placements]
+        kinds.append(("image_raw", Image, "frame"))
+        self.topics = [
+            _Topic(f"{sensor.namespace}/{name}", kind, field) for name, kind, field in kinds
+        ]
+        self._shown_ns = -1
+        self._latency: dict[int, float] = {}
+
+    def subscribe(self) -> None:
+        for topic in self.topics:
+            topic.kept.clear()
+            topic.last_s = time.monotonic()
+            topic.subscription = self._node.create_subscription(
+                topic.message_type,
+                topic.name,
+                partial(self._on_message, topic),
+                QoSProfile(depth=1),
+                raw=True,
+            )
+        self._shown_ns = -1
+
+    def unsubscribe(self) -> None:
+        for topic in self.topics:
+            if topic.subscription is not None:
+                self._node.destroy_subscription(topic.subscription)
+                topic.subscription = None
+
+    def _on_message(self, topic: _Topic, data: bytes) -> None:
+        topic.take(data)
+        if topic.field == "force":
+            now_ns = self._node.get_clock().now().nanoseconds
+            self._latency = {topic.newest: (now_ns - topic.newest) * 1e-9}
+
+    def newest(self) -> Snapshot | None:
+        """The newest frame that went as far as any does; None where it is on show already."""
+        now_s = time.monotonic()
+        speaking = (item for item in self.topics if item.kept and now_s - item.last_s < SILENT_S)
+        last = next(speaking, None)
+        if last is None or last.newest == self._shown_ns:
+            return None
+        self._shown_ns = stamp_ns = last.newest
+        values = {
+            topic.field: self._value(topic, topic.kept[stamp_ns])
+            for topic in self.topics
+            if stamp_ns in topic.kept
+        }
+        latency_s = self._latency.get(stamp_ns, float("nan"))
+        return Snapshot(stamp_ns, latency_s=latency_s, **values)
+
+    def _value(self, topic: _Topic, data: bytes) -> Any:
+        """What a message says; None, and a line of health, where it cannot be used."""
+        try:
+            message = deserialize_message(data, topic.message_type)
+            if topic.field == "frame":
+                return reading.image_from_msg(message)
+            if topic.field == "force":
+                return reading.force_field_from_msg(message)
+            if topic.field == "surface":
+                return reading.surface_from_msg(message, self._shape)
+            return reading.grid_from_msg(message, self._shape, self._placements[topic.field])
+        except CmpTactileError as error:
+            self._problem(topic.name, str(error))
+            return None
+
+    def silence(self) -> Iterator[HealthLine]:
+        """A line for the first topic of the chain on which nothing comes."""
+        now_s = time.monotonic()
+        for topic in reversed(self.topics):
+            if now_s - topic.last_s < SILENT_S:
+                continue
+            published = self._node.count_publishers(topic.name)
+            why = "published, but nothing comes" if published else "nothing published"
+            text = f"waiting for {topic.name}: {why}; is the sensor running?"
+            yield HealthLine(Level.WARN, "topic:", text)
+            return
+
+
+class LiveSensors:
+    """A `Source` of sensors that run; its node has to be spun on another thread than the page's."""
+
+    playback: Playback | None = None
+
+    def __init__(
+        self, node: Node, sensors: Sequence[RunningSensor], rate_hz: float = RATE_HZ
+    ) -> None:
+        """rate_hz: snapshots a second at most."""
+        self._node = node
+        self._audience: Audience | None = None
+        self._is_looked_at = False
+        self.sensors = tuple(sensor.shown for sensor in sensors)
+        self._watched = [_Watched(node, sensor, self._note_problem) for sensor in sensors]
+        self._reports: dict[str, tuple[float, DiagnosticStatus]] = {}
+        self._problems: dict[str, tuple[float, str]] = {}
+        self._others: list[Any] = []
+        self._targets: dict[str, Any] = {}
+        self._touches = {item.name: self._touch_of(item) for item in self._watched}
+        self._recordings = {item.name: RecordingButton(node, item.sensor) for item in self._watched}
+        # Steady: a paused simulation clock must not stop them.
+        clock = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timers = [
+            node.create_timer(1 / rate_hz, self._show, clock=clock, autostart=False),
+            node.create_timer(1 / HEALTH_HZ, self._show_health, clock=clock, autostart=False),
+        ]
+        # What the page asks for is done on the executor's thread.
+        self._turn = node.create_guard_condition(self._turned)
+
+    def actions(self) -> Mapping[str, tuple[Action, ...]]:
+        """Services of the nodes, and a recording."""
+        return {
+            item.name: (
+                *(
+                    Action(label, hint, partial(self._call, f"{item.sensor.namespace}/{service}"))
+                    for label, service, hint, view in TRIGGERS
+                    if not view or view in item.views
+                ),
+                Action("record", "Begin a recording, or end it", self._recordings[item.name].press),
+            )
+            for item in self._watched
+        }
+
+    def settings(self, sensor: str) -> tuple[Setting, ...]:
+        """Parameters of the sensor's nodes; ViewerError where none answers."""
+        item = next(item for item in self._watched if item.name == sensor)
+        return node_settings(self._node, item.sensor.namespace, item.views)
+
+    def touches(self) -> Mapping[str, Touch]:
+        """The indenter of each; that of a real sensor has no pose."""
+        return self._touches
+
+    def start(self, audience: Audience) -> None:
+        """Subscribe."""
+        self._audience, self._is_looked_at = audience, True
+        self._turn.trigger()
+
+    def pause(self) -> None:
+        """Unsubscribe: the nodes then make no messages for the page."""
+        self._is_looked_at = False
+        self._turn.trigger()
+
+    def close(self) -> None:
+        """End the recordings."""
+        for recording in self._recordings.values():
+            recording.close()
+
+    def _turned(self) -> None:
+        for item in self._watched:
+            item.unsubscribe()
+        for subscription in self._others:
+            self._node.destroy_subscription(subscription)
+        self._others.clear()
+        for timer in self._timers:
+            timer.cancel()
+        if not self._is_looked_at:
+            return
+        for item in self._watched:
+            item.subscribe()
+            self._others.append(
+                self._node.create_subscription(
+                    PoseStamped,
+                    f"{item.sensor.namespace}/indenter/pose",
+                    partial(self._on_pose, self._touches[item.name]),
+                    1,
+                )
+            )
+        self._others.append(
+            self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 100)
+        )
+        for timer in self._timers:
+            timer.reset()
+
+    def _show(self) -> None:
+        if self._audience is None:
+            return
+        for item in self._watched:
+            snapshot = item.newest()
+            if snapshot is not None:
+                self._audience.show(item.name, snapshot)
+
+    def _note_problem(self, topic: str, text: str) -> None:
+        self._problems[topic] = (time.monotonic(), text)
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        now_s = time.monotonic()
+        for status in message.status:
+            name = f"/{status.name.lstrip('/')}"
+            if any(name.startswith(f"{item.sensor.namespace}/") for item in self._watched):
+                self._reports[name] = (now_s, status)
+
+    def _show_health(self) -> None:
+        if self._audience is None:
+            return
+        now_s = time.monotonic()
+        lines = [line for item in self._watched for line in item.silence()]
+        lines += [
+            HealthLine(Level.WARN, topic, text)
+            for topic, (time_s, text) in self._problems.items()
+            if now_s - time_s < REPORT_AGE_S
+        ]
+        lines += self._reported(now_s)
+        self._audience.show_health(lines)
+
+    def _reported(self, now_s: float) -> Iterator[HealthLine]:
+        """What the nodes report of late; those without trouble are only counted."""
+        well = 0
+        for name, (time_s, status) in self._reports.items():
+            if now_s - time_s >= REPORT_AGE_S:
+                continue
+            level = Level(min(int.from_bytes(status.level, "little"), Level.ERROR))
+            if level is Level.OK:
+                well += 1
+            else:
+                yield HealthLine(level, name, status.message)
+        if well:
+            yield HealthLine(Level.OK, "diagnostics:", f"{well} reports without trouble")
+
+    def _touch_of(self, item: _Watched) -> Touch:
+        # A publisher that is made when somebody drags would lose the first targets.
+        target = self._node.create_publisher(
+            PoseStamped, f"{item.sensor.namespace}/indenter/target", 10
+        )
+        frame = gel_frame(item.sensor.shown.description)
+
+        def move(pose: Pose) -> None:
+            message = PoseStamped()
+            message.header.frame_id = frame
+            message.header.stamp = self._node.get_clock().now().to_msg()
+            place, turn = message.pose.position, message.pose.orientation
+            place.x, place.y, place.z = pose.position
+            turn.w, turn.x, turn.y, turn.z = pose.orientation
+            target.publish(message)
+
+        return Touch(move)
+
+    def _on_pose(self, touch: Touch, message: PoseStamped) -> None:
+        place, turn = message.pose.position, message.pose.orientation
+        touch.pose = Pose((place.x, place.y, place.z), (turn.w, turn.x, turn.y, turn.z))
+
+    def _call(self, service: str) -> str:
+        answer = answer_of(self._node, Trigger, service, Trigger.Request())
+        if not answer.success:
+            raise ViewerError(answer.message)
+        return str(answer.message) or "done"

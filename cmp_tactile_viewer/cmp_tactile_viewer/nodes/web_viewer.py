@@ -1,0 +1,134 @@
+"""Node: serves a page in the browser for sensors that run."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
+from cmp_tactile_processing.ros.parameters import declare_parameters
+from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
+from cmp_tactile_viewer.nodes.controls import RunningSensor
+from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
+from cmp_tactile_viewer.page.page import Page
+from cmp_tactile_viewer.page.server import DEFAULT_PORT, Access
+from cmp_tactile_viewer.snapshot import ShownSensor
+
+
+@dataclass(frozen=True)
+class WebViewerParameters(Parameters):
+    """What the page shows, and to whom."""
+
+    sensors: str = parameter("", "namespaces of the sensors, separated by spaces; empty: its own")
+    sensor_descriptions: str = parameter(
+        "sample_rig", "their descriptions, files or packaged names, separated by colons"
+    )
+    sensor_names: str = parameter(
+        "", "their names, separated by spaces; empty for those of the descriptions"
+    )
+    mounts: str = parameter(
+        "",
+        "poses of the gel frames in the scene, x y z in m and roll pitch yaw in rad, separated by "
+        "commas; empty: all at the origin",
+    )
+    host: str = parameter("127.0.0.1", "address to listen on; 0.0.0.0 for the whole network")
+    port: int = parameter(
+        0, f"to listen on; 0 for the first that is free from {DEFAULT_PORT} on", within=(0, 65535)
+    )
+    token: str = parameter("", "that the address of the page must have; empty for none")
+    read_only: bool = parameter(False, "no buttons and no parameters on the page")
+    max_rate: float = parameter(
+        30.0, "the page is drawn so often at most", unit="Hz", within=(0.1, 120.0)
+    )
+
+
+class WebViewer(ReportingNode):
+    """Shows sensors in a browser: surface, force, contacts, camera image, plots, health, buttons.
+
+    It subscribes only while a browser looks, to `surface`, `force_field`, `left/grid`, `right/grid`
+    and `image_raw` of each sensor, and to `/diagnostics`; of more messages than `max_rate` only the
+    newest are read.  The page's address is logged and stands in the diagnostics.
+    Its buttons call the services of the sensor's nodes, `indenter/target` moves a simulated
+    indenter.  To be run in a process of its own, where it takes nothing from the sensor's nodes.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("web_viewer", **node_kwargs)
+        with self.destroyed_on_error():
+            own = declare_parameters(self, WebViewerParameters())
+            sensors = running_sensors(own, self.get_namespace())
+            self._live = LiveSensors(self, sensors, own.max_rate)
+            access = Access(own.host, own.port or None, own.token, own.read_only)
+            self.page = Page(self._live, access, own.max_rate)
+            self.start_reporting()
+            self.warn_of_unknown_parameters()
+        self.get_logger().info(f"open {self.page.url} in a browser")
+        if not access.is_local and not access.read_only:
+            who = "anyone who has this address" if access.token else "anyone on that network"
+            where = f"{access.host}, port {self.page.port}"
+            self.get_logger().warning(f"listening on {where}: {who} can press the buttons")
+
+    def destroy_node(self) -> None:
+        """End the page, then destroy the node."""
+        page = getattr(self, "page", None)
+        if page is not None:
+            page.close()
+        super().destroy_node()
+
+    def _status(self) -> DiagnosticStatus:
+        values = {"address": self.page.url, "browsers": self.page.viewers}
+        text = f"{self.page.viewers} browsers look"
+        return status_message(status_name(self), "", (DiagnosticStatus.OK, text), values)
+
+
+def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningSensor]:
+    """The sensors that the parameters name; ParameterError where their numbers differ."""
+    spaces = given.sensors.split() or [namespace.rstrip("/")]
+    files = [item for item in given.sensor_descriptions.split(os.pathsep) if item]
+    names = given.sensor_names.split() or [""] * len(spaces)
+    mounts = [_pose(item) for item in given.mounts.split(",") if item.strip()]
+    mounts = mounts or [(0.0,) * 6] * len(spaces)
+    for what, found in (
+        ("sensor_descriptions", files), ("sensor_names", names), ("mounts", mounts)
+    ):  # fmt: skip
+        if len(found) != len(spaces):
+            msg = f"parameter {what}: found {len(found)}, expected {len(spaces)}, as of sensors"
+            raise ParameterError(msg)
+    return [_running(*item) for item in zip(spaces, files, names, mounts, strict=True)]
+
+
+def _running(namespace: str, file: str, name: str, mount: tuple[float, ...]) -> RunningSensor:
+    description = load_sensor(file, name)
+    x, y, z, w = Rotation.from_euler("xyz", mount[3:]).as_quat().tolist()
+    place = (mount[0], mount[1], mount[2])
+    shown = ShownSensor(name or description.ros_name, description, place, (w, x, y, z))
+    return RunningSensor(f"/{namespace.strip('/')}", file, name, shown)
+
+
+def _pose(text: str) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(word) for word in text.split())
+    except ValueError:
+        numbers = ()
+    if len(numbers) != 6:
+        msg = f"parameter mounts: found {text!r}, expected six numbers, x y z roll pitch yaw"
+        raise ParameterError(msg)
+    return numbers
+
+
+def main() -> int:
+    """Entry point of `ros2 run cmp_tactile_viewer web_viewer`."""
+    return run_node(WebViewer)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
