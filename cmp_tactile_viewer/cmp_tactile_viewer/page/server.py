@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import http
 import io
 import ipaddress
@@ -14,7 +15,7 @@ from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 import viser
 import websockets.asyncio.server
@@ -25,7 +26,6 @@ from cmp_tactile_viewer.errors import ViewerError
 
 LOCAL = ("127.0.0.1", "localhost", "::1")
 DEFAULT_PORT = 8080
-COOKIE = "cmp_tactile_token"
 # Of a page that is refused: one sentence that says what to do.
 ASK_FOR_ADDRESS = (
     "This page needs its token: open the address that was printed, which ends in ?token=..."
@@ -76,7 +76,7 @@ class PageServer(viser.ViserServer):  # type: ignore[misc,unused-ignore]
             host = socket.gethostname()
         elif ":" in host:
             host = f"[{host}]"
-        token = f"/?token={self.access.token}" if self.access.token else ""
+        token = f"/?token={quote(self.access.token, safe='')}" if self.access.token else ""
         return f"http://{host}:{self.get_port()}{token}"
 
     def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002
@@ -107,6 +107,8 @@ class Guard:
 
     def __init__(self, access: Access) -> None:
         self._access = access
+        # Pages on other ports of a machine get the same cookies: each has a name of its own.
+        self.cookie = f"cmp_tactile_{hashlib.sha256(access.token.encode()).hexdigest()[:8]}"
 
     def refusal(self, request: Request) -> str:
         """Why a request is refused; empty for one that may pass.
@@ -130,11 +132,11 @@ class Guard:
             return ""
         given = parse_qs(urlsplit(request.path).query).get("token", [])
         try:
-            cookie = SimpleCookie(request.headers.get("Cookie", "")).get(COOKIE)
+            cookie = SimpleCookie(request.headers.get("Cookie", "")).get(self.cookie)
         except CookieError:
             cookie = None
         if cookie is not None:
-            given.append(cookie.value)
+            given.append(unquote(cookie.value))
         right = (secrets.compare_digest(item.encode(), expected.encode()) for item in given)
         return expected if any(right) else None
 
@@ -165,7 +167,8 @@ def _with_guard(guard: Guard, answer: Answer) -> Answer:
         response = answer(connection, request)
         token = guard.token_of(request)
         if response is not None and token:
-            response.headers["Set-Cookie"] = f"{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/"
+            value = f"{guard.cookie}={quote(token, safe='')}"
+            response.headers["Set-Cookie"] = f"{value}; HttpOnly; SameSite=Strict; Path=/"
         return response
 
     return answered

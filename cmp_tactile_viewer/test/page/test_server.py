@@ -1,0 +1,136 @@
+"""Who gets the page: this machine's own browser pages, and who has the token."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+from urllib.parse import urlsplit
+
+import pytest
+import viser
+import websockets.asyncio.server
+import websockets.exceptions
+from websockets.sync.client import connect
+
+from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.page import server
+from cmp_tactile_viewer.page.server import Access, PageServer
+
+FORBIDDEN, OK = 403, 200
+PROTOCOL = f"viser-v{viser.__version__}"
+
+
+@pytest.fixture
+def started():
+    servers = []
+
+    def start(**access):
+        servers.append(PageServer(Access(**access), "test"))
+        return servers[-1]
+
+    yield start
+    for one in servers:
+        one.stop()
+
+
+def answer(page, path="/", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", page.get_port(), timeout=30)
+    connection.request("GET", path, headers=headers)
+    found = connection.getresponse()
+    found.read()
+    connection.close()
+    return found
+
+
+def may_connect(page, **more):
+    address = f"ws://127.0.0.1:{page.get_port()}/"
+    try:
+        with connect(address, subprotocols=[PROTOCOL], **more) as opened:
+            opened.recv(timeout=30)
+    except websockets.exceptions.InvalidStatus as error:
+        return error.response.status_code != FORBIDDEN
+    return True
+
+
+def test_the_page_and_its_socket_are_open_to_this_machine(started):
+    page = started()
+    assert answer(page).status == OK
+    assert may_connect(page)
+    assert may_connect(page, origin=f"http://127.0.0.1:{page.get_port()}")
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", ""]
+)
+def test_a_name_that_another_page_made_to_mean_this_machine_is_refused(started, host):
+    page = started()
+    assert answer(page, Host=host).status == FORBIDDEN
+
+
+def test_another_page_of_the_same_browser_gets_no_socket(started):
+    """No browser forbids a WebSocket to another origin by itself."""
+    page = started()
+    assert not may_connect(page, origin="http://evil.example")
+    assert not may_connect(page, origin=f"http://127.0.0.1:{page.get_port() + 1}")
+    assert not may_connect(page, origin="null")
+
+
+def test_a_token_is_asked_for_once_and_kept_as_a_cookie(started):
+    page = started(token="open sesame")  # noqa: S106
+    assert answer(page).status == FORBIDDEN
+    assert answer(page, "/?token=open").status == FORBIDDEN
+    assert not may_connect(page)
+    first = answer(page, "/?token=open%20sesame")
+    assert first.status == OK
+    cookie = first.getheader("Set-Cookie")
+    assert "HttpOnly" in cookie
+    assert "SameSite=Strict" in cookie
+    kept = cookie.partition(";")[0]
+    assert answer(page, "/assets", Cookie=kept).status != FORBIDDEN
+    assert may_connect(page, additional_headers={"Cookie": kept})
+
+
+def test_the_address_that_is_printed_opens_a_page_with_a_token(started):
+    page = started(token="a b&c=d/é")  # noqa: S106
+    parts = urlsplit(page.url)
+    assert answer(page, f"{parts.path}?{parts.query}").status == OK
+
+
+def test_a_cookie_that_cannot_be_read_is_no_token(started):
+    page = started(token="word")  # noqa: S106
+    assert answer(page, Cookie="a=b; [x]=1; =;").status == FORBIDDEN
+
+
+def test_a_taken_port_is_an_error_where_it_was_asked_for_and_skipped_else(started):
+    first = started()
+    port = first.get_port()
+    with pytest.raises(ViewerError, match=rf"cannot listen on 127.0.0.1, port {port}"):
+        started(port=port)
+    assert started().get_port() != port
+
+
+def test_an_address_of_another_machine_is_named():
+    with pytest.raises(ViewerError, match=r"cannot listen on 192\.0\.2\.1"):
+        PageServer(Access("192.0.2.1"), "test")
+
+
+def test_a_server_that_does_not_take_the_guard_is_an_error(monkeypatch):
+    """Another version of viser may start its server in another way: it would be open to all."""
+    monkeypatch.setattr(server, "viser", viser)
+    with (
+        pytest.raises(ViewerError, match="cannot be guarded"),
+        server._guarded(server.Guard(Access())),
+    ):
+        pass
+    assert websockets.asyncio.server.serve.__module__ != server.__name__
+
+
+def test_nobody_can_ask_for_a_tunnel_to_the_internet(started):
+    assert started().request_share_url() is None
+
+
+def test_on_the_network_it_is_reached_by_the_addresses_and_names_of_this_machine():
+    guard = server.Guard(Access(host="0.0.0.0"))  # noqa: S104
+    for name in ("192.168.1.7", socket.gethostname().lower(), "localhost"):
+        assert guard._is_own_name(name)
+    assert not guard._is_own_name("evil.example")

@@ -1,0 +1,63 @@
+"""The figures of the plots: in order, in a window, from the beginning where time runs back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made_forces import made_contact, made_field
+
+from cmp_tactile_viewer.scene.history import MOST_POINTS, History
+from cmp_tactile_viewer.snapshot import Snapshot
+
+STEP_NS = 10_000_000
+
+
+def filled(count, capacity=50):
+    history = History(capacity)
+    for number in range(count):
+        field = made_field(1, 1, wrench=np.full(6, float(number)))
+        history.add(Snapshot(5 + number * STEP_NS, force=field, latency_s=0.02))
+    return history
+
+
+def test_the_last_frames_are_kept_in_order():
+    window = filled(120).window(100.0)
+    assert window["fx"] == pytest.approx(np.arange(70.0, 120.0))
+    assert window["time_s"] == pytest.approx(0.01 * np.arange(70.0, 120.0))
+    assert window["rate_hz"][-1] == pytest.approx(100.0)
+    assert window["latency_ms"] == pytest.approx(20.0)
+
+
+def test_a_window_ends_where_it_is_scrolled_back_to():
+    window = filled(40).window(0.1, back_s=0.2)
+    assert window["fx"] == pytest.approx(np.arange(9.0, 20.0))
+
+
+def test_no_more_points_than_a_plot_has_pixels():
+    window = filled(1000, 1000).window(100.0)
+    assert len(window["fx"]) == MOST_POINTS
+    assert window["fx"][[0, -1]] == pytest.approx([0.0, 999.0])
+
+
+def test_time_that_runs_back_begins_again():
+    history = filled(20)
+    history.add(Snapshot(5))
+    window = history.window(10.0)
+    assert window["time_s"] == pytest.approx([0.0])
+    assert np.isnan(window["fx"]).all()
+
+
+def test_contact_is_marked_and_what_is_not_known_is_nan():
+    history = History()
+    history.add(Snapshot(1, force=made_field(1, 1, contacts=(made_contact([0]),))))
+    history.add(Snapshot(2, force=made_field(1, 1)))
+    history.add(Snapshot(3))
+    window = history.window(1.0)
+    assert window["contact"] == pytest.approx([1.0, 0.0, np.nan], nan_ok=True)
+    assert np.isnan(window["latency_ms"]).all()
+
+
+def test_an_empty_history_has_one_point_of_nothing():
+    window = History().window(5.0)
+    assert window["time_s"] == pytest.approx([0.0])
+    assert np.isnan(window["fz"]).all()

@@ -1,0 +1,106 @@
+"""The surface as triangles by colour: each once, through the virtual markers, in its step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_forces import made_field
+
+from cmp_tactile_processing.measured import GridShape, Surface
+from cmp_tactile_viewer.scene.surface_mesh import (
+    BANDS,
+    EMPTY,
+    ColourRange,
+    colour_bands,
+    pressure_at,
+    refined,
+    refined_surface,
+    whole_mesh,
+)
+
+SHAPE = GridShape(4, 5, 6)
+PITCH = 1e-3
+
+
+def bowl(x, y):
+    return np.stack([x, y, 40.0 * (x**2 + y**2)], axis=-1)
+
+
+def surface_on(function):
+    """All markers of a surface at these heights, the virtual ones too."""
+    x, y = np.meshgrid(PITCH * np.arange(5.0), PITCH * np.arange(4.0))
+    share = (np.arange(6) + 1) / 7 * PITCH
+    corners = function(x, y)
+    rows = function(x[:, :-1, None] + share, np.repeat(y[:, :-1, None], 6, axis=2))
+    cols = function(np.repeat(x[:-1, :, None], 6, axis=2), y[:-1, :, None] + share)
+    flat = corners * (1, 1, 0)
+    return Surface.from_exact_points(SHAPE, flat, corners, rows, cols)
+
+
+def test_the_refined_surface_lies_on_the_true_one_between_the_markers_too():
+    """A paraboloid's Coons patch is the paraboloid itself; the middle of a line is the mean of the
+    two virtual markers beside it, a 14th of the pitch off: 40 / m * (pitch / 14)^2 too high."""
+    fine = refined_surface(surface_on(bowl))
+    error = fine[..., 2] - 40.0 * (fine[..., 0] ** 2 + fine[..., 1] ** 2)
+    assert fine.shape == (7, 9, 3)
+    assert np.abs(error).max() <= 2.001 * 40.0 * (PITCH / 14) ** 2
+    straight = refined(surface_on(bowl).position)
+    chord = straight[..., 2] - 40.0 * (straight[..., 0] ** 2 + straight[..., 1] ** 2)
+    assert np.abs(chord).max() > 10 * np.abs(error).max()
+
+
+def test_a_lost_virtual_marker_is_replaced_by_the_middle_of_its_line():
+    surface = surface_on(bowl)
+    rows = surface.row_position.copy()
+    rows[1, 2] = np.nan
+    fine = refined_surface(replace(surface, row_position=rows))
+    assert fine[2, 5] == pytest.approx((surface.position[1, 2] + surface.position[1, 3]) / 2)
+
+
+def test_every_triangle_has_one_colour_that_is_the_step_of_its_value():
+    surface = surface_on(bowl)
+    points, values = surface.position, surface.position[..., 2]
+    top = float(values.max())
+    bands = colour_bands(points, values, top)
+    filled = [mesh for mesh in bands if mesh is not EMPTY]
+    assert len(bands) == BANDS
+    assert sum(len(mesh.faces) for mesh in filled) == 2 * 3 * 4
+    for number, mesh in enumerate(bands):
+        if mesh is EMPTY:
+            continue
+        means = mesh.vertices[mesh.faces][..., 2].mean(axis=1) * 1e-3
+        assert (np.clip(np.floor(means / top * BANDS), 0, BANDS - 1) == number).all()
+
+
+def test_a_missing_marker_is_a_hole_of_its_four_cells():
+    points = surface_on(bowl).position.copy()
+    points[1, 2] = np.nan
+    assert len(whole_mesh(points).faces) == 2 * (3 * 4 - 4)
+    assert np.isfinite(whole_mesh(points).vertices).all()
+
+
+def test_pressure_is_the_force_of_a_node_on_its_area_and_linear_between_the_nodes():
+    x, y = np.meshgrid(PITCH * np.arange(5.0), PITCH * np.arange(4.0))
+    nodes = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
+    force = np.zeros((20, 3))
+    force[:, 2] = -(1.0 + nodes[:, 0] / PITCH)
+    field = made_field(4, 5, position=nodes, force=force)
+    surface = surface_on(bowl)
+    moved = replace(surface, reference=surface.reference + (PITCH / 4, 0, 0))
+    found = pressure_at(moved, field)
+    expected = (1.0 + np.arange(5.0) + 0.25) / PITCH**2
+    assert found[1, :4] == pytest.approx(expected[:4])
+    assert found[1, 4] == 0.0  # outside of all nodes
+
+
+def test_the_colours_end_at_a_round_number_that_stays_until_another_quantity():
+    colours = ColourRange("depth", 1e-4)
+    assert not colours.take(np.array([5e-5, np.nan]))
+    assert colours.take(np.array([0.0013]))
+    assert colours.top == pytest.approx(0.002)
+    colours.start("depth", 1e-4)
+    assert colours.top == pytest.approx(0.002)
+    colours.start("pressure", 5e3)
+    assert colours.top == pytest.approx(5e3)

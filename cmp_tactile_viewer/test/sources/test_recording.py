@@ -1,0 +1,163 @@
+"""A recording on the page: played, paused, stepped through, sought; frames and stored results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from waiting import wait_until
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
+from cmp_tactile_viewer.sources import recording
+from cmp_tactile_viewer.sources.recording import StoredResults, open_frames, open_source
+
+RATE_HZ = 30.0
+FRAMES = 20
+
+
+class Looker:
+    """Takes what a page would show."""
+
+    def __init__(self) -> None:
+        self.snapshots: list[Snapshot] = []
+        self.lines: list[HealthLine] = []
+
+    def show(self, sensor: str, snapshot: Snapshot) -> None:
+        assert sensor == "sample_rig"
+        self.snapshots.append(snapshot)
+
+    def show_health(self, lines: list[HealthLine]) -> None:
+        self.lines = lines
+
+
+@pytest.fixture(scope="module")
+def results(grasp_bag, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    assert main(["process", str(grasp_bag), "--output", str(folder)]) == 0
+    return folder / "grasp.mcap"
+
+
+@pytest.fixture
+def playing(sensor):
+    """A source that plays quickly, and who looks at it."""
+    sources: list[Any] = []
+
+    def play(path, **state):
+        source = open_source(path, sensor)
+        source.playback.speed = 1000.0
+        for name, value in state.items():
+            setattr(source.playback, name, value)
+        sources.append(source)
+        looker = Looker()
+        source.start(looker)
+        return source, looker
+
+    yield play
+    for source in sources:
+        source.close()
+
+
+def test_frames_are_processed_when_they_are_shown(grasp_bag, playing, snapshots):
+    source, looker = playing(grasp_bag)
+    wait_until(lambda: source.playback.ended, "the end of the recording")
+    assert len(looker.snapshots) == FRAMES
+    assert looker.lines[0].text == "the recording has ended"
+    for found, expected in zip(looker.snapshots, snapshots, strict=False):
+        assert found.stamp_ns == expected.stamp_ns
+        assert found.frame is not None
+        assert found.force.wrench == pytest.approx(expected.force.wrench, abs=1e-6)
+
+
+def test_stored_results_are_shown_as_they_are(results, playing, snapshots):
+    source, looker = playing(results)
+    wait_until(lambda: source.playback.ended, "the end of the results")
+    assert len(looker.snapshots) == FRAMES
+    for found, expected in zip(looker.snapshots, snapshots, strict=False):
+        assert found.frame is None
+        # Positions are stored in single precision, of at most 0.03 m.
+        assert found.surface.position == pytest.approx(
+            expected.surface.position, abs=0.03 * 2**-23, nan_ok=True
+        )
+        assert found.left.corners == pytest.approx(expected.left.corners, abs=1e-4, nan_ok=True)
+        assert found.left.placement == expected.left.placement
+
+
+def test_the_truth_in_a_recording_is_not_taken_for_results(grasp_bag, sensor):
+    assert not isinstance(open_frames(grasp_bag, sensor), StoredResults)
+
+
+def test_a_paused_recording_shows_the_frame_that_is_sought_and_steps_both_ways(results, playing):
+    source, looker = playing(results, playing=False)
+    playback = source.playback
+    wait_until(lambda: looker.snapshots, "the first frame")
+    playback.seek_s = 10 / RATE_HZ - 1e-3
+    wait_until(lambda: len(looker.snapshots) == 2, "the frame that was sought")
+    assert playback.position_s == pytest.approx(10 / RATE_HZ, abs=1e-3)
+    playback.steps = 1
+    wait_until(lambda: len(looker.snapshots) == 3, "a step on")
+    assert playback.position_s == pytest.approx(11 / RATE_HZ, abs=1e-3)
+    playback.steps = -1
+    wait_until(lambda: len(looker.snapshots) == 4, "a step back")
+    assert playback.position_s == pytest.approx(10 / RATE_HZ, abs=1e-3)
+
+
+def test_it_plays_again_from_the_end(results, playing):
+    source, looker = playing(results)
+    wait_until(lambda: source.playback.ended, "the end of the results")
+    source.playback.seek_s = 0.0
+    wait_until(lambda: len(looker.snapshots) == 2 * FRAMES, "all frames again")
+
+
+def test_nothing_is_read_while_nobody_looks(results, sensor, monkeypatch):
+    read = []
+    monkeypatch.setattr(StoredResults, "read", lambda *_: read.append(1) or iter(()))
+    source = open_source(results, sensor)
+    source.close()
+    assert not read
+
+
+def test_the_pace_is_that_of_the_recording(monkeypatch):
+    """Times of frames over the speed, by a clock that the waiting moves."""
+    now = [100.0]
+
+    class Ended:
+        def wait(self, seconds):
+            now[0] += seconds
+            return False
+
+    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
+    clock, playback = recording._Clock(), recording.Playback(1.0, speed=2.0)
+    for time_s in (0.0, 0.5, 0.6):
+        clock.wait(time_s, playback, Ended())
+    assert now[0] == pytest.approx(100.0 + 0.6 / 2.0)
+
+
+def test_results_of_several_sensors_are_refused():
+    topics = {f"/{name}/surface": recording.SURFACE for name in ("left", "right")}
+    with pytest.raises(ViewerError, match="found results of several sensors: /left/surface"):
+        recording._result_topics("bag", topics)
+
+
+def test_a_damaged_message_is_left_out_and_named(results, sensor, monkeypatch):
+    frames = StoredResults(results, sensor)
+    monkeypatch.setattr(
+        frames, "_value", lambda *_: (_ for _ in ()).throw(ViewerError("corner_px: found 3"))
+    )
+    assert list(frames.read(0.0)) == []
+    assert "corner_px: found 3" in frames.problem
+
+
+def test_what_is_no_recording_is_named(sensor, tmp_path):
+    with pytest.raises(FrameSourceError, match=r"nothing\.mcap"):
+        open_source(tmp_path / "nothing.mcap", sensor)
+
+
+def test_frames_of_another_size_are_named(sensor, tmp_path):
+    assert cv2.imwrite(str(tmp_path / "a.png"), np.zeros((48, 64), np.uint8))
+    with pytest.raises(FrameSourceError, match="64 x 48"):
+        open_source(tmp_path, sensor)

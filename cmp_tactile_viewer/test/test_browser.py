@@ -1,0 +1,274 @@
+"""The page in a real browser: what is drawn is read back from the scene, not from a picture."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+import websockets
+from waiting import wait_until
+
+from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.page.page import Page
+from cmp_tactile_viewer.page.server import Access
+from cmp_tactile_viewer.snapshot import (
+    Action,
+    HealthLine,
+    Level,
+    PassiveSource,
+    Pose,
+    ShownSensor,
+    Snapshot,
+    Touch,
+)
+from cmp_tactile_viewer.sources.recording import open_source
+
+SIZE: Any = {"width": 1200, "height": 800}
+TIMEOUT_MS = 20_000
+# three.js shows its scenes to developers' tools: here, to the tests.
+SHOW_SCENES = """
+window.scenes = [];
+window.__THREE_DEVTOOLS__ = new EventTarget();
+window.__THREE_DEVTOOLS__.addEventListener('observe', event => {
+  if (event.detail.isScene) window.scenes.push(event.detail);
+});
+"""
+# Of all meshes that are seen and have triangles: number of points, and highest z, mm.
+MESHES = """() => {
+  let points = 0, highest = -1e9;
+  const seen = object => !object || (object.visible && seen(object.parent));
+  for (const scene of window.scenes) scene.traverse(object => {
+    const at = object.isMesh && object.geometry.index && object.geometry.attributes.position;
+    if (!at || object.isInstancedMesh || object.geometry.index.count < 30 || !seen(object)) return;
+    if (object.geometry.type !== 'BufferGeometry' || object.material.wireframe) return;
+    points += at.count;
+    for (let i = 0; i < at.count; i++) highest = Math.max(highest, at.getZ(i));
+  });
+  return [points, highest];
+}"""
+BUTTON = "press me"
+
+
+class Tab:
+    """A tab of the browser, with what its console said and whom it asked."""
+
+    def __init__(self, chromium: Any, page: Page) -> None:
+        self.tab = chromium.new_page(viewport=SIZE)
+        self.tab.set_default_timeout(TIMEOUT_MS)
+        self.console: list[str] = []
+        self.requests: list[str] = []
+        self.tab.on("console", self._said)
+        self.tab.on("pageerror", lambda error: self.console.append(str(error)))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
+        self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
+        self.tab.add_init_script(SHOW_SCENES)
+        self.tab.goto(page.url)
+
+    def _said(self, message: Any) -> None:
+        if message.type == "error":
+            self.console.append(message.text)
+
+    def meshes(self) -> tuple[int, float]:
+        points, highest = self.tab.evaluate(MESHES)
+        return points, highest
+
+    def sees(self, text: str) -> None:
+        """Wait until a text is on the page."""
+        self.tab.get_by_text(text).first.wait_for()
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        wait_until(condition, what, step=lambda: self.tab.wait_for_timeout(50))
+
+
+@pytest.fixture
+def opened(chromium):
+    tabs = []
+
+    def open_(page):
+        tabs.append(Tab(chromium, page))
+        return tabs[-1]
+
+    yield open_
+    for tab in tabs:
+        tab.tab.close()
+
+
+def test_the_surface_moves_when_the_gel_is_pressed(source, serve, opened, snapshots):
+    """The highest point of the mesh is that of the measured surface, a dome that is pressed in."""
+    page = serve(source)
+    page.show("thumb", snapshots[0])
+    tab = opened(page)
+    rows, cols = source.sensors[0].description.pattern.shape.corners
+    tab.wait(lambda: tab.meshes()[0] >= (2 * rows - 1) * (2 * cols - 1), "the whole surface")
+    at_rest = tab.meshes()[1]
+    page.show("thumb", snapshots[-1])
+    expected = 1e3 * np.nanmax(snapshots[-1].surface.position[..., 2])
+    assert expected < at_rest - 0.3
+    tab.wait(lambda: abs(tab.meshes()[1] - expected) < 0.05, "the pressed surface")
+    assert not tab.console
+
+
+def test_it_asks_no_other_server(source, serve, opened, snapshots):
+    page = serve(source)
+    page.show("thumb", snapshots[-1])
+    tab = opened(page)
+    tab.wait(lambda: tab.meshes()[0] > 0, "the surface")
+    own = (page.url, page.url.replace("http", "ws"), "blob:", "data:")
+    assert [url for url in tab.requests if not url.startswith(own)] == []
+
+
+def test_a_snapshot_of_nothing_and_one_of_a_part_are_shown(source, serve, opened, snapshots):
+    page = serve(source)
+    page.show("thumb", Snapshot(1))
+    tab = opened(page)
+    tab.sees("Force, N")
+    page.show("thumb", replace(snapshots[-1], stamp_ns=2, frame=None, force=None))
+    tab.wait(lambda: tab.meshes()[0] > 0, "the surface without forces")
+    page.show("thumb", replace(snapshots[-1], stamp_ns=3, surface=None))
+    tab.wait(lambda: page.pictures == 3, "the last of them")
+    assert not tab.console
+
+
+class Controlled(PassiveSource):
+    """A source with buttons, and an indenter."""
+
+    def __init__(self, sensors):
+        super().__init__(sensors)
+        self.pressed = 0
+        self.moves = []
+        self.touch = Touch(self.moves.append, Pose((0.0, 0.0, 0.002)))
+
+    def actions(self):
+        return {
+            self.sensors[0].name: (
+                Action(BUTTON, "adds one", self._press),
+                Action("fail", "never works", self._fail),
+            )
+        }
+
+    def touches(self):
+        return {self.sensors[0].name: self.touch}
+
+    def _press(self):
+        self.pressed += 1
+        return f"pressed {self.pressed} times"
+
+    def _fail(self):
+        msg = "the service is not there"
+        raise ViewerError(msg)
+
+
+@pytest.fixture
+def controlled(sensor):
+    return Controlled((ShownSensor("thumb", sensor),))
+
+
+def test_a_button_does_it_and_its_answer_appears(controlled, serve, opened):
+    tab = opened(serve(controlled))
+    tab.tab.get_by_text(BUTTON, exact=True).click()
+    tab.sees("pressed 1 times")
+    tab.tab.get_by_text("fail", exact=True).click()
+    tab.sees("the service is not there")
+    assert controlled.pressed == 1
+
+
+def test_a_page_to_read_has_no_buttons(controlled, serve, opened):
+    tab = opened(serve(controlled, read_only=True))
+    tab.sees("surface at rest")
+    assert tab.tab.get_by_text(BUTTON, exact=True).count() == 0
+
+
+def test_the_mouse_drags_the_indenter(controlled, serve, opened):
+    """Along the axis of the handle that is under the mouse, from where the indenter is."""
+    page = serve(controlled)
+    page.show("thumb", Snapshot(1))
+    tab = opened(page)
+    tab.sees("Force, N")
+    mouse = tab.tab.mouse
+
+    def drag() -> bool:
+        # The upright axis stands some 60 px above the middle of the scene.
+        for x in range(590, 720, 10):
+            mouse.move(x, 330)
+            mouse.down()
+            mouse.move(x, 380, steps=4)
+            mouse.up()
+            if controlled.moves:
+                return True
+        return False
+
+    tab.wait(drag, "a move of the indenter")
+    assert controlled.moves[-1].position != (0.0, 0.0, 0.002)
+
+
+def test_texts_from_topics_are_shown_as_they_are(source, serve, opened):
+    page = serve(source)
+    tab = opened(page)
+    tab.sees("nothing to report yet")
+    page.show_health([HealthLine(Level.WARN, "/thumb/camera", "<b id=bad>gone</b> & lost")])
+    tab.sees("<b id=bad>gone</b> & lost")
+    assert tab.tab.locator("#bad").count() == 0
+
+
+def test_the_slider_seeks_and_the_end_is_said(grasp_bag, sensor, serve, opened):
+    recording = open_source(grasp_bag, sensor)
+    recording.playback.playing = False
+    tab = opened(serve(recording))
+    tab.sees("paused")
+    slider = tab.tab.locator(".mantine-Slider-thumb").first
+    slider.focus()
+    slider.press("End")
+    tab.wait(
+        lambda: recording.playback.position_s > recording.playback.length_s - 0.1, "the last frame"
+    )
+    tab.tab.get_by_text("play", exact=True).click()
+    tab.sees("at the end")
+
+
+def test_a_browser_finds_the_page_again(source, sensor, serve, opened, snapshots):
+    page = serve(source)
+    page.show("thumb", snapshots[0])
+    tab = opened(page)
+    tab.wait(lambda: tab.meshes()[0] > 0, "the surface")
+    port = page.port
+    page.close()
+    again = Page(PassiveSource((ShownSensor("thumb", sensor),)), Access(port=port))
+    try:
+        again.show("thumb", snapshots[-1])
+        tab.wait(lambda: again.viewers == 1, "the browser's return")
+        expected = 1e3 * np.nanmax(snapshots[-1].surface.position[..., 2])
+        tab.wait(lambda: abs(tab.meshes()[1] - expected) < 0.05, "what the new page shows")
+    finally:
+        again.close()
+
+
+def test_a_browser_that_reads_nothing_delays_no_other(source, serve, opened, snapshots):
+    page = serve(source)
+    ended = threading.Event()
+
+    async def stall() -> None:
+        address = page.url.replace("http", "ws")
+        protocol: Any = [f"viser-v{viser.__version__}"]
+        async with websockets.connect(address, subprotocols=protocol, max_queue=1):
+            while not ended.is_set():
+                await asyncio.sleep(0.05)
+
+    stalled = threading.Thread(target=lambda: asyncio.run(stall()))
+    stalled.start()
+    try:
+        tab = opened(page)
+        for number in range(40):
+            item = snapshots[-1 if number % 2 else 0]
+            page.show("thumb", replace(item, stamp_ns=number))
+            tab.tab.wait_for_timeout(40)
+        expected = 1e3 * np.nanmax(snapshots[-1].surface.position[..., 2])
+        tab.wait(lambda: abs(tab.meshes()[1] - expected) < 0.05, "the newest surface")
+    finally:
+        ended.set()
+        stalled.join()
