@@ -449,7 +449,8 @@ class GraphFunction:
         """
         values = argument_values(self.arguments, given or {}, self.label)
         check_use(self.own_arguments, values, given or {}, self.label)
-        found = Graph(tuple(self.function(values)), self.container, values["container"])
+        own = {item.name: values[item.name] for item in self.own_arguments}
+        found = Graph(tuple(self.function(own)), self.container, values["container"])
         self._check(found)
         if values["params_file"]:
             names = [component.full_name for component in found.components]

@@ -27,9 +27,8 @@ from cmp_tactile_bringup.graphs.packaged import gripper, sensor_components
 def mine(given):
     """A graph of one's own."""
     space = f"/rig_{given['side']}"
-    own = {name: value for name, value in given.items() if name not in ("params_file", "container")}
     return [
-        Component("pkg", "pkg::A", "first", space, {"in": "other"}, own),
+        Component("pkg", "pkg::A", "first", space, {"in": "other"}, dict(given)),
         Component("pkg", "pkg::B", "second", f"{space}/sub"),
         Component("pkg", "pkg::B", "second", "/rig_left/other"),
     ]
