@@ -193,18 +193,20 @@ def test_the_mouse_drags_the_indenter(controlled, serve, opened):
     mouse = tab.tab.mouse
 
     def drag() -> bool:
-        # The upright axis stands some 60 px above the middle of the scene.
-        for x in range(590, 720, 10):
-            mouse.move(x, 330)
+        # The upright axis stands 60 px above the middle of the scene.
+        for x in (635, 630, 640):
+            mouse.move(x, 300)
             mouse.down()
-            mouse.move(x, 380, steps=4)
+            mouse.move(x, 340, steps=2)
             mouse.up()
             if controlled.moves:
                 return True
         return False
 
     tab.wait(drag, "a move of the indenter")
-    assert controlled.moves[-1].position != (0.0, 0.0, 0.002)
+    x, y, z = controlled.moves[-1].position
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-6)
+    assert z < 0.002
 
 
 def test_texts_from_topics_are_shown_as_they_are(source, serve, opened):
