@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from browser_tab import Tab
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
@@ -21,7 +22,6 @@ IN_CONTACT = 9
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # Without a graphics card.
 OPTIONS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-SIZE: Any = {"width": 1200, "height": 800}
 
 
 @pytest.fixture(scope="session")
@@ -75,3 +75,17 @@ def chromium() -> Iterator[Any]:
         browser = driver.chromium.launch(executable_path=program, args=list(OPTIONS))
         yield browser
         browser.close()
+
+
+@pytest.fixture
+def opened(chromium: Any) -> Iterator[Callable[[Page], Tab]]:
+    """Opens pages, each in a tab, until the test ends."""
+    tabs: list[Tab] = []
+
+    def open_(page: Page) -> Tab:
+        tabs.append(Tab(chromium, page))
+        return tabs[-1]
+
+    yield open_
+    for tab in tabs:
+        tab.tab.close()

@@ -86,6 +86,8 @@ class _Topic:
         seconds, nanoseconds = HEADER.unpack_from(data)
         stamp_ns = seconds * NS_PER_S + nanoseconds
         self.kept[stamp_ns] = data
+        # A recording that begins again repeats its stamps.
+        self.kept.move_to_end(stamp_ns)
         self.last_s = time.monotonic()
         while len(self.kept) > KEPT:
             self.kept.popitem(last=False)
@@ -114,7 +116,7 @@ class _Watched:
         self.topics = [
             _Topic(f"{sensor.namespace}/{name}", kind, field) for name, kind, field in kinds
         ]
-        self._shown_ns = -1
+        self._shown: tuple[str, int] | None = None
         self._latency: dict[int, float] = {}
 
     def subscribe(self) -> None:
@@ -128,7 +130,7 @@ class _Watched:
                 QoSProfile(depth=1),
                 raw=True,
             )
-        self._shown_ns = -1
+        self._shown = None
 
     def unsubscribe(self) -> None:
         for topic in self.topics:
@@ -147,9 +149,11 @@ class _Watched:
         now_s = time.monotonic()
         speaking = (item for item in self.topics if item.kept and now_s - item.last_s < SILENT_S)
         last = next(speaking, None)
-        if last is None or last.newest == self._shown_ns:
+        # A frame whose force comes late is shown without, and once more with it.
+        if last is None or (last.name, last.newest) == self._shown:
             return None
-        self._shown_ns = stamp_ns = last.newest
+        stamp_ns = last.newest
+        self._shown = (last.name, stamp_ns)
         values = {
             topic.field: self._value(topic, topic.kept[stamp_ns])
             for topic in self.topics

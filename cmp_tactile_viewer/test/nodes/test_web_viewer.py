@@ -1,0 +1,330 @@
+"""Sensors that run on topics: what the page gets of them, what it costs them, what buttons do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_msgs.msg import ForceField, Surface
+from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.ros.messages.conversions import (
+    force_field_to_msg,
+    image_to_msg,
+    surface_to_msg,
+)
+from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.nodes import controls
+from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
+from cmp_tactile_viewer.nodes.web_viewer import WebViewer, WebViewerParameters, running_sensors
+from cmp_tactile_viewer.snapshot import HealthLine, Level, Pose, Snapshot
+
+pytestmark = pytest.mark.ros
+
+TOPICS = ("image_raw", "left/grid", "right/grid", "surface", "force_field")
+
+
+class Audience:
+    """What a source gives."""
+
+    def __init__(self) -> None:
+        self.snapshots: list[Snapshot] = []
+        self.health: list[HealthLine] = []
+
+    def show(self, sensor: str, snapshot: Snapshot) -> None:
+        assert sensor == "thumb"
+        self.snapshots.append(snapshot)
+
+    def show_health(self, lines: list[HealthLine]) -> None:
+        self.health = lines
+
+
+class Rig:
+    """A sensor of which the test publishes what it wants, and what the page gets of it."""
+
+    def __init__(self, ros: Any, description: str) -> None:
+        self.ros, self.description = ros, description
+        given = WebViewerParameters(sensor_descriptions=description, sensor_names="thumb")
+        self.live = LiveSensors(ros.node, running_sensors(given, ros.namespace))
+        self.audience = Audience()
+        self.action = {item.label: item.run for item in self.live.actions()["thumb"]}
+
+    def subscriptions(self) -> int:
+        count = self.ros.node.count_subscribers
+        return sum(count(f"{self.ros.namespace}/{topic}") for topic in TOPICS)
+
+    def look(self) -> None:
+        self.live.start(self.audience)
+        self.ros.wait(lambda: self.subscriptions() == len(TOPICS), "its subscriptions")
+
+    def says(self, text: str) -> HealthLine:
+        """The line of the health list with a text."""
+
+        def found() -> list[HealthLine]:
+            return [line for line in self.audience.health if text in line.text]
+
+        self.ros.wait(found, f"{text!r} in the health list")
+        return found()[0]
+
+    def do(self, action: Callable[[], Any]) -> Any:
+        """What an action of the page's thread returns or raises."""
+        done: list[Any] = []
+
+        def run() -> None:
+            try:
+                done.append(action())
+            except CmpTactileError as error:
+                done.append(error)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        self.ros.wait(lambda: not thread.is_alive(), "the end of an action")
+        return done[0]
+
+
+@pytest.fixture
+def rig(ros, grasp_bag):
+    return Rig(ros, str(grasp_bag / "sensor.yaml"))
+
+
+def _header(stamp_ns: int) -> Header:
+    header = Header()
+    header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    return header
+
+
+def test_it_subscribes_only_while_somebody_looks(rig, ros):
+    ros.run(0.1)
+    assert rig.subscriptions() == 0
+    rig.look()
+    rig.live.pause()
+    ros.wait(lambda: rig.subscriptions() == 0, "the end of its subscriptions")
+
+
+def test_what_belongs_to_a_frame_comes_together(rig, ros, snapshots):
+    """The force comes last: a frame is shown when it is there, with the surface it is of."""
+    rig.look()
+    surfaces = ros.publisher(Surface, "surface")
+    forces = ros.publisher(ForceField, "force_field")
+    shown = snapshots[-1]
+    surfaces.publish(surface_to_msg(shown.surface, _header(1)))
+    ros.wait(lambda: rig.audience.snapshots, "the surface alone")
+    assert rig.audience.snapshots[0].force is None
+    forces.publish(force_field_to_msg(shown.force, _header(1)))
+    ros.wait(lambda: len(rig.audience.snapshots) == 2, "both")
+    surfaces.publish(surface_to_msg(snapshots[0].surface, _header(2)))
+    ros.run(0.3)
+    assert len(rig.audience.snapshots) == 2
+    both = rig.audience.snapshots[1]
+    assert both.stamp_ns == 1
+    np.testing.assert_array_equal(
+        both.surface.position, shown.surface.position.astype(np.float32), strict=False
+    )
+    np.testing.assert_array_equal(both.force.force, shown.force.force.astype(np.float32))
+    assert both.latency_s > 0
+
+
+def test_only_the_newest_is_read(rig, ros, snapshots):
+    """Of a topic that is faster than the page; the frames that it passes over cost no reading."""
+    rig.look()
+    publisher = ros.publisher(Surface, "surface")
+    message = surface_to_msg(snapshots[-1].surface, _header(0))
+    for number in range(100):
+        message.header = _header(number)
+        publisher.publish(message)
+        ros.run(0.002)
+    ros.wait(lambda: rig.audience.snapshots[-1].stamp_ns == 99, "the last one")
+    assert len(rig.audience.snapshots) < 60
+
+
+def test_a_message_that_cannot_be_used_is_reported(rig, ros, snapshots):
+    rig.look()
+    publisher = ros.publisher(Surface, "surface")
+    message = surface_to_msg(snapshots[-1].surface, _header(1))
+    message.rows += 1
+    publisher.publish(message)
+    line = rig.says("expected")
+    assert (line.level, line.about) == (Level.WARN, f"{ros.namespace}/surface")
+    assert rig.audience.snapshots[-1].surface is None
+
+
+def test_a_silent_topic_is_named(rig, ros):
+    """The first of the chain on which nothing comes: the others wait for it."""
+    rig.look()
+    rig.says(f"waiting for {ros.namespace}/image_raw: nothing published; is the sensor running?")
+    ros.node.create_publisher(Image, "image_raw", 1)
+    rig.says(f"waiting for {ros.namespace}/image_raw: published, but nothing comes")
+
+
+def test_diagnostics_of_other_sensors_are_left_out(rig, ros):
+    rig.look()
+    publisher = ros.publisher(DiagnosticArray, "/diagnostics")
+    place = ros.namespace.lstrip("/")
+    statuses = (
+        (DiagnosticStatus.ERROR, f"{place}/camera", "no frame for 2 s: check the cable"),
+        (DiagnosticStatus.OK, f"{place}/surface", ""),
+        (DiagnosticStatus.ERROR, "elsewhere/camera", "of another robot"),
+    )
+    publisher.publish(
+        DiagnosticArray(
+            status=[
+                DiagnosticStatus(level=level, name=name, message=text)
+                for level, name, text in statuses
+            ]
+        )
+    )
+    line = rig.says("no frame for 2 s: check the cable")
+    assert (line.level, line.about) == (Level.ERROR, f"{ros.namespace}/camera")
+    assert rig.says("1 reports without trouble").level is Level.OK
+    assert not any("another robot" in line.text for line in rig.audience.health)
+
+
+def test_zero_calls_the_service_and_says_its_answer(rig, ros):
+    answers = [(True, "force counts from now on"), (False, "no frame yet")]
+
+    def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = answers.pop(0)
+        return response
+
+    ros.node.create_service(Trigger, "stereo_triangulator/set_reference", answer)
+    assert rig.do(rig.action["zero"]) == "force counts from now on"
+    refused = rig.do(rig.action["zero"])
+    assert isinstance(refused, ViewerError)
+    assert str(refused) == "no frame yet"
+
+
+def test_a_service_that_is_not_there_is_named(rig, ros):
+    failed = rig.do(rig.action["inspect left print"])
+    assert isinstance(failed, ViewerError)
+    name = f"{ros.namespace}/left_gridline_tracker/inspect_print"
+    assert str(failed) == f"{name}: found no such service; is the sensor running?"
+
+
+def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
+    monkeypatch.setattr(controls, "STAGES", ("stereo_triangulator",))
+    node = ros.start(StereoTriangulator, sensor_description=rig.description)
+    found = rig.do(lambda: controls.node_settings(ros.node, ros.namespace, views=()))
+    settings = {item.name: item for item in found}
+    frames = settings["stereo_triangulator.reference_frames"]
+    assert (frames.value, frames.low, frames.high) == (10, 1, 1000)
+    assert frames.description == "frames that set_reference averages"
+    assert not any("diagnostics" in name for name in settings)
+    assert "stereo_triangulator.sensor_description" not in settings  # cannot change
+    assert rig.do(lambda: frames.change(20.0)) == "is 20 now"
+    assert node.get_parameter("reference_frames").value == 20
+    assert isinstance(rig.do(lambda: frames.change(0)), ViewerError)
+    assert node.get_parameter("reference_frames").value == 20
+
+
+def test_parameters_of_a_sensor_that_does_not_run(rig):
+    failed = rig.do(lambda: rig.live.settings("thumb"))
+    assert "left_gridline_tracker/list_parameters: found no such service" in str(failed)
+
+
+def test_a_recording_has_what_came_while_it_ran(rig, ros, snapshots, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    press = rig.action["record"]
+    assert rig.do(press).startswith(f"recording into {tmp_path}/thumb_")
+    publisher = ros.publisher(Image, "image_raw")
+    frame = snapshots[0].frame
+    for number in range(3):
+        publisher.publish(image_to_msg(frame, "mono8", _header(10**9 + number)))
+        ros.run(0.1)
+    said = rig.do(press)
+    (bag,) = tmp_path.iterdir()
+    assert said.startswith(f"{bag}: 3 messages")
+    images = [item.image for item in BagReader(bag).frames()]
+    assert len(images) == 3
+    np.testing.assert_array_equal(images[0], frame)
+
+
+def test_a_drag_is_a_target_for_the_indenter(rig, ros):
+    rig.look()
+    targets = ros.listen(PoseStamped, "indenter/target")
+    poses = ros.publisher(PoseStamped, "indenter/pose")
+    touch = rig.live.touches()["thumb"]
+    assert touch.pose is None
+    here = PoseStamped()
+    here.pose.position.z = 0.002
+    poses.publish(here)
+    ros.wait(lambda: touch.pose, "the indenter's pose")
+    assert touch.pose.position == (0.0, 0.0, 0.002)
+    ros.wait(lambda: ros.node.count_subscribers(f"{ros.namespace}/indenter/target"), "a listener")
+    touch.move(Pose((0.001, -0.002, -0.0005), (0.0, 0.0, 0.0, 1.0)))
+    ros.wait(lambda: targets, "the target")
+    place, turn = targets[0].pose.position, targets[0].pose.orientation
+    assert (place.x, place.y, place.z) == (0.001, -0.002, -0.0005)
+    assert (turn.w, turn.z) == (0.0, 1.0)
+    assert targets[0].header.frame_id == "thumb_gel_frame"
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sensors": "/a /b"}, "parameter sensor_descriptions: found 1, expected 2, as of sensors"),
+        ({"sensor_names": "a b"}, "parameter sensor_names: found 2, expected 1, as of sensors"),
+        ({"mounts": "0 0 0"}, "parameter mounts: found '0 0 0', expected six numbers"),
+    ],
+)
+def test_parameters_that_do_not_fit(given, message):
+    with pytest.raises(ParameterError, match=message):
+        running_sensors(WebViewerParameters(**given), "/rig")
+
+
+def test_two_sensors_stand_at_their_mounting_poses():
+    given = WebViewerParameters(
+        sensors="/rig/left /rig/right",
+        sensor_descriptions="sample_rig:sample_rig",
+        sensor_names="left right",
+        mounts=f"0 0 0 0 0 0, 0 0.05 0 {np.pi} 0 0",
+    )
+    left, right = running_sensors(given, "")
+    assert (left.namespace, right.namespace) == ("/rig/left", "/rig/right")
+    assert (left.shown.name, right.shown.name) == ("left", "right")
+    assert left.shown.orientation == (1.0, 0.0, 0.0, 0.0)
+    assert right.shown.position == (0.0, 0.05, 0.0)
+    assert right.shown.orientation == pytest.approx((0.0, 1.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_from_topic_to_browser(ros, grasp_bag, snapshots, opened):
+    """The whole way, and back: a surface moves the mesh, a click reaches the service."""
+    node = ros.start(WebViewer, sensor_descriptions=str(grasp_bag / "sensor.yaml"))
+    statuses = ros.listen(DiagnosticArray, "/diagnostics")
+    called = []
+
+    def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        called.append(True)
+        return Trigger.Response(success=True, message="zeroed")
+
+    ros.node.create_service(Trigger, "stereo_triangulator/set_reference", answer)
+    tab = opened(node.page)
+    publisher = ros.publisher(Surface, "surface")
+    for number, shown in enumerate((snapshots[0], snapshots[-1])):
+        publisher.publish(surface_to_msg(shown.surface, _header(number)))
+        expected = 1e3 * np.nanmax(shown.surface.position[..., 2])
+        ros.wait(lambda z=expected: abs(tab.meshes()[1] - z) < 0.05, "the surface")
+    tab.tab.get_by_text("zero", exact=True).click()
+    ros.wait(lambda: called, "the call of the service")
+    ros.wait(lambda: tab.tab.get_by_text("zeroed").count(), "its answer")
+    own = f"{ros.namespace.lstrip('/')}/web_viewer"
+    ros.wait(
+        lambda: any(
+            own in status.name and status.message == "1 browsers look"
+            for message in statuses
+            for status in message.status
+        ),
+        "its report",
+    )
