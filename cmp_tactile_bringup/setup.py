@@ -25,7 +25,7 @@ setup(
         (f"share/{package_name}", ["package.xml"]),
         # Of executables in lib, `ros2 run` alone knows; colcon puts this folder into PATH.
         ("bin", ["bin/cmp_tactile"]),
-        *shared_files("launch", "config", "rviz"),
+        *shared_files("launch", "config", "rviz", "foxglove"),
     ],
     install_requires=["setuptools", "jinja2", "mcap", "typer>=0.9"],
     # What `cmp_tactile process` needs for --scheduler and --parquet.

@@ -35,6 +35,7 @@ class Snapshot:
 
     stamp_ns: of the frame.  frame: the camera image, (H, W) grey or (H, W, 3) BGR uint8.
     latency_s: from the frame's stamp until its force was there; NaN where that means nothing.
+    rate_hz: of the sensor's frames, not all of which are shown; NaN where all are.
     """
 
     stamp_ns: int
@@ -44,6 +45,12 @@ class Snapshot:
     surface: Surface | None = None
     force: ForceField | None = None
     latency_s: float = float("nan")
+    rate_hz: float = float("nan")
+
+    @property
+    def has_image(self) -> bool:
+        """Whether there is something of the camera image; the last one stays on show where not."""
+        return self.frame is not None or self.left is not None or self.right is not None
 
 
 class Level(IntEnum):

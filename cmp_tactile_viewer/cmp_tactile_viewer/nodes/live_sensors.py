@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
@@ -43,14 +45,19 @@ from cmp_tactile_viewer.snapshot import (
     Touch,
 )
 
-RATE_HZ, HEALTH_HZ = 30.0, 1.0
+# Of camera images, which the page draws less often than surfaces, somewhat more than it draws.
+RATE_HZ, IMAGE_HZ, HEALTH_HZ = 30.0, 15.0, 1.0
 # Encapsulation and stamp, with which every message begins.
 HEADER = struct.Struct("<4xiI")
 # Frames that may be on their way through the stages at once; an image is a megabyte.
 KEPT = 12
+# Fields of a snapshot that every one has; images and grids are not drawn so often.
+MEASURED = ("surface", "force")
 # A topic is silent after that time, and a node that has not reported for so long is left out.
 SILENT_S, REPORT_AGE_S = 2.0, 5.0
 NS_PER_S = 1_000_000_000
+# The rate is that of so many frames.
+RATE_FRAMES = 60
 AT_REST = "nothing may touch the gel"
 # Label, service, hint, and the view without which a sensor has no such service.
 TRIGGERS = (
@@ -73,29 +80,79 @@ TRIGGERS = (
 )
 
 
+class _Polled(CallbackGroup):
+    """Of subscriptions that no executor waits for: to be woken costs more than the message."""
+
+    def can_execute(self, _entity: object) -> bool:
+        return False
+
+    def beginning_execution(self, _entity: object) -> bool:
+        return False
+
+    def ending_execution(self, _entity: object) -> None:
+        """Never begun."""
+
+
 class _Topic:
     """The newest messages of a topic as bytes, by stamp: most are never looked at."""
 
     def __init__(self, name: str, message_type: Any, field: str) -> None:
         self.name, self.message_type, self.field = name, message_type, field
         self.kept: OrderedDict[int, bytes] = OrderedDict()
-        self.last_s = time.monotonic()
-        self.subscription: Any = None
+        self.stamps: deque[int] = deque(maxlen=RATE_FRAMES)
+        self.last_s, self.sent_ns = time.monotonic(), 0
+        self._subscription: Any = None
 
-    def take(self, data: bytes) -> None:
-        seconds, nanoseconds = HEADER.unpack_from(data)
-        stamp_ns = seconds * NS_PER_S + nanoseconds
-        self.kept[stamp_ns] = data
-        # A recording that begins again repeats its stamps.
-        self.kept.move_to_end(stamp_ns)
+    def subscribe(self, node: Node, group: CallbackGroup) -> None:
+        self.kept.clear()
+        self.stamps.clear()
         self.last_s = time.monotonic()
-        while len(self.kept) > KEPT:
-            self.kept.popitem(last=False)
+        self._subscription = node.create_subscription(
+            self.message_type,
+            self.name,
+            lambda _: None,
+            QoSProfile(depth=KEPT),
+            callback_group=group,
+            raw=True,
+        )
+
+    def unsubscribe(self, node: Node) -> None:
+        if self._subscription is not None:
+            node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def take(self) -> None:
+        """All that came since."""
+        if self._subscription is None:
+            return
+        handle = self._subscription.handle
+        with handle:
+            while (taken := handle.take_message(self.message_type, True)) is not None:
+                self._keep(*taken)
 
     @property
     def newest(self) -> int:
         """Its last stamp; -1 before the first."""
         return next(reversed(self.kept), -1)
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the last messages; NaN where there is none yet."""
+        span_ns = self.stamps[-1] - self.stamps[0] if self.stamps else 0
+        return (len(self.stamps) - 1) * NS_PER_S / span_ns if span_ns > 0 else math.nan
+
+    def _keep(self, data: bytes, info: Mapping[str, int]) -> None:
+        seconds, nanoseconds = HEADER.unpack_from(data)
+        stamp_ns = seconds * NS_PER_S + nanoseconds
+        if stamp_ns < self.newest:
+            # A recording begins again.
+            self.stamps.clear()
+        self.stamps.append(stamp_ns)
+        self.kept[stamp_ns] = data
+        self.kept.move_to_end(stamp_ns)
+        self.last_s, self.sent_ns = time.monotonic(), info["source_timestamp"]
+        while len(self.kept) > KEPT:
+            self.kept.popitem(last=False)
 
 
 class _Watched:
@@ -116,36 +173,23 @@ class _Watched:
         self.topics = [
             _Topic(f"{sensor.namespace}/{name}", kind, field) for name, kind, field in kinds
         ]
+        self._group = _Polled()
         self._shown: tuple[str, int] | None = None
-        self._latency: dict[int, float] = {}
+        self._image_s = 0.0
 
     def subscribe(self) -> None:
         for topic in self.topics:
-            topic.kept.clear()
-            topic.last_s = time.monotonic()
-            topic.subscription = self._node.create_subscription(
-                topic.message_type,
-                topic.name,
-                partial(self._on_message, topic),
-                QoSProfile(depth=1),
-                raw=True,
-            )
+            topic.subscribe(self._node, self._group)
         self._shown = None
 
     def unsubscribe(self) -> None:
         for topic in self.topics:
-            if topic.subscription is not None:
-                self._node.destroy_subscription(topic.subscription)
-                topic.subscription = None
-
-    def _on_message(self, topic: _Topic, data: bytes) -> None:
-        topic.take(data)
-        if topic.field == "force":
-            now_ns = self._node.get_clock().now().nanoseconds
-            self._latency = {topic.newest: (now_ns - topic.newest) * 1e-9}
+            topic.unsubscribe(self._node)
 
     def newest(self) -> Snapshot | None:
         """The newest frame that went as far as any does; None where it is on show already."""
+        for topic in self.topics:
+            topic.take()
         now_s = time.monotonic()
         speaking = (item for item in self.topics if item.kept and now_s - item.last_s < SILENT_S)
         last = next(speaking, None)
@@ -154,13 +198,21 @@ class _Watched:
             return None
         stamp_ns = last.newest
         self._shown = (last.name, stamp_ns)
+        with_image = now_s - self._image_s >= 1 / IMAGE_HZ
+        if with_image:
+            self._image_s = now_s
         values = {
             topic.field: self._value(topic, topic.kept[stamp_ns])
             for topic in self.topics
-            if stamp_ns in topic.kept
+            if stamp_ns in topic.kept and (with_image or topic.field in MEASURED)
         }
-        latency_s = self._latency.get(stamp_ns, float("nan"))
-        return Snapshot(stamp_ns, latency_s=latency_s, **values)
+        latency_s = self._latency_s(last) if last.field == "force" else math.nan
+        return Snapshot(stamp_ns, latency_s=latency_s, rate_hz=last.rate_hz, **values)
+
+    def _latency_s(self, topic: _Topic) -> float:
+        """From the stamp of the newest message until it was sent, on the clock of the stamps."""
+        ago_ns = time.time_ns() - topic.sent_ns
+        return (self._node.get_clock().now().nanoseconds - ago_ns - topic.newest) * 1e-9
 
     def _value(self, topic: _Topic, data: bytes) -> Any:
         """What a message says; None, and a line of health, where it cannot be used."""

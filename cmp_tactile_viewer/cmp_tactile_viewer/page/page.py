@@ -21,8 +21,8 @@ from cmp_tactile_viewer.scene.history import History
 from cmp_tactile_viewer.scene.surface_mesh import MM
 from cmp_tactile_viewer.snapshot import HealthLine, ShownSensor, Snapshot, Source
 
-# Pictures a second, and of these plots, clocks and health, which are read, not watched.
-RATE_HZ, SLOW_HZ = 30.0, 8.0
+# Pictures of the scene a second, of the camera, and of plots, clocks and health, which are read.
+RATE_HZ, IMAGE_HZ, SLOW_HZ = 30.0, 10.0, 5.0
 PLOT_LENGTHS = ("5", "20", "60")
 # Share of the width between two gels that is looked at from as near as one gel is.
 FILLED = 0.65
@@ -31,6 +31,28 @@ NO_IMAGE = np.zeros((48, 64, 3), np.uint8)
 PANEL_PX, LEFT_PX, LEFT_OF_SEVERAL_PX = 330, 400, 310
 PLOT_PX, PLOT_OF_SEVERAL_PX = 160, 100
 JPEG_QUALITY = 80
+# Share of the period that has to lie between two pictures.
+MOST_HASTE = 0.5
+# Of the light from all sides, and its colour from below.
+LIGHT, GROUND = 2.0, (190, 190, 190)
+
+
+@dataclass
+class _Cadence:
+    """Of what is drawn less often.  due_s: when what waits may be drawn, None where nothing does."""
+
+    period_s: float
+    due_s: float | None = None
+    _last_s: float = 0.0
+
+    def has_turn(self, now_s: float) -> bool:
+        """Whether it is time; else it waits."""
+        next_s = self._last_s + self.period_s
+        if now_s < next_s:
+            self.due_s = next_s
+            return False
+        self.due_s, self._last_s = None, now_s
+        return True
 
 
 @dataclass
@@ -44,6 +66,9 @@ class _Shown:
     history: History = field(default_factory=History)
     newest: Snapshot | None = None
     drawn: Snapshot | None = None
+    # With an image: the newest, and the one on show.
+    imaged: Snapshot | None = None
+    pictured: Snapshot | None = None
 
 
 class Page:
@@ -57,7 +82,8 @@ class Page:
         self._source, self._period_s = source, 1 / rate_hz
         self._server = PageServer(access, "cmp_tactile")
         self._wake, self._ended = threading.Event(), False
-        self._changed = self._slow_is_due = False
+        self._changed = False
+        self._image, self._slow = _Cadence(1 / IMAGE_HZ), _Cadence(1 / SLOW_HZ)
         self._health: list[HealthLine] = []
         self._health_shown: list[HealthLine] | None = None
         self._viewers = 0
@@ -93,6 +119,8 @@ class Page:
         with self._guard:
             shown.history.add(snapshot)
             shown.newest = snapshot
+            if snapshot.has_image:
+                shown.imaged = snapshot
         self._wake.set()
 
     def show_health(self, lines: list[HealthLine]) -> None:
@@ -118,6 +146,10 @@ class Page:
         server, gui, source = self._server, self._server.gui, self._source
         gui.configure_theme(show_logo=False, show_share_button=False)
         server.scene.set_up_direction("+z")
+        # With shadows and reflections, software draws a quarter of the pictures.
+        server.scene.configure_default_lights(cast_shadow=False)
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_hemisphere("/light", ground_color=GROUND, intensity=LIGHT)
         self._sensors = {
             sensor.name: self._add_sensor(sensor, number == 0)
             for number, sensor in enumerate(source.sensors)
@@ -220,25 +252,26 @@ class Page:
         self._wake.set()
 
     def _run(self) -> None:
-        slow = 0.0
+        next_s = 0.0
         while True:
             # What is drawn seldom is drawn once more where nothing follows.
-            self._wake.wait(1 / SLOW_HZ if self._slow_is_due else None)
+            due = [item.due_s for item in (self._image, self._slow) if item.due_s is not None]
+            self._wake.wait(max(0.0, min(due) - time.monotonic()) if due else None)
             self._wake.clear()
             if self._ended:
                 return
             begin = time.monotonic()
             if self._viewers:
-                is_slow_turn = begin - slow >= 1 / SLOW_HZ
-                self._draw(is_slow_turn)
-                self._slow_is_due = not is_slow_turn
-                if is_slow_turn:
-                    slow = begin
-            time.sleep(max(0.0, self._period_s - (time.monotonic() - begin)))
+                self._draw(begin)
+            else:
+                self._image.due_s = self._slow.due_s = None
+            # In step with a source of the same rate: a late picture is not made up for by the next.
+            next_s = max(next_s + self._period_s, begin + MOST_HASTE * self._period_s)
+            time.sleep(max(0.0, next_s - time.monotonic()))
 
-    def _draw(self, slow_turn: bool) -> None:
+    def _draw(self, now_s: float) -> None:
         changed, self._changed = self._changed, False
-        look, (views, gridlines) = self._panel.look, self._panel.image
+        look = self._panel.look
         if changed:
             for shown in self._sensors.values():
                 shown.gel.range.start(look.colour, LEAST_RANGE.get(look.colour, 1.0))
@@ -248,15 +281,15 @@ class Page:
                 if snapshot is None or (snapshot is shown.drawn and not changed):
                     continue
                 shown.gel.draw(snapshot, look)
-                picture = camera_image.picture(snapshot, views, gridlines)
-                shown.image.visible = picture is not None
-                if picture is not None:
-                    shown.image.image = picture
                 if shown.indenter is not None:
                     shown.indenter.draw()
                 shown.drawn = snapshot
                 self.pictures += 1
-            if slow_turn or changed:
+            if self._image.has_turn(now_s) or changed:
+                for shown in self._sensors.values():
+                    if shown.imaged is not shown.pictured or changed:
+                        self._draw_image(shown)
+            if self._slow.has_turn(now_s) or changed:
                 self._draw_slow(changed)
 
     def _draw_slow(self, changed: bool) -> None:
@@ -271,3 +304,11 @@ class Page:
         if self._health is not self._health_shown:
             self._health_shown = self._health
             self._health_list.content = health_html(self._health)
+
+    def _draw_image(self, shown: _Shown) -> None:
+        snapshot, (views, gridlines) = shown.imaged, self._panel.image
+        picture = None if snapshot is None else camera_image.picture(snapshot, views, gridlines)
+        shown.image.visible = picture is not None
+        if picture is not None:
+            shown.image.image = picture
+        shown.pictured = snapshot

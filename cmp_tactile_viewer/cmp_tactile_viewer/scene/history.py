@@ -52,7 +52,8 @@ class History:
             row[7] = 1.0 if force.contacts else 0.0
             row[8] = force.slip.slip_ratio
         recent = self._ordered()[-RATE_FRAMES:, 0]
-        if len(recent):
+        row[10] = snapshot.rate_hz
+        if np.isnan(row[10]) and len(recent):
             row[10] = len(recent) / (time_s - recent[0])
         place = self._count % self._capacity
         self._table[[place, place + self._capacity]] = row

@@ -1,0 +1,450 @@
+#!/usr/bin/env python3
+"""The page in the browser: first picture, updates, delay, cost, and what the sensor notices.
+
+setup/run python3 benchmarks/ros/viewer.py [--json FILE] [--only one two ...] [--minutes 60]
+
+A real headless Chromium counts the pictures: a corner of every published surface is lifted by an
+amount that numbers it, and is read back from the scene.  Without a graphics card Chromium draws in
+software, with the processors of the robot.  So costs are measured with readers, processes that take
+all that the page sends and draw nothing, as a browser on another machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import rclpy
+import viser
+import websockets
+from playwright.sync_api import sync_playwright
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
+from real_time import ONE, TWO, WARM_UP, Wrenches, busy_s, container, memory_mb, spin_until
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+
+from cmp_tactile_bringup.recordings.simulated import find_recording
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
+from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.ros.messages.conversions import (
+    force_field_to_msg,
+    grid_to_msg,
+    image_to_msg,
+    surface_to_msg,
+)
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+# Mesa's software is twice as fast as Chromium's own, and quickest where the scene alone needs it.
+OPTIONS = [
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=gl-egl",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-compositing",
+    "--disable-accelerated-2d-canvas",
+]
+SIZE: Any = {"width": 1280, "height": 800}
+PORT = 8170
+URL = f"http://127.0.0.1:{PORT}"
+# Frames in contact that are published again and again, and their rate.
+FRAMES, RATE_HZ = 24, 60.0
+SETTLE_S = 5.0
+# Height of the corner that carries the number: above all others, in steps that floats resolve.
+LIFT_MM, APART_MM, STEP_MM, NUMBERS = 10.0, 20.0, 0.01, 1000
+# Every time that the browser draws: heights of new lifted corners, mm, and the time, ms.
+COUNT = f"""
+window.scenes = []; window.pictures = []; window.points = 0;
+window.__THREE_DEVTOOLS__ = new EventTarget();
+window.__THREE_DEVTOOLS__.addEventListener('observe', event => {{
+  if (event.detail.isScene) window.scenes.push(event.detail);
+}});
+const seen = new Map();
+const look = () => {{
+  window.points = 0;
+  for (const scene of window.scenes) scene.traverse(object => {{
+    const at = object.isMesh && object.geometry.index && object.geometry.attributes.position;
+    if (!at || object.isInstancedMesh || object.geometry.type !== 'BufferGeometry') return;
+    window.points += at.count;
+    if (seen.get(object) === at) return;
+    seen.set(object, at);
+    let highest = 0;
+    for (let i = 0; i < at.count; i++) highest = Math.max(highest, at.getZ(i));
+    if (highest > {LIFT_MM} - 1)
+      window.pictures.push([highest, performance.timeOrigin + performance.now()]);
+  }});
+  requestAnimationFrame(look);
+}};
+requestAnimationFrame(look);
+"""
+# A browser is counted when it has said from where it looks.
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, -30.0, 20.0),
+    "fov": 1.0,
+    "near": 0.1,
+    "far": 1000.0,
+    "image_height": 800,
+    "image_width": 1280,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+
+
+@dataclass(frozen=True)
+class Processed:
+    """A frame with all that the chain makes of it."""
+
+    image: np.ndarray
+    result: PipelineResult
+
+
+class Publisher:
+    """Publishes processed frames as sensors of some names, numbered by a lifted corner.
+
+    sent: time at which each number was published last, ms, by sensor.
+    """
+
+    def __init__(self, names: Sequence[str], frames: Sequence[Processed], rate_hz: float) -> None:
+        self._frames, self._period_s = frames, 1 / rate_hz
+        self._node = rclpy.create_node("frames")
+        kinds = {
+            "image_raw": Image,
+            "left/grid": Grid,
+            "right/grid": Grid,
+            "surface": Surface,
+            "force_field": ForceField,
+        }
+        self._publishers = [
+            {
+                topic: self._node.create_publisher(kind, f"/{name}/{topic}", 1)
+                for topic, kind in kinds.items()
+            }
+            for name in names
+        ]
+        # Apart from stamp and surface, what is sent is made once.
+        self._made = [
+            {
+                "image_raw": image_to_msg(item.image, "mono8", Header()),
+                "left/grid": grid_to_msg(item.result.left, Header()),
+                "right/grid": grid_to_msg(item.result.right, Header()),
+                "force_field": force_field_to_msg(item.result.force, Header()),
+            }
+            for item in frames
+        ]
+        self.sent: list[dict[int, float]] = [{} for _ in names]
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End it."""
+        self._ended.set()
+        self._thread.join()
+        self._node.destroy_node()
+
+    def _run(self) -> None:
+        count, due = 0, time.monotonic()
+        while not self._ended.wait(max(0.0, due - time.monotonic())):
+            for sensor in range(len(self._publishers)):
+                self._publish(sensor, count)
+            count, due = count + 1, due + self._period_s
+
+    def _publish(self, sensor: int, count: int) -> None:
+        # There and back, so that no step between two frames is a jump.
+        place = abs((count + len(self._frames)) % (2 * len(self._frames) - 1) - len(self._frames))
+        place = min(place, len(self._frames) - 1)
+        now_ns = time.time_ns()
+        header = Header()
+        header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 10**9)
+        surface = self._frames[place].result.surface
+        position = surface.position.copy()
+        number = count % NUMBERS
+        position[0, 0, 2] = 1e-3 * (LIFT_MM + sensor * APART_MM + number * STEP_MM)
+        messages = self._made[place] | {
+            "surface": surface_to_msg(replace(surface, position=position), header)
+        }
+        self.sent[sensor][number] = now_ns * 1e-6
+        for topic, publisher in self._publishers[sensor].items():
+            message = messages[topic]
+            message.header = header
+            publisher.publish(serialize_message(message))
+
+
+def processed(bag: Path) -> list[Processed]:
+    """The frames of the contact."""
+    pipeline = Pipeline(SensorDescription.load(bag / "sensor.yaml"))
+    return [
+        Processed(frame.image, pipeline.process(frame.image, frame.stamp_ns))
+        for frame in islice(BagReader(bag).frames(), 12, 12 + FRAMES)
+    ]
+
+
+@contextmanager
+def viewer(names: Sequence[str], description: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """The node in a process of its own."""
+    given = {
+        "sensors": " ".join(f"/{name}" for name in names),
+        "sensor_descriptions": ":".join([str(description)] * len(names)),
+        "sensor_names": " ".join(names),
+        "mounts": ", ".join(f"0 {0.06 * k} 0 0 0 0" for k in range(len(names))),
+    }
+    words = [word for key, value in given.items() for word in ("-p", f'{key}:="{value}"')]
+    command = python_command(VIEWER, "--ros-args", *words, "-p", f"port:={PORT}")
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        _wait_for_page()
+        yield process
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _wait_for_page() -> None:
+    while True:
+        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", PORT), 1.0):
+            return
+        time.sleep(0.02)
+
+
+@contextmanager
+def readers(count: int, *, stalled: int = 0) -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that take all that the page sends, and some that take nothing."""
+    with ExitStack() as stack:
+        found = []
+        for number in range(count + stalled):
+            kind = "--stalled" if number >= count else "--reader"
+            command = [sys.executable, __file__, kind]
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+            stack.callback(process.kill)
+            found.append(process)
+        yield found
+
+
+async def read(*, stalled: bool) -> None:
+    """Print bytes and times of what comes, a line a second; take nothing where stalled."""
+    address = URL.replace("http", "ws")
+    protocols: Any = [f"viser-v{viser.__version__}"]
+    options: Any = {"subprotocols": protocols, "max_size": None, "max_queue": 1 if stalled else 16}
+    async with websockets.connect(address, **options) as socket:
+        await socket.send(msgspec.msgpack.encode(CAMERA))
+        while stalled:
+            await asyncio.sleep(1.0)
+        begin, size, count = time.monotonic(), 0, 0
+        async for data in socket:
+            size, count = size + len(data), count + 1
+            if time.monotonic() - begin >= 1.0:
+                print(size, count, flush=True)
+                begin, size, count = time.monotonic(), 0, 0
+
+
+class Browser:
+    """Headless Chromium."""
+
+    def __enter__(self) -> Browser:
+        program = next(filter(None, map(shutil.which, BROWSERS)), None)
+        if program is None:
+            sys.exit(f"found none of {', '.join(BROWSERS)}")
+        self._driver = sync_playwright().start()
+        self._chromium = self._driver.chromium.launch(executable_path=program, args=OPTIONS)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._chromium.close()
+        self._driver.stop()
+
+    def open(self) -> Any:
+        """A tab with the page, when the surface is in its scene."""
+        tab = self._chromium.new_page(viewport=SIZE)
+        tab.add_init_script(COUNT)
+        tab.goto(URL)
+        tab.wait_for_function("window.points > 300", timeout=60_000)
+        return tab
+
+
+def first_picture(bag: Path) -> dict[str, float]:
+    """From the start of the command until the surface is in the browser's scene, s."""
+    with Browser() as browser:
+        begin = time.monotonic()
+        command = python_command(
+            "cmp_tactile_bringup.command", "view", str(bag), "--port", str(PORT)
+        )
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        try:
+            _wait_for_page()
+            served = time.monotonic()
+            browser.open()
+            return {"page_s": served - begin, "picture_s": time.monotonic() - begin}
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def updates(
+    names: Sequence[str], frames: Sequence[Processed], bag: Path, duration_s: float
+) -> dict[str, float]:
+    """Pictures a second in a browser that draws in software, and the delay of each."""
+    publisher = Publisher(names, frames, RATE_HZ)
+    try:
+        with viewer(names, bag / "sensor.yaml") as process, Browser() as browser:
+            tab = browser.open()
+            tab.wait_for_timeout(1e3 * SETTLE_S)
+            tab.evaluate("window.pictures = []")
+            busy, begin = busy_s(process.pid), time.monotonic()
+            tab.wait_for_timeout(1e3 * duration_s)
+            pictures = tab.evaluate("window.pictures")
+            cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
+    finally:
+        publisher.close()
+    rates, delays = [], []
+    for sensor, sent in enumerate(publisher.sent):
+        shown: dict[tuple[int, float], float] = {}
+        for height, moment in pictures:
+            number = round((height - LIFT_MM - sensor * APART_MM) / STEP_MM)
+            if 0 <= number < NUMBERS and number in sent:
+                shown.setdefault((number, sent[number]), moment - sent[number])
+        rates.append(len(shown) / duration_s)
+        # Of a number that was sent once more since, the delay is not known.
+        delays += [delay for delay in shown.values() if delay > 0]
+    median, most = np.percentile(delays, [50, 99]) if delays else (np.nan, np.nan)
+    return {
+        "updates_hz": min(rates),
+        "delay_median_ms": float(median),
+        "delay_p99_ms": float(most),
+        "viewer_cores": cores,
+    }
+
+
+def cost(frames: Sequence[Processed], bag: Path, duration_s: float, **who: int) -> dict[str, float]:
+    """Of the viewer's process with some readers, and what the slowest reader that reads gets."""
+    publisher = Publisher(ONE, frames, RATE_HZ)
+    try:
+        with viewer(ONE, bag / "sensor.yaml") as process, readers(**who) as looking:
+            time.sleep(SETTLE_S)
+            busy, begin, memory = busy_s(process.pid), time.monotonic(), memory_mb(process.pid)
+            time.sleep(duration_s)
+            cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
+            grown = memory_mb(process.pid) - memory
+            got = [_read_lines(item) for item in looking[: who["count"]]]
+    finally:
+        publisher.close()
+    found = {"viewer_cores": cores, "memory_mb": memory + grown, "grown_mb": grown}
+    if got:
+        slowest = min(got, key=lambda lines: float(np.median(lines[:, 0])))
+        found["mb_a_s"] = float(np.median(slowest[:, 0])) * 1e-6
+    return found
+
+
+def _read_lines(reader: subprocess.Popen[str]) -> np.ndarray:
+    reader.kill()
+    lines = reader.communicate()[0].splitlines()[1:]
+    return np.array([[float(word) for word in line.split()] for line in lines if " " in line])
+
+
+def chain(scene: str, count: int, *, looked_at: bool, bag: Path) -> dict[str, float]:
+    """Frames lost and latency of one sensor at 60 Hz, with the viewer beside it or without."""
+    node = Wrenches(ONE)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    try:
+        with ExitStack() as stack:
+            process = stack.enter_context(container(scene, ONE, RATE_HZ))
+            spin_until(executor, node, WARM_UP, process)
+            if looked_at:
+                stack.enter_context(viewer(ONE, bag / "sensor.yaml"))
+                stack.enter_context(readers(1))
+            spin_until(executor, node, node.fewest + WARM_UP, process)
+            first = node.fewest
+            spin_until(executor, node, first + count, process)
+    finally:
+        node.destroy_node()
+    (name,) = ONE
+    stamps, arrivals = np.array(node.seen[name][first:]).T
+    median, most = np.percentile((arrivals - stamps) * 1e-6, [50, 99])
+    lost = node.lost(name, first)
+    return {
+        "lost": lost,
+        "sent": lost + len(stamps),
+        "median_ms": float(median),
+        "p99_ms": float(most),
+    }
+
+
+def cases(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, float]]]:
+    """By the key of the JSON file."""
+    bag = find_recording(options.input).bag
+    frames: list[Processed] = []
+
+    def made() -> list[Processed]:
+        if not frames:
+            frames.extend(processed(bag))
+        return frames
+
+    seconds = options.seconds
+    return {
+        "first_picture": lambda: first_picture(bag),
+        "one": lambda: updates(ONE, made(), bag, seconds),
+        "two": lambda: updates(TWO, made(), bag, seconds),
+        "nobody": lambda: cost(made(), bag, seconds, count=0),
+        "one_reader": lambda: cost(made(), bag, seconds, count=1),
+        "five_readers": lambda: cost(made(), bag, seconds, count=5),
+        "one_of_five_stalled": lambda: cost(made(), bag, seconds, count=4, stalled=1),
+        "chain_alone": lambda: chain(options.input, 600, looked_at=False, bag=bag),
+        "chain_viewed": lambda: chain(options.input, 600, looked_at=True, bag=bag),
+        "long": lambda: cost(made(), bag, 60 * options.minutes, count=1),
+    }
+
+
+def _row(key: str, found: Mapping[str, float]) -> str:
+    return f"| {key} | " + ", ".join(f"{name} {value:.4g}" for name, value in found.items()) + " |"
+
+
+def main() -> None:
+    """Measure, print, and keep."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--input", default="grasp", help="packaged scene (%(default)s)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each case (%(default)g)")
+    parser.add_argument("--minutes", type=float, default=5.0, help="of the long one (%(default)g)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
+    parser.add_argument("--only", nargs="+", metavar="KEY", help="some of them")
+    parser.add_argument("--reader", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--stalled", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.reader or options.stalled:
+        asyncio.run(read(stalled=options.stalled))
+        return
+    rclpy.init()
+    found = {}
+    print("| case | |\n|---|---|")
+    for key, run in cases(options).items():
+        if key in (options.only or [key]):
+            found[key] = run()
+            print(_row(key, found[key]), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()
