@@ -33,6 +33,7 @@ import numpy as np
 import rclpy
 import viser
 import websockets
+from geometry_msgs.msg import WrenchStamped
 from playwright.sync_api import sync_playwright
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
@@ -51,6 +52,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
     image_to_msg,
     surface_to_msg,
 )
+from cmp_tactile_processing.ros.throttle import IMAGE_HZ, RESULT_HZ, throttled
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
@@ -130,19 +132,27 @@ class Publisher:
         self._frames, self._period_s = frames, 1 / rate_hz
         self._node = rclpy.create_node("frames")
         kinds = {
-            "image_raw": Image,
-            "left/grid": Grid,
-            "right/grid": Grid,
-            "surface": Surface,
-            "force_field": ForceField,
+            "image_raw": (Image, IMAGE_HZ),
+            "left/grid": (Grid, IMAGE_HZ),
+            "right/grid": (Grid, IMAGE_HZ),
+            "surface": (Surface, RESULT_HZ),
+            "force_field": (ForceField, RESULT_HZ),
         }
+        # As nodes do, for a viewer: the first frame of each period.
         self._publishers = [
             {
-                topic: self._node.create_publisher(kind, f"/{name}/{topic}", 1)
-                for topic, kind in kinds.items()
+                topic: (
+                    self._node.create_publisher(kind, f"/{throttled(f'{name}/{topic}')}", 2),
+                    hz,
+                )
+                for topic, (kind, hz) in kinds.items()
             }
             for name in names
         ]
+        self._wrenches = [
+            self._node.create_publisher(WrenchStamped, f"/{name}/wrench", 10) for name in names
+        ]
+        self._last_ns = 0
         # Apart from stamp and surface, what is sent is made once.
         self._made = [
             {
@@ -167,15 +177,16 @@ class Publisher:
     def _run(self) -> None:
         count, due = 0, time.monotonic()
         while not self._ended.wait(max(0.0, due - time.monotonic())):
+            now_ns = time.time_ns()
             for sensor in range(len(self._publishers)):
-                self._publish(sensor, count)
+                self._publish(sensor, count, now_ns)
+            self._last_ns = now_ns
             count, due = count + 1, due + self._period_s
 
-    def _publish(self, sensor: int, count: int) -> None:
+    def _publish(self, sensor: int, count: int, now_ns: int) -> None:
         # There and back, so that no step between two frames is a jump.
         place = abs((count + len(self._frames)) % (2 * len(self._frames) - 1) - len(self._frames))
         place = min(place, len(self._frames) - 1)
-        now_ns = time.time_ns()
         header = Header()
         header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 10**9)
         surface = self._frames[place].result.surface
@@ -186,7 +197,10 @@ class Publisher:
             "surface": surface_to_msg(replace(surface, position=position), header)
         }
         self.sent[sensor][number] = now_ns * 1e-6
-        for topic, publisher in self._publishers[sensor].items():
+        self._wrenches[sensor].publish(WrenchStamped(header=header))
+        for topic, (publisher, hz) in self._publishers[sensor].items():
+            if now_ns * hz // 10**9 == self._last_ns * hz // 10**9:
+                continue
             message = messages[topic]
             message.header = header
             publisher.publish(serialize_message(message))

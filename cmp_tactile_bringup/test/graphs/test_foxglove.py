@@ -71,7 +71,9 @@ def test_what_is_shown_is_published(name, published):
     kinds = {"3D": ("MarkerArray", "PointCloud2"), "Image": ("Image",)}
     for kind, topic, path in shown:
         space = next((space for space in spaces if topic.startswith(f"{space}/")), "")
-        type_name = published[topic.removeprefix(f"{space}/") if space else topic]
+        short = topic.removeprefix(f"{space}/") if space else topic
+        # The tables have the tracker of the left view.
+        type_name = published[short.replace("right/", "left/")]
         message = message_class(type_name.replace("/", "/msg/"))
         assert type_name.rpartition("/")[2] in kinds.get(kind, type_name)
         value = reduce(getattr, path.split("."), message()) if path else 0.0

@@ -23,6 +23,7 @@ from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.throttle import ResultPublisher
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     Parameters,
@@ -88,7 +89,9 @@ class ForceReconstructor(StageNode):
         self._force = StageParameters(self, self.sensor.force, self._start_building)
         self._slip = StageParameters(self, self.sensor.slip, self._use_slip, "slip")
         builder = self._start_building()
-        self._force_publisher = self.add_publisher(ForceFieldMsg, "force_field")
+        self._force_publisher = ResultPublisher(
+            self, ForceFieldMsg, "force_field", conversions.force_field_to_msg
+        )
         self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
         self._points_publisher = self.add_publisher(PointCloud2, "force_points")
         if self._options.wait_for_model:
@@ -153,11 +156,9 @@ class ForceReconstructor(StageNode):
             return
         field = stage.process(surface, stamp_ns(msg.header.stamp))
         # First what a controller waits for.
-        for publisher, to_msg in (
-            (self._wrench_publisher, conversions.wrench_to_msg),
-            (self._force_publisher, conversions.force_field_to_msg),
-        ):
-            publish_result(publisher, Result(field, msg.header, to_msg))
+        wrench = Result(field, msg.header, conversions.wrench_to_msg)
+        publish_result(self._wrench_publisher, wrench)
+        self._force_publisher.publish(field, msg.header)
         self.frame_out(msg.header)
         self._health.add(field)
         if self._points_publisher.get_subscription_count():

@@ -17,7 +17,6 @@ from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
-from cmp_tactile_processing.ros.intra_process import Result, publish_result
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.making import view_frame
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
@@ -28,6 +27,7 @@ from cmp_tactile_processing.ros.parameters import (
 )
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters
+from cmp_tactile_processing.ros.throttle import IMAGE_HZ, ResultPublisher
 from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -79,7 +79,9 @@ class GridlineTracker(base_nodes.StageNode):
         self._build_tracker(tracking.value)
         self._print_options = StageParameters(self, PrintParameters(), lambda _: None)
         self._frame = view_frame(self.sensor, self._view)
-        self._grid_publisher = self.add_publisher(GridMsg, f"{self._view}/grid")
+        self._grid_publisher = ResultPublisher(
+            self, GridMsg, f"{self._view}/grid", grid_to_msg, IMAGE_HZ
+        )
         self._overlay_publisher = self.add_publisher(
             Image, f"{self._view}/grid_overlay", base_nodes.IMAGE_DEPTH
         )
@@ -109,7 +111,7 @@ class GridlineTracker(base_nodes.StageNode):
         image = image_from_msg(msg, self._weights)
         grid = self._tracker.track(image)
         header = header_at(msg.header.stamp, self._frame)
-        publish_result(self._grid_publisher, Result(grid, header, grid_to_msg))
+        self._grid_publisher.publish(grid, header)
         self._health.add(grid)
         self.tracked(grid.found_fraction)
         self.frame_out(header)

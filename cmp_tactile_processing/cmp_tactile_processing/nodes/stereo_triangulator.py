@@ -16,12 +16,13 @@ from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
 from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
-from cmp_tactile_processing.ros.intra_process import Result, publish_result
+from cmp_tactile_processing.ros.intra_process import Result
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.throttle import ResultPublisher
 from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
@@ -66,7 +67,9 @@ class StereoTriangulator(base_nodes.StageNode):
         self._drift = StageParameters(self, reference_keeping.DriftParameters(), self._watch)
         self._watch()
         self._frame = gel_frame(self.sensor)
-        self._surface_publisher = self.add_publisher(SurfaceMsg, "surface")
+        self._surface_publisher = ResultPublisher(
+            self, SurfaceMsg, "surface", conversions.surface_to_msg
+        )
         self._points_publisher = self.add_publisher(PointCloud2, "surface_points")
         self._reference_publisher = self.add_publisher(SurfaceMsg, "reference", 1, latched=True)
         self._publish_reference(self.get_clock().now().to_msg())
@@ -108,7 +111,7 @@ class StereoTriangulator(base_nodes.StageNode):
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)
         header = conversions.header_at(stamp, self._frame)
-        publish_result(self._surface_publisher, Result(surface, header, conversions.surface_to_msg))
+        self._surface_publisher.publish(surface, header)
         self.frame_out(header)
         self._check(markers, grids)
         if self._points_publisher.get_subscription_count():

@@ -31,6 +31,7 @@ from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.throttle import IMAGE_HZ, ThrottledTopic
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
@@ -172,7 +173,8 @@ class ViewSplitter(StageNode):
     frames come quicker than they can be processed.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
     are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
-    frame for both views.  `<view>/image_raw` is in the view's own optical frame.  The static
+    frame for both views.  `<view>/image_raw` is in the view's own optical frame.
+    `image_raw_throttle` has those of the frames that are split, for a viewer.  The static
     transforms from the gel frame to all optical frames are sent once, latched, and with
     `parent_frame` that from the frame the sensor is mounted on to the gel frame.
     """
@@ -181,6 +183,7 @@ class ViewSplitter(StageNode):
 
     def _set_up(self) -> None:
         self._rectification = Rectification(self.sensor)
+        self._throttled = ThrottledTopic(self, Image, "image_raw", IMAGE_HZ)
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
         self._send_transforms(Mounting.declare(self, self.sensor))
         options = declare_parameters(self, ViewSplitterParameters())
@@ -240,6 +243,9 @@ class ViewSplitter(StageNode):
         self.frame_out(header)
         for view, image in zip(self._views, images, strict=True):
             view.publish_more(image, header)
+        self._throttled.offer(
+            header, lambda: conversions.image_to_msg(frame, encoding_of(frame), header)
+        )
 
 
 class _ViewOutput:

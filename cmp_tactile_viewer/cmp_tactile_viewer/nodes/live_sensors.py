@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-import struct
 import time
-from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
-from rclpy.callback_groups import CallbackGroup
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
@@ -26,6 +22,7 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.making import gel_frame
+from cmp_tactile_processing.ros.throttle import throttled
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes.controls import (
     RecordingButton,
@@ -33,6 +30,7 @@ from cmp_tactile_viewer.nodes.controls import (
     answer_of,
     node_settings,
 )
+from cmp_tactile_viewer.nodes.polled_topic import Polled, PolledTopic
 from cmp_tactile_viewer.snapshot import (
     Action,
     Audience,
@@ -47,17 +45,10 @@ from cmp_tactile_viewer.snapshot import (
 
 # Of camera images, which the page draws less often than surfaces, somewhat more than it draws.
 RATE_HZ, IMAGE_HZ, HEALTH_HZ = 30.0, 15.0, 1.0
-# Encapsulation and stamp, with which every message begins.
-HEADER = struct.Struct("<4xiI")
-# Frames that may be on their way through the stages at once; an image is a megabyte.
-KEPT = 12
 # Fields of a snapshot that every one has; images and grids are not drawn so often.
 MEASURED = ("surface", "force")
 # A topic is silent after that time, and a node that has not reported for so long is left out.
 SILENT_S, REPORT_AGE_S = 2.0, 5.0
-NS_PER_S = 1_000_000_000
-# The rate is that of so many frames.
-RATE_FRAMES = 60
 AT_REST = "nothing may touch the gel"
 # Label, service, hint, and the view without which a sensor has no such service.
 TRIGGERS = (
@@ -80,81 +71,6 @@ TRIGGERS = (
 )
 
 
-class _Polled(CallbackGroup):
-    """Of subscriptions that no executor waits for: to be woken costs more than the message."""
-
-    def can_execute(self, _entity: object) -> bool:
-        return False
-
-    def beginning_execution(self, _entity: object) -> bool:
-        return False
-
-    def ending_execution(self, _entity: object) -> None:
-        """Never begun."""
-
-
-class _Topic:
-    """The newest messages of a topic as bytes, by stamp: most are never looked at."""
-
-    def __init__(self, name: str, message_type: Any, field: str) -> None:
-        self.name, self.message_type, self.field = name, message_type, field
-        self.kept: OrderedDict[int, bytes] = OrderedDict()
-        self.stamps: deque[int] = deque(maxlen=RATE_FRAMES)
-        self.last_s, self.sent_ns = time.monotonic(), 0
-        self._subscription: Any = None
-
-    def subscribe(self, node: Node, group: CallbackGroup) -> None:
-        self.kept.clear()
-        self.stamps.clear()
-        self.last_s = time.monotonic()
-        self._subscription = node.create_subscription(
-            self.message_type,
-            self.name,
-            lambda _: None,
-            QoSProfile(depth=KEPT),
-            callback_group=group,
-            raw=True,
-        )
-
-    def unsubscribe(self, node: Node) -> None:
-        if self._subscription is not None:
-            node.destroy_subscription(self._subscription)
-            self._subscription = None
-
-    def take(self) -> None:
-        """All that came since."""
-        if self._subscription is None:
-            return
-        handle = self._subscription.handle
-        with handle:
-            while (taken := handle.take_message(self.message_type, True)) is not None:
-                self._keep(*taken)
-
-    @property
-    def newest(self) -> int:
-        """Its last stamp; -1 before the first."""
-        return next(reversed(self.kept), -1)
-
-    @property
-    def rate_hz(self) -> float:
-        """Of the last messages; NaN where there is none yet."""
-        span_ns = self.stamps[-1] - self.stamps[0] if self.stamps else 0
-        return (len(self.stamps) - 1) * NS_PER_S / span_ns if span_ns > 0 else math.nan
-
-    def _keep(self, data: bytes, info: Mapping[str, int]) -> None:
-        seconds, nanoseconds = HEADER.unpack_from(data)
-        stamp_ns = seconds * NS_PER_S + nanoseconds
-        if stamp_ns < self.newest:
-            # A recording begins again.
-            self.stamps.clear()
-        self.stamps.append(stamp_ns)
-        self.kept[stamp_ns] = data
-        self.kept.move_to_end(stamp_ns)
-        self.last_s, self.sent_ns = time.monotonic(), info["source_timestamp"]
-        while len(self.kept) > KEPT:
-            self.kept.popitem(last=False)
-
-
 class _Watched:
     """The topics of one sensor."""
 
@@ -167,28 +83,36 @@ class _Watched:
         self._placements = {name: view.placement for name, view in build_views(shown).items()}
         self.name, self.views = sensor.shown.name, tuple(self._placements)
         # From the end of the chain to its beginning: the last one that speaks gives the stamps.
-        kinds = [("force_field", ForceField, "force"), ("surface", Surface, "surface")]
-        kinds += [(f"{view}/grid", Grid, view) for view in self._placements]
-        kinds.append(("image_raw", Image, "frame"))
-        self.topics = [
-            _Topic(f"{sensor.namespace}/{name}", kind, field) for name, kind, field in kinds
-        ]
-        self._group = _Polled()
+        kinds: dict[str, tuple[Any, str]] = {
+            "force_field": (ForceField, "force"),
+            "surface": (Surface, "surface"),
+            **{f"{view}/grid": (Grid, view) for view in self._placements},
+            "image_raw": (Image, "frame"),
+        }
+        self.topics = []
+        for short, (kind, field) in kinds.items():
+            name = f"{sensor.namespace}/{short}"
+            self.topics.append(PolledTopic(name, kind, field, (throttled(name), name)))
+        # Small, and of every frame: for rate and latency.
+        wrench = f"{sensor.namespace}/wrench"
+        self._wrench = PolledTopic(wrench, WrenchStamped, "wrench", (wrench,))
+        self._group = Polled()
         self._shown: tuple[str, int] | None = None
         self._image_s = 0.0
 
     def subscribe(self) -> None:
-        for topic in self.topics:
+        """Also again, while it looks: throttled topics may have come."""
+        for topic in (*self.topics, self._wrench):
             topic.subscribe(self._node, self._group)
-        self._shown = None
 
     def unsubscribe(self) -> None:
-        for topic in self.topics:
+        for topic in (*self.topics, self._wrench):
             topic.unsubscribe(self._node)
+        self._shown = None
 
     def newest(self) -> Snapshot | None:
         """The newest frame that went as far as any does; None where it is on show already."""
-        for topic in self.topics:
+        for topic in (*self.topics, self._wrench):
             topic.take()
         now_s = time.monotonic()
         speaking = (item for item in self.topics if item.kept and now_s - item.last_s < SILENT_S)
@@ -206,15 +130,17 @@ class _Watched:
             for topic in self.topics
             if stamp_ns in topic.kept and (with_image or topic.field in MEASURED)
         }
-        latency_s = self._latency_s(last) if last.field == "force" else math.nan
-        return Snapshot(stamp_ns, latency_s=latency_s, rate_hz=last.rate_hz, **values)
+        rate_hz = self._wrench.rate_hz if self._wrench.kept else last.rate_hz
+        return Snapshot(stamp_ns, latency_s=self._latency_s(), rate_hz=rate_hz, **values)
 
-    def _latency_s(self, topic: _Topic) -> float:
-        """From the stamp of the newest message until it was sent, on the clock of the stamps."""
-        ago_ns = time.time_ns() - topic.sent_ns
-        return (self._node.get_clock().now().nanoseconds - ago_ns - topic.newest) * 1e-9
+    def _latency_s(self) -> float:
+        """From the stamp of the newest wrench until it was sent, on the clock of the stamps."""
+        if not self._wrench.kept:
+            return math.nan
+        ago_ns = time.time_ns() - self._wrench.sent_ns
+        return (self._node.get_clock().now().nanoseconds - ago_ns - self._wrench.newest) * 1e-9
 
-    def _value(self, topic: _Topic, data: bytes) -> Any:
+    def _value(self, topic: PolledTopic, data: bytes) -> Any:
         """What a message says; None, and a line of health, where it cannot be used."""
         try:
             message = deserialize_message(data, topic.message_type)
@@ -357,6 +283,8 @@ class LiveSensors:
         if self._audience is None:
             return
         now_s = time.monotonic()
+        for item in self._watched:
+            item.subscribe()
         lines = [line for item in self._watched for line in item.silence()]
         lines += [
             HealthLine(Level.WARN, topic, text)

@@ -39,7 +39,7 @@ LIGHT, GROUND = 2.0, (190, 190, 190)
 
 @dataclass
 class _Cadence:
-    """Of what is drawn less often.  due_s: when what waits may be drawn, None where nothing does."""
+    """Of what is drawn less often.  due_s: when what waits is drawn, None where nothing waits."""
 
     period_s: float
     due_s: float | None = None

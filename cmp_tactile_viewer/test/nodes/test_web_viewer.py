@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -34,7 +35,7 @@ from cmp_tactile_viewer.snapshot import HealthLine, Level, Pose, Snapshot
 
 pytestmark = pytest.mark.ros
 
-TOPICS = ("image_raw", "left/grid", "right/grid", "surface", "force_field")
+TOPICS = ("image_raw", "left/grid", "right/grid", "surface", "force_field", "wrench")
 
 
 class Audience:
@@ -134,7 +135,31 @@ def test_what_belongs_to_a_frame_comes_together(rig, ros, snapshots):
         both.surface.position, shown.surface.position.astype(np.float32), strict=False
     )
     np.testing.assert_array_equal(both.force.force, shown.force.force.astype(np.float32))
-    assert both.latency_s > 0
+    assert np.isnan(both.latency_s)  # of wrenches, and there was none
+
+
+def test_rate_and_latency_are_those_of_the_wrenches(rig, ros, snapshots):
+    rig.look()
+    surfaces = ros.publisher(Surface, "surface")
+    wrenches = ros.publisher(WrenchStamped, "wrench")
+    now_ns = time.time_ns()
+    for number in range(11):
+        wrenches.publish(WrenchStamped(header=_header(now_ns - 10**9 + number * 10**7)))
+    surfaces.publish(surface_to_msg(snapshots[0].surface, _header(1)))
+    ros.wait(lambda: rig.audience.snapshots, "the surface")
+    shown = rig.audience.snapshots[0]
+    assert shown.rate_hz == pytest.approx(100.0)
+    assert 0.9 <= shown.latency_s < 60.0
+
+
+def test_it_prefers_the_throttled_topics(rig, ros, snapshots):
+    """Those of a sensor that starts while the page looks, too; of others it takes all messages."""
+    rig.look()
+    publisher = ros.publisher(Surface, "surface_throttle")
+    count = ros.node.count_subscribers
+    ros.wait(lambda: not count(f"{ros.namespace}/surface"), "the end of the other subscription")
+    publisher.publish(surface_to_msg(snapshots[0].surface, _header(1)))
+    ros.wait(lambda: rig.audience.snapshots, "the surface")
 
 
 def test_only_the_newest_is_read(rig, ros, snapshots):
