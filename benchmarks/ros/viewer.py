@@ -376,14 +376,16 @@ def _read_lines(reader: subprocess.Popen[str]) -> np.ndarray:
     return np.array([[float(word) for word in line.split()] for line in lines if " " in line])
 
 
-def chain(scene: str, count: int, *, looked_at: bool, bag: Path) -> dict[str, float]:
-    """Frames lost and latency of one sensor at 60 Hz, with the viewer beside it or without."""
+def chain(
+    scene: str, rate_hz: float, count: int, *, looked_at: bool, bag: Path
+) -> dict[str, float]:
+    """Frames lost and latency of one sensor, with the viewer beside it or without."""
     node = Wrenches(ONE)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
         with ExitStack() as stack:
-            process = stack.enter_context(container(scene, ONE, RATE_HZ))
+            process = stack.enter_context(container(scene, ONE, rate_hz))
             spin_until(executor, node, WARM_UP, process)
             if looked_at:
                 stack.enter_context(viewer(ONE, bag / "sensor.yaml"))
@@ -424,8 +426,10 @@ def cases(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, float
         "one_reader": lambda: cost(made(), bag, seconds, count=1),
         "five_readers": lambda: cost(made(), bag, seconds, count=5),
         "one_of_five_stalled": lambda: cost(made(), bag, seconds, count=4, stalled=1),
-        "chain_alone": lambda: chain(options.input, 600, looked_at=False, bag=bag),
-        "chain_viewed": lambda: chain(options.input, 600, looked_at=True, bag=bag),
+        "chain_60": lambda: chain(options.input, 60, 1200, looked_at=False, bag=bag),
+        "chain_60_viewed": lambda: chain(options.input, 60, 1200, looked_at=True, bag=bag),
+        "chain_30": lambda: chain(options.input, 30, 600, looked_at=False, bag=bag),
+        "chain_30_viewed": lambda: chain(options.input, 30, 600, looked_at=True, bag=bag),
         "long": lambda: cost(made(), bag, 60 * options.minutes, count=1),
     }
 

@@ -144,17 +144,17 @@ def _viewer_beside(graph: Graph | None) -> Iterator[None]:
     # JSON's texts are YAML's: a token may be a number.
     given = (f"{name}:={json.dumps(value)}" for name, value in graph.viewer.items())
     words = (word for setting in given for word in ("-p", setting))
-    process = subprocess.Popen(
-        python_command(VIEWER, "--ros-args", *words),
-        stdin=subprocess.DEVNULL,
+    with subprocess.Popen(
+        # Also where this process is killed.
+        python_command(VIEWER, "--end-with-stdin", "--ros-args", *words),
+        stdin=subprocess.PIPE,
         # Ctrl-C is for this process, which then ends that one.
         start_new_session=True,
-    )
-    try:
-        yield
-    finally:
-        process.terminate()
-        process.wait()
+    ) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
 
 
 class _OtherSensors:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
+import urllib.error
+import urllib.request
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ import rclpy
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import SetBool
+from waiting import wait_until
 
 from cmp_tactile_bringup.container.components import find_component, node_arguments
 from cmp_tactile_bringup.container.executables import standalone
@@ -156,6 +160,40 @@ def test_the_chain_runs_and_ends_with_zero(ros, graph_file, grasp_bag):
     # From 0.2 s on at 30 Hz: frames 6 to 19.
     stamps = [message.header.stamp.nanosec for message in surfaces]
     assert stamps == [round(k * 1e9 / 30) % 10**9 for k in range(6, 20)]
+
+
+@pytest.mark.parametrize("way", [signal.SIGINT, signal.SIGKILL])
+def test_the_page_begins_and_ends_with_the_runner(way, graph_file, grasp_bag):
+    """At the address that is asked for, with the token; a process that ends with this one."""
+    with socket.create_server(("127.0.0.1", 0)) as trial:
+        port = trial.getsockname()[1]
+    address = f"http://127.0.0.1:{port}/?token=a%20word"
+    view = ["view:=true", f"view_port:={port}", "view_token:=a word"]
+    arguments = [f"input:={grasp_bag}", "--set", "replay.paused=true", *view]
+
+    def status(url: str) -> int:
+        try:
+            with urllib.request.urlopen(url, timeout=5.0) as answer:  # noqa: S310
+                return int(answer.status)
+        except urllib.error.HTTPError as error:
+            return error.code
+        except OSError:
+            return 0
+
+    with _standalone(str(graph_file[0]), *arguments) as process:
+        try:
+            assert process.stderr is not None
+            said = next((line for line in process.stderr if "in a browser" in line), "")
+            assert f"open {address} in a browser" in said
+            assert status(address) == 200
+            assert status(f"http://127.0.0.1:{port}/") == 403
+            process.send_signal(way)
+            log = process.communicate(timeout=TIMEOUT_S)[1]
+        finally:
+            process.kill()
+    assert process.returncode == (0 if way is signal.SIGINT else -way), log
+    assert "Traceback" not in log
+    wait_until(lambda: status(address) == 0, "the end of the page")
 
 
 FINGERS = """

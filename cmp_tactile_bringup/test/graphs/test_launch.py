@@ -119,13 +119,14 @@ def test_the_page_is_started_when_asked_for(name, actions):
     from launch_ros.actions import Node
     from launch_ros.utilities import evaluate_parameters
 
-    context, (*_, viewer) = actions(view="true", view_port="8123", view_token="1234")
+    word = "1234"
+    context, (*_, viewer) = actions(view="true", view_port="8123", view_token=word)
     assert isinstance(viewer, Node)
     assert (viewer.node_package, viewer.node_executable) == ("cmp_tactile_viewer", "web_viewer")
     (parameters,) = evaluate_parameters(context, viewer._Node__parameters)
     assert (parameters["host"], parameters["port"]) == ("127.0.0.1", 8123)
     # A text that looks like a number stays one.
-    assert parameters["token"] == "1234"
+    assert parameters["token"] == word
     count = 2 if name == "gripper" else 1
     assert len(parameters["sensors"].split()) == count
     assert len(parameters["mounts"].split(",")) == count

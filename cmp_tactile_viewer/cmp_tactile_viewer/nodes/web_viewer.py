@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +24,8 @@ from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
 from cmp_tactile_viewer.page.page import Page
 from cmp_tactile_viewer.page.server import DEFAULT_PORT, Access
 from cmp_tactile_viewer.snapshot import ShownSensor
+
+END_WITH_STDIN = "--end-with-stdin"
 
 
 @dataclass(frozen=True)
@@ -126,8 +130,18 @@ def _pose(text: str) -> tuple[float, ...]:
 
 
 def main() -> int:
-    """Entry point of `ros2 run cmp_tactile_viewer web_viewer`."""
+    """Entry point of `ros2 run cmp_tactile_viewer web_viewer`.
+
+    With the argument --end-with-stdin it ends with the process that holds the other end.
+    """
+    if END_WITH_STDIN in sys.argv:
+        threading.Thread(target=_end_with_stdin, daemon=True).start()
     return run_node(WebViewer)
+
+
+def _end_with_stdin() -> None:
+    sys.stdin.read()
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 if __name__ == "__main__":
