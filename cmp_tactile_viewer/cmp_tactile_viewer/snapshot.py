@@ -33,7 +33,8 @@ class ShownSensor:
 class Snapshot:
     """What one sensor showed at one moment; None for what is not known.
 
-    stamp_ns: of the frame.  frame: the camera image, (H, W) grey or (H, W, 3) BGR uint8.
+    stamp_ns: of the frame.  frame: the camera image, (H, W) grey or (H, W, 3) BGR uint8; with left
+    and right it may be of a frame shortly before.
     latency_s: from the frame's stamp until its force was there; NaN where that means nothing.
     rate_hz: of the sensor's frames, not all of which are shown; NaN where all are.
     """

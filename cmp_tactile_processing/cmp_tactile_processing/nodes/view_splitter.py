@@ -198,6 +198,7 @@ class ViewSplitter(StageNode):
             # As any wrench's QoS can serve it.
             qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.create_subscription(WrenchStamped, "wrench", self._on_wrench, qos)
+        self.diagnostics.is_first = True
         self.add_input(kind, topic, split, reliable=options.reliable_input, newest=newest)
 
     def _send_transforms(self, mounting: Mounting) -> None:

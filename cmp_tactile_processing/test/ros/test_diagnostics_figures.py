@@ -252,6 +252,19 @@ def test_each_threshold_has_its_say(clock, limits, frames, level, text):
     assert (status.level, status.message) == (level, text)
 
 
+@pytest.mark.parametrize(("is_first", "level"), [(True, WARN), (False, OK)])
+def test_frames_missing_before_are_reported_where_they_come_from_a_camera(clock, is_first, level):
+    """Each later stage would repeat what the one before it reports."""
+    diagnostics = StageDiagnostics(DiagnosticsParameters(report_after=1))
+    diagnostics.is_first = is_first
+    diagnostics.inputs.append(InputWatch("/t", 20))
+    diagnostics.inputs[0].missing = 10
+    status = _status(diagnostics, clock)
+    assert status.level == level
+    assert ("10 of 40 frames missing" in status.message) == is_first
+    assert _values(status)["missing before"] == "10"
+
+
 def test_rate_and_level_are_those_of_the_last_period(clock):
     diagnostics = StageDiagnostics()
     for _ in range(30):

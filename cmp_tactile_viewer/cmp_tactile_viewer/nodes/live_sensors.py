@@ -98,7 +98,7 @@ class _Watched:
         self._wrench = PolledTopic(wrench, WrenchStamped, "wrench", (wrench,))
         self._group = Polled()
         self._shown: tuple[str, int] | None = None
-        self._image_s = 0.0
+        self._image_s, self._imaged_ns = 0.0, -1
 
     def subscribe(self) -> None:
         """Also again, while it looks: throttled topics may have come."""
@@ -108,30 +108,43 @@ class _Watched:
     def unsubscribe(self) -> None:
         for topic in (*self.topics, self._wrench):
             topic.unsubscribe(self._node)
-        self._shown = None
+        self._shown, self._imaged_ns = None, -1
 
     def newest(self) -> Snapshot | None:
         """The newest frame that went as far as any does; None where it is on show already."""
         for topic in (*self.topics, self._wrench):
             topic.take()
         now_s = time.monotonic()
-        speaking = (item for item in self.topics if item.kept and now_s - item.last_s < SILENT_S)
-        last = next(speaking, None)
+        speaking = [item for item in self.topics if item.kept and now_s - item.last_s < SILENT_S]
+        last = next(iter(speaking), None)
         # A frame whose force comes late is shown without, and once more with it.
         if last is None or (last.name, last.newest) == self._shown:
             return None
         stamp_ns = last.newest
         self._shown = (last.name, stamp_ns)
-        with_image = now_s - self._image_s >= 1 / IMAGE_HZ
-        if with_image:
-            self._image_s = now_s
         values = {
             topic.field: self._value(topic, topic.kept[stamp_ns])
             for topic in self.topics
-            if stamp_ns in topic.kept and (with_image or topic.field in MEASURED)
+            if topic.field in MEASURED and stamp_ns in topic.kept
         }
+        if now_s - self._image_s >= 1 / IMAGE_HZ:
+            self._image_s = now_s
+            values |= self._image([item for item in speaking if item.field not in MEASURED])
         rate_hz = self._wrench.rate_hz if self._wrench.kept else last.rate_hz
         return Snapshot(stamp_ns, latency_s=self._latency_s(), rate_hz=rate_hz, **values)
+
+    def _image(self, topics: Sequence[PolledTopic]) -> dict[str, Any]:
+        """Image and grids of the newest frame of which all have come.
+
+        An image is large and may come later than the force of its frame.
+        """
+        stamps = reversed(topics[0].kept) if topics else ()
+        newest = (stamp for stamp in stamps if all(stamp in item.kept for item in topics))
+        stamp_ns = next(newest, None)
+        if stamp_ns is None or stamp_ns == self._imaged_ns:
+            return {}
+        self._imaged_ns = stamp_ns
+        return {item.field: self._value(item, item.kept[stamp_ns]) for item in topics}
 
     def _latency_s(self) -> float:
         """From the stamp of the newest wrench until it was sent, on the clock of the stamps."""

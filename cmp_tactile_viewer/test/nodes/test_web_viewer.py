@@ -19,11 +19,12 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_msgs.msg import ForceField, Surface
+from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
+    grid_to_msg,
     image_to_msg,
     surface_to_msg,
 )
@@ -160,6 +161,27 @@ def test_it_prefers_the_throttled_topics(rig, ros, snapshots):
     ros.wait(lambda: not count(f"{ros.namespace}/surface"), "the end of the other subscription")
     publisher.publish(surface_to_msg(snapshots[0].surface, _header(1)))
     ros.wait(lambda: rig.audience.snapshots, "the surface")
+
+
+def test_an_image_that_comes_later_than_the_force_is_shown_with_its_grid(rig, ros, snapshots):
+    """An image is large: it is shown with the next surface, never a grid on another image."""
+    rig.look()
+    grids = ros.publisher(Grid, "left/grid")
+    surfaces = ros.publisher(Surface, "surface")
+    images = ros.publisher(Image, "image_raw")
+    shown = snapshots[-1]
+    images.publish(image_to_msg(snapshots[0].frame, "mono8", _header(7)))
+    grids.publish(grid_to_msg(shown.left, _header(8)))
+    surfaces.publish(surface_to_msg(shown.surface, _header(8)))
+    ros.wait(lambda: rig.audience.snapshots, "the surface")
+    images.publish(image_to_msg(shown.frame, "mono8", _header(8)))
+    ros.run(0.2)
+    surfaces.publish(surface_to_msg(shown.surface, _header(9)))
+    ros.wait(lambda: rig.audience.snapshots[-1].stamp_ns == 9, "the next surface")
+    first, last = rig.audience.snapshots[0], rig.audience.snapshots[-1]
+    assert not first.has_image
+    np.testing.assert_array_equal(last.frame, shown.frame)
+    np.testing.assert_array_equal(last.left.corner_status, shown.left.corner_status)
 
 
 def test_only_the_newest_is_read(rig, ros, snapshots):

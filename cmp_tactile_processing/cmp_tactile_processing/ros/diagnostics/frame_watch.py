@@ -60,7 +60,7 @@ class DiagnosticsParameters:
     )
     missing_warn: float = parameter(
         0.1,
-        "share of frames missing already where they come from above which it is warned of",
+        "share of frames missing in what the camera sends above which the view splitter warns",
         within=(0.0, 1.0),
     )
     queue_warn: float = parameter(

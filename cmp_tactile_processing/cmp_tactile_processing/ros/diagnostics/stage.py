@@ -129,6 +129,7 @@ class StageDiagnostics:
     `note_level` what the stage makes of its results; `extra` further figures of it by name;
     `calibrations` dates by name, None where none is recorded; `wrong_connections` what keeps
     others from being connected, `unpublished` input topics that nobody publishes.
+    `is_first`: the frames come from a camera or a recording, which may not report what is missing.
     """
 
     def __init__(self, thresholds: frame_watch.DiagnosticsParameters | None = None) -> None:
@@ -141,6 +142,7 @@ class StageDiagnostics:
         self.bad_frames = 0
         self.passed_over = 0
         self.started_again = 0
+        self.is_first = False
         self.last_error = ""
         self.failure = ""
         self.note = ""
@@ -264,7 +266,8 @@ class StageDiagnostics:
             "rate": rate_finding(limits, new["frames out"] / period),
             "late": late_finding(limits, new["late frames"], new["frames out"]),
             "dropped": _dropped(limits, new),
-            "missing": _missing(limits, new),
+            # Those that another stage lost or passed over it reports itself.
+            **({"missing": _missing(limits, new)} if self.is_first else {}),
             "tracked": _tracked(limits, self.pattern.fraction),
             "losses": _losses(limits, self.pattern.lost_lately()),
             **{f"queue {item.topic}": _queue(limits, item, queued) for item, queued in queues},
