@@ -201,6 +201,7 @@ class GridTracker:
             predicted = predicted | (self._defects.corner_weight < LEAST_WEIGHT)
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
+        position, std = self._fused(position, std, predicted)
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(
@@ -221,6 +222,18 @@ class GridTracker:
             confidence=self._confidence,
             followed=followed,
         )
+
+    def _fused(
+        self,
+        position: NDArray[np.float64],
+        std: NDArray[np.float64],
+        predicted: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Measured corners with what the gridlines through them know; the others as they are."""
+        crossing, crossing_std = self._virtual.crossings()
+        kept = predicted | np.isnan(std)
+        position = np.where(kept[..., None], position, crossing)
+        return position, np.where(kept, std, crossing_std)
 
     def _complaint(
         self, image: PreparedImage, numbering: Numbering, known: NDArray[np.bool_]

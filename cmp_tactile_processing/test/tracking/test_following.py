@@ -85,10 +85,12 @@ def test_following_and_detecting_measure_the_same(tracker, photograph, nominal):
     detected = tracker.track(image)
     assert followed.followed
     assert not detected.followed
-    # The fit stops within 0.01 px (rms) of where it would end; a start may change what it drops.
+    # The fit stops near where it would end; a start may change what it drops, and on edges as rough
+    # as those of the drawing, whether a line is one with the saddle: less than half the deviation.
     apart = np.linalg.norm(followed.corners - detected.corners, axis=-1)
-    assert np.sqrt(np.mean(apart**2)) < 0.015
-    assert apart.max() < 0.1
+    std = np.stack([followed.corner_std, detected.corner_std])
+    assert np.sqrt(np.mean(apart**2)) < 0.5 * np.sqrt(np.mean(std**2))
+    assert (apart < 3 * np.linalg.norm(std, axis=0)).all()
 
 
 @pytest.mark.parametrize("size_px", [20.0, 40.0, -40.0])

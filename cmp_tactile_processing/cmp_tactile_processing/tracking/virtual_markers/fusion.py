@@ -41,7 +41,7 @@ LANES = 64
 
 
 class Fits(NamedTuple):
-    """Of every segment s, under every roughness m, at every marker k.
+    """Of every segment s, under every roughness m, at every marker k and at the corners.
 
     deviation, variance (m, k, s) px across; evidence (m, s): relative to the likeliest roughness,
     1 where nothing was measured; share (m,): how likely each roughness is in the frame.
@@ -55,7 +55,7 @@ class Fits(NamedTuple):
     @classmethod
     def from_shape(cls, segments: int, markers: int) -> Fits:
         """Buffers for so many segments with so many markers each."""
-        each = (MODELS, markers, segments)
+        each = (MODELS, markers + 2, segments)
         return cls(np.empty(each), np.empty(each), np.empty((MODELS, segments)), np.empty(MODELS))
 
 
@@ -92,8 +92,8 @@ class MarkerBasis(NamedTuple):
 
     @classmethod
     def from_count(cls, count: int) -> MarkerBasis:
-        """Of `count` markers, equally spaced between two corners."""
-        t = (np.arange(count) + 1.0) / (count + 1)
+        """Of `count` markers, equally spaced between two corners, and these first and last."""
+        t = np.arange(count + 2.0) / (count + 1)
         sines = [np.sin(np.pi * t * k) for k in range(1, MODES + 1)]
         values = np.ascontiguousarray(np.stack([1 - t, t, *sines], axis=1))
         a, b = np.tril_indices(UNKNOWNS)
@@ -412,10 +412,10 @@ def _is_near(columns: Array, count: int, s: int, t: float, near: float) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _mixture(
+def mixture(
     deviation: Array, variance: Array, evidence: Array, share: Array, at: tuple[int, int]
 ) -> tuple[float, float]:
-    """Mean and variance over the roughnesses at a marker of a segment."""
+    """Mean and variance over the roughnesses at a marker of a segment; 0 is its first corner."""
     marker, s = at
     total = mean = square = 0.0
     for model in range(len(share)):
@@ -458,7 +458,7 @@ def place_markers(
                 for k in range(2):
                     value = ((c[3, k] * t + c[2, k]) * t + c[1, k]) * t + c[0, k]
                     markers.position[i, j, marker, k] = value
-                mean, spread = _mixture(deviation, variance, evidence, share, (marker, s))
+                mean, spread = mixture(deviation, variance, evidence, share, (marker + 1, s))
                 markers.position[i, j, marker, 1 - axis] += mean
                 markers.std[i, j, marker] = math.sqrt(spread) / tilt
                 is_measured = _is_near(columns, counts[s], s, t, near)

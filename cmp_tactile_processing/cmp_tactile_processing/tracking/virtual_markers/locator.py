@@ -13,6 +13,11 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridShape
+from cmp_tactile_processing.tracking.virtual_markers.crossings import (
+    ENTRIES,
+    fused_corners,
+    gather_lines,
+)
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     MEASURED,
     MISSING,
@@ -84,10 +89,10 @@ class VirtualMarkerLocator:
         (rows, cols) px; doubtful_*: markers that must not be measured, in the results' shape.
         """
         rows, cols = self._rows, self._cols
-        if self._count == 0:
-            return rows.result(), cols.result(transposed=True)
         rows.load(corners, corner_std)
         cols.load(corners.swapaxes(0, 1), corner_std.T)
+        if self._count == 0:
+            return rows.result(), cols.result(transposed=True)
         rows.doubt(doubtful_rows, cols.tangent)
         cols.doubt(None if doubtful_cols is None else doubtful_cols.swapaxes(0, 1), rows.tangent)
         height, width = image.smooth.shape
@@ -103,6 +108,15 @@ class VirtualMarkerLocator:
             else:
                 lines.correct(pixels, edges, image)
         return rows.result(), cols.result(transposed=True)
+
+    def crossings(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Corners (rows, cols, 2) px of the last `locate`, fused with the gridlines through them.
+
+        And their standard deviations (rows, cols) px.  As they were given for "local_correction".
+        """
+        rows, cols = self._rows, self._cols
+        lines = rows.at_corners + cols.at_corners.swapaxes(0, 1)
+        return fused_corners(rows.corners, rows.corner_std, lines)
 
 
 def _median(values: NDArray[np.float64]) -> float:
@@ -152,6 +166,7 @@ class _Gridlines:
         self.crossing = np.empty((a, b, 2))
         self.curve = np.empty((a, b - 1, 4, 2))
         self.half_way = np.empty((2, a, b - 1))
+        self.at_corners, self._sides = np.zeros((a, b, ENTRIES)), np.empty((a, b, 2, 4))
         self._doubt = np.zeros((a, b - 1, n), dtype=np.bool_)
         self._no_doubt = np.zeros((a, b - 1, 0), dtype=np.bool_)
         self._doubtful = self._no_doubt
@@ -196,6 +211,10 @@ class _Gridlines:
         )  # fmt: skip
         share_of_models(self._counts, self._fits)
         place_markers(self.curve, self._counts, self._columns, self._fits, self._markers)
+        gather_lines(
+            self.curve, self._counts, self._size, self._end_std, self._fits, self._sides,
+            self.at_corners,
+        )  # fmt: skip
 
     def correct(self, pixels: Pixels, edges: Edges, image: PreparedImage) -> None:
         segments = Segments(self.corners, self.crossing, self.curve, self._doubtful)

@@ -1,0 +1,86 @@
+"""A corner and the gridlines through it: fused by their covariances, or the lines have no say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured import Status
+from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_processing.tracking.virtual_markers.crossings import (
+    ENTRIES,
+    fused_corners,
+    gather_lines,
+)
+from cmp_tactile_processing.tracking.virtual_markers.fusion import Fits
+from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, deformation_of
+
+STD, LINE_STD, LENGTH_PX = 0.01, 0.005, 20.0
+
+
+def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
+    """Of a gridline with three corners whose two segments see the middle one so far across, px."""
+    curve = np.zeros((1, 2, 4, 2))
+    curve[0, :, 1] = LENGTH_PX, slope * LENGTH_PX
+    fits = Fits.from_shape(2, 1)
+    fits.evidence[:] = 1.0
+    fits.share[:] = 1 / 3
+    # As posteriors, in which the saddle is one of two measurements.
+    weight, own = 1 / LINE_STD**2, 1 / STD**2
+    fits.variance[:] = 1 / (weight + own)
+    fits.deviation[:] = 0.0
+    fits.deviation[:, -1, 0], fits.deviation[:, 0, 1] = np.array(offsets) * weight / (weight + own)
+    found = np.empty((1, 3, ENTRIES))
+    counts, size = np.array([5, 5]), np.array([[LENGTH_PX] * 2, [1.0] * 2])
+    gather_lines(curve, counts, size, np.full((2, 2), STD), fits, np.empty((1, 3, 2, 4)), found)
+    return found
+
+
+def test_a_line_moves_a_corner_across_itself_alone():
+    """Two segments and the saddle are three measurements: their weighted mean, in closed form."""
+    lines = _gathered((0.004, 0.008))
+    corners, std = fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines)
+    weight, own = 1 / LINE_STD**2, 1 / STD**2
+    assert corners[0, 1] == pytest.approx((0.0, weight * 0.012 / (2 * weight + own)), rel=1e-9)
+    variances = 1 / own, 1 / (2 * weight + own)
+    assert std[0, 1] == pytest.approx(np.sqrt(np.mean(variances)), rel=1e-9)
+
+
+def test_a_slanted_line_moves_it_along_its_normal():
+    lines = _gathered((0.004, 0.004), slope=0.5)
+    corners, _ = fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines)
+    across = corners[0, 1] @ np.array([1.0, 0.5])
+    assert across == pytest.approx(0.0, abs=1e-12)
+    assert corners[0, 1, 1] > 0
+
+
+@pytest.mark.parametrize("offsets", [(0.02, -0.02), (0.06, 0.06)])
+def test_a_line_that_kinks_or_misses_the_corner_has_no_say(offsets):
+    assert np.count_nonzero(_gathered(offsets)[0, 1]) == 0
+
+
+def test_missing_corners_stay_missing():
+    corners = np.array([[[np.nan, np.nan], [1.0, 2.0]]])
+    found, std = fused_corners(corners, np.array([[np.nan, STD]]), np.zeros((1, 2, ENTRIES)))
+    assert np.isnan(found[0, 0]).all()
+    assert found[0, 1].tolist() == [1.0, 2.0]
+    assert std[0, 1] == pytest.approx(STD)
+
+
+@pytest.mark.parametrize("kind", ["rest", "twist", "spheres"])
+def test_fused_corners_are_nearer_than_their_saddles(sensor, kind):
+    """By a tenth at least, over small spheres, too; benchmarks/tracking/limit.py finds 18 to 25 %."""
+    bent = deformation_of(kind, sensor.pattern)
+    frame = PatternStudio().photograph(PatternCase(kind, sensor, bent))
+    squares = []
+    for view, truth in frame.truth.items():
+        tracker = GridTracker(sensor, view)
+        grid = tracker.track(split_frame(frame.image, truth.placement))
+        saddles = tracker._virtual._rows.corners + tracker._window.origin
+        measured = grid.corner_status == Status.MEASURED
+        assert measured.mean() > 0.99
+        off = [(found - truth.corners)[measured] for found in (grid.corners, saddles)]
+        squares.append([np.mean(item**2) for item in off])
+    fused, saddle = np.sqrt(np.mean(squares, axis=0))
+    assert fused < 0.9 * saddle
