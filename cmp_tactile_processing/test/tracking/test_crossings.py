@@ -70,7 +70,7 @@ def test_missing_corners_stay_missing():
 
 @pytest.mark.parametrize("kind", ["rest", "twist", "spheres"])
 def test_fused_corners_are_nearer_than_their_saddles(sensor, kind):
-    """By a tenth at least, over small spheres, too; benchmarks/tracking/limit.py finds 18 to 25 %."""
+    """By a tenth at least; benchmarks/tracking/limit.py finds 18 to 25 %."""
     bent = deformation_of(kind, sensor.pattern)
     frame = PatternStudio().photograph(PatternCase(kind, sensor, bent))
     squares = []
