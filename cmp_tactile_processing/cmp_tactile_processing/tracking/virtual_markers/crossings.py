@@ -62,7 +62,7 @@ def _agree(first: Array, second: Array) -> bool:
     """Whether the line on both sides of a corner is one."""
     same_way = first[2] * second[2] + first[3] * second[3] > 0
     apart = first[1] - second[1] if same_way else first[1] + second[1]
-    return apart * apart < DISAGREEMENT**2 * (1 / first[0] + 1 / second[0])
+    return bool(apart * apart < DISAGREEMENT**2 * (1 / first[0] + 1 / second[0]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
