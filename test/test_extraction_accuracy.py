@@ -146,6 +146,24 @@ def test_displacement_of_one_flawed_print(sensor, studio, trackers):
         assert np.sqrt(np.mean(joined**2)) <= limit
 
 
+@pytest.mark.parametrize("kind", ["rest", "twist", "spheres"])
+def test_fused_corners_are_nearer_than_their_saddles(sensor, studio, trackers, kind):
+    """By a tenth at least; benchmarks/tracking/limit.py finds 18 to 25 %."""
+    bent = deformation_of(kind, sensor.pattern)
+    frame = studio.photograph(PatternCase(kind, sensor, bent))
+    squares = []
+    for view, truth in frame.truth.items():
+        tracker = trackers[view]
+        grid = tracker.track(split_frame(frame.image, truth.placement))
+        saddles = tracker._virtual._rows.corners + tracker._window.origin
+        measured = grid.corner_status == Status.MEASURED
+        assert measured.mean() > 0.99
+        off = [(found - truth.corners)[measured] for found in (grid.corners, saddles)]
+        squares.append([np.mean(item**2) for item in off])
+    fused, saddle = np.sqrt(np.mean(squares, axis=0))
+    assert fused < 0.9 * saddle
+
+
 RIGS = (
     (4, 4, "dark", PatternSurface(), 0),
     (5, 8, "light", PatternSurface("sphere_cap", 0.027), 1),

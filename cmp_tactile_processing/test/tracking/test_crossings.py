@@ -5,16 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_processing.tracking.virtual_markers.crossings import (
     ENTRIES,
     fused_corners,
     gather_lines,
 )
 from cmp_tactile_processing.tracking.virtual_markers.fusion import Fits
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio, deformation_of
 
 STD, LINE_STD, LENGTH_PX = 0.01, 0.005, 20.0
 
@@ -66,21 +62,3 @@ def test_missing_corners_stay_missing():
     assert np.isnan(found[0, 0]).all()
     assert found[0, 1].tolist() == [1.0, 2.0]
     assert std[0, 1] == pytest.approx(STD)
-
-
-@pytest.mark.parametrize("kind", ["rest", "twist", "spheres"])
-def test_fused_corners_are_nearer_than_their_saddles(sensor, kind):
-    """By a tenth at least; benchmarks/tracking/limit.py finds 18 to 25 %."""
-    bent = deformation_of(kind, sensor.pattern)
-    frame = PatternStudio().photograph(PatternCase(kind, sensor, bent))
-    squares = []
-    for view, truth in frame.truth.items():
-        tracker = GridTracker(sensor, view)
-        grid = tracker.track(split_frame(frame.image, truth.placement))
-        saddles = tracker._virtual._rows.corners + tracker._window.origin
-        measured = grid.corner_status == Status.MEASURED
-        assert measured.mean() > 0.99
-        off = [(found - truth.corners)[measured] for found in (grid.corners, saddles)]
-        squares.append([np.mean(item**2) for item in off])
-    fused, saddle = np.sqrt(np.mean(squares, axis=0))
-    assert fused < 0.9 * saddle
