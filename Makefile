@@ -6,7 +6,7 @@ ROS ?=
 DEMO_ARGS ?=
 PAPER_ARGS ?=
 FAST ?=
-UV ?= uv
+UV ?= $(firstword $(wildcard .venv/bin/uv) uv)
 LOCK_ARGS ?=
 
 export ROS
@@ -19,7 +19,7 @@ help: ## List the commands
 
 build: ## Set up ROS 2 where there is none, and build what has changed
 	@command -v "$(PYTHON)" >/dev/null || { \
-		echo "set-up: $(PYTHON) not found: install Python 3.10 to 3.13 (Debian, Ubuntu: sudo apt install python3)" >&2; \
+		echo "set-up: $(PYTHON) not found: install Python 3.10 to 3.14 (Debian, Ubuntu: sudo apt install python3)" >&2; \
 		exit 1; }
 	@"$(PYTHON)" setup/bootstrap.py
 
@@ -41,9 +41,9 @@ check: build ## Check style, types and which room imports which
 	@setup/run python3 benchmarks/house.py
 
 lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgrade for new versions)
-	@command -v "$(UV)" >/dev/null || { echo "lock: $(UV) not found: pip install uv" >&2; exit 1; }
-	@cd setup && lock() { \
-		"$(UV)" pip compile --quiet --no-config --no-python-downloads --universal --python-version 3.10 \
+	@command -v "$(UV)" >/dev/null || { echo "lock: $(UV) not found: run 'make build', or pip install uv" >&2; exit 1; }
+	@uv=$$(realpath "$$(command -v '$(UV)')") && cd setup && lock() { \
+		"$$uv" pip compile --quiet --no-config --no-python-downloads --universal --python-version 3.10 \
 			--generate-hashes --only-binary :all: --no-binary empy --custom-compile-command 'make lock' \
 			$(LOCK_ARGS) "$$@"; } && \
 	lock requirements-build.txt --output-file locked-build.txt && \

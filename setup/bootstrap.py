@@ -9,7 +9,7 @@ import sys
 # This file alone is read by every Python, so that an old one gets an answer and not a traceback.
 if sys.version_info < (3, 8):
     sys.exit(
-        "set-up: Python %d.%d is too old: install one of Python 3.10 to 3.13 and name it, for "
+        "set-up: Python %d.%d is too old: install one of Python 3.10 to 3.14 and name it, for "
         "example 'make build PYTHON=python3.12'" % sys.version_info[:2]
     )
 

@@ -115,7 +115,7 @@ def _restart_with_a_better_python(distro: str) -> None:
     if other is None and not supported:
         other = machine.other_supported_python()
         if other is None:
-            raise machine.unsupported_python(running)
+            machine.check_python(running)
     if other is not None:
         os.execv(other, [other, *sys.argv])  # noqa: S606
 

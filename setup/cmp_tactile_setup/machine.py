@@ -14,10 +14,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from cmp_tactile_setup.steps import SetupError
+from cmp_tactile_setup.steps import SetupError, say
 
 PYTHON_OLDEST = (3, 10)
-PYTHON_NEWEST = (3, 13)
+PYTHON_NEWEST = (3, 14)
 # What the distribution's own packages run on, and most of its users with them.
 PREFERRED_PYTHONS = {"jazzy": (3, 12)}
 GLIBC_OLDEST = (2, 28)
@@ -58,7 +58,7 @@ def check_not_moved(root: Path, recorded_root: str | None) -> None:
 
 
 def is_supported_python(version: tuple[int, int]) -> bool:
-    """Whether wheels exist for this version of Python."""
+    """Whether all locked wheels exist for this version of Python."""
     return PYTHON_OLDEST <= version <= PYTHON_NEWEST
 
 
@@ -89,12 +89,19 @@ def _runs(python: str) -> bool:
     return done.returncode == 0
 
 
-def unsupported_python(version: tuple[int, int]) -> SetupError:
-    """What to say without an interpreter that wheels exist for."""
-    return SetupError(
-        f"Python {_dotted(version)} is not supported: install one of Python "
-        f"{_dotted(PYTHON_OLDEST)} to {_dotted(PYTHON_NEWEST)}, with its headers and venv module"
-    )
+def check_python(version: tuple[int, int]) -> None:
+    """Raise SetupError for a Python that is too old; say where it is newer than the locked wheels.
+
+    A newer one is tried, since wheels may be served for it by now.
+    """
+    supported = f"Python {_dotted(PYTHON_OLDEST)} to {_dotted(PYTHON_NEWEST)}"
+    if version < PYTHON_OLDEST:
+        raise SetupError(
+            f"Python {_dotted(version)} is too old: install one of {supported}, with its headers "
+            "and venv module"
+        )
+    if version > PYTHON_NEWEST:
+        say(f"warning: Python {_dotted(version)} is newer than {supported}: trying it")
 
 
 def check_platform() -> None:

@@ -105,18 +105,20 @@ def test_a_moved_checkout_reports_both_places_and_what_to_do(tmp_path):
 
 def test_supported_versions_of_python():
     supported = [minor for minor in range(6, 20) if machine.is_supported_python((3, minor))]
-    assert supported == [10, 11, 12, 13]
+    assert supported == [10, 11, 12, 13, 14]
 
 
-def test_unsupported_python_names_the_supported_ones():
-    assert "Python 3.14 is not supported: install one of Python 3.10 to 3.13" in str(
-        machine.unsupported_python((3, 14))
-    )
+def test_an_old_python_is_refused_and_a_new_one_tried_with_a_warning(capsys):
+    with pytest.raises(SetupError, match=r"3\.9 is too old: .* 3\.10 to 3\.14"):
+        machine.check_python((3, 9))
+    assert not capsys.readouterr().out
+    machine.check_python((3, 15))
+    assert "Python 3.15 is newer than Python 3.10 to 3.14" in capsys.readouterr().out
 
 
 def test_the_newest_supported_python_in_path_is_found(tools):
     assert machine.other_supported_python() is None
-    for minor in (9, 10, 12, 14):
+    for minor in (9, 10, 12, 15):
         (tools / f"python3.{minor}").write_text("#!/bin/sh\n")
         (tools / f"python3.{minor}").chmod(0o755)
     assert machine.other_supported_python() == str(tools / "python3.12")
