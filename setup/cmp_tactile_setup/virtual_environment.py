@@ -207,9 +207,7 @@ def _uv_variables(pip_settings: str) -> dict[str, str]:
     found = {}
     # From the weakest to the strongest, as pip takes them.
     for section in ("global", "install", ":env:"):
-        for name, text in re.findall(
-            rf"^{section}\.([\w-]+)='(.*)'$", pip_settings, re.MULTILINE
-        ):
+        for name, text in re.findall(rf"^{section}\.([\w-]+)='(.*)'$", pip_settings, re.MULTILINE):
             if name in _UV_VARIABLES:
                 separator = "," if name == "find-links" else " "
                 found[_UV_VARIABLES[name]] = separator.join(text.replace("\\n", " ").split())

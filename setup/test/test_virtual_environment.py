@@ -12,11 +12,12 @@ from packaging.utils import canonicalize_name
 
 from cmp_tactile_setup import virtual_environment
 from cmp_tactile_setup.layout import DISTRIBUTIONS, Layout
-from cmp_tactile_setup.machine import RosInstallation
+from cmp_tactile_setup.machine import PYTHON_NEWEST, PYTHON_OLDEST, RosInstallation
 from cmp_tactile_setup.steps import SetupError, read_record, write_record
 
 SETUP = Path(__file__).resolve().parent.parent
 LOG = Path("/checkout/log/pip.log")
+PYTHONS = [f"3.{minor}" for minor in range(PYTHON_OLDEST[1], PYTHON_NEWEST[1] + 1)]
 
 
 @pytest.fixture
@@ -104,7 +105,7 @@ def test_every_locked_requirement_has_one_version_and_hashes(name):
         assert all(re.fullmatch("sha256:[0-9a-f]{64}", digest) for digest in hashes), requirement
 
 
-@pytest.mark.parametrize("python", ["3.10", "3.11", "3.12", "3.13"])
+@pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("name", LOCKED)
 def test_locked_versions_are_those_that_are_wanted(name, python):
     """'make lock' was run after the last change of what people write."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import socket
 import tempfile
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -19,14 +20,43 @@ import pytest
 
 # The highest number whose ports are free everywhere.
 LAST_DOMAIN = 101
+# The ports of a domain (DDS interoperability wire protocol, 9.6.1.1).
+_FIRST_PORT = 7400
+_DOMAIN_PORTS = 250
 _FOLDER = pytest.StashKey[str]()
 _TURNS = pytest.StashKey["Turns"]()
 
 
-def domain_of(worker: int, first: int) -> int:
-    """The ROS domain of a worker, from 0; `first` is that of worker 0."""
-    domain = first + worker
-    return domain if domain <= LAST_DOMAIN else domain - LAST_DOMAIN
+def claim_domain(first: int) -> tuple[int, socket.socket]:
+    """A ROS domain that nobody on this machine uses, the next from `first` on.
+
+    Returns its number and the socket that claims it for as long as it is open: a DDS domain is a
+    range of UDP ports, and the last of them is what only its 120th node would take.
+    """
+    for step in range(LAST_DOMAIN):
+        domain = 1 + (first - 1 + step) % LAST_DOMAIN
+        ports = range(*(_FIRST_PORT + _DOMAIN_PORTS * number for number in (domain, domain + 1)))
+        claim = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            claim.bind(("127.0.0.1", ports[-1]))
+        except OSError:
+            claim.close()
+            continue
+        if not _used_ports() & set(ports[:-1]):
+            return domain, claim
+        claim.close()
+    msg = f"none of the ROS domains 1 to {LAST_DOMAIN} is free on this machine"
+    raise RuntimeError(msg)
+
+
+def _used_ports() -> set[int]:
+    lines = (
+        line
+        for table in ("udp", "udp6")
+        if (path := Path("/proc/net", table)).exists()
+        for line in path.read_text().splitlines()[1:]
+    )
+    return {int(line.split()[1].rpartition(":")[2], 16) for line in lines}
 
 
 def gives_out_work(config: pytest.Config) -> bool:
@@ -63,11 +93,12 @@ class Turns:
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests' ROS graph to this machine and apart from that of other runs and workers."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % LAST_DOMAIN))
+    first = int(os.environ.get("ROS_DOMAIN_ID", os.getpid()))
+    domain, claim = claim_domain(first)
+    config.add_cleanup(claim.close)
+    os.environ["ROS_DOMAIN_ID"] = str(domain)
     worker: dict[str, Any] | None = getattr(config, "workerinput", None)
     if worker is not None:
-        number = int(worker["workerid"].removeprefix("gw"))
-        os.environ["ROS_DOMAIN_ID"] = str(domain_of(number, int(os.environ["ROS_DOMAIN_ID"])))
         config.stash[_TURNS] = Turns(Path(worker["cmp_tactile_turns"]))
     elif gives_out_work(config):
         folder = tempfile.TemporaryDirectory(prefix="cmp_tactile_turns_")
