@@ -30,7 +30,7 @@ _NO_FILE = re.compile(r"No matching distribution found for (\S+)")
 # Only what is locked is installed, and only as wheels: to install them runs nothing of theirs.
 # The lock is complete, so nothing is resolved: what a registry serves that day changes nothing.
 # The one library that has no wheel is built with the locked setuptools, not with a newer one.
-_AS_LOCKED = (
+AS_LOCKED = (
     *("--require-hashes", "--no-deps"),
     *("--only-binary", ":all:", "--no-binary", "empy"),
     "--no-build-isolation",
@@ -85,7 +85,7 @@ def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
     """Bring the libraries in the virtual environment to the required versions."""
     # An update that is interrupted leaves no record, so that the next one starts again.
     layout.venv_record.unlink(missing_ok=True)
-    build_tools, wheels = ([*_AS_LOCKED, "-r", str(path)] for path in _requirements(layout, None))
+    build_tools, wheels = ([*AS_LOCKED, "-r", str(path)] for path in _requirements(layout, None))
     _pip_install(layout, ["--use-pep517", *build_tools], "installing the build tools", env)
     # uv takes a sixth of pip's time. Where it fails, pip has the last word and says why.
     if not _uv_install(layout, wheels, "installing wheels", env):
@@ -193,7 +193,7 @@ def _uv_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[st
     """Install with uv, from the registry that pip is set to; True if it succeeds."""
     command = [str(layout.venv_python), "-m", "uv", "pip", "install", *what]
     uv_env = {
-        **_uv_variables(_output_of(layout, ["-m", "pip", "config", "list"], env) or ""),
+        **uv_variables(_output_of(layout, ["-m", "pip", "config", "list"], env) or ""),
         # A hash is what makes a file the right one, not the index that has it.
         "UV_INDEX_STRATEGY": "unsafe-best-match",
         **env,
@@ -202,7 +202,7 @@ def _uv_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[st
     return steps.run_step(title, command, layout.logs / "uv.log", uv_env, layout.root)
 
 
-def _uv_variables(pip_settings: str) -> dict[str, str]:
+def uv_variables(pip_settings: str) -> dict[str, str]:
     """Settings of pip, as `pip config list` prints them, as variables of uv."""
     found = {}
     # From the weakest to the strongest, as pip takes them.
