@@ -15,6 +15,7 @@ from cmp_tactile_bringup.recordings.library import RecordingError, check_source,
 from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags import reader
 from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
@@ -144,7 +145,8 @@ class MarkerCamera:
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._views = build_views(sensor)
-        self._trackers = {name: GridTracker(sensor, name) for name in self._views}
+        with compiling_is_logged():
+            self._trackers = {name: GridTracker(sensor, name) for name in self._views}
         self._rig = StereoRig(sensor)
 
     def markers(self, image: NDArray[np.uint8]) -> Markers3D:
