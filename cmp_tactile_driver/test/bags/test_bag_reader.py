@@ -322,3 +322,34 @@ def test_the_calibration_is_read_from_the_bag(frame_bag, frames, tmp_path, bags)
     np.testing.assert_array_equal(found.D, [0.1, 0.2, 0.3, 0.4, 0.5])
     bag = bags.write(tmp_path / "bare", {"/image_raw": [bags.image(frames[0], 0)]})
     assert BagReader(bag).calibration() is None
+
+
+def _twelve_bits(frames):
+    """The frames with 12 of 16 bits; of the first three no pixel is above 900."""
+    deep = [frame.astype(np.uint16) * 16 for frame in frames]
+    return [(frame // 5 if number < 3 else frame) for number, frame in enumerate(deep)]
+
+
+def test_12_bits_have_one_scale_from_a_dark_beginning_to_the_end(tmp_path, frames, bags, caplog):
+    deep = _twelve_bits(frames)
+    messages = [
+        bags.image(
+            frame.astype("<u2"), number, encoding="mono16", data=frame.view(np.uint8).ravel()
+        )
+        for number, frame in enumerate(deep)
+    ]
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    for _ in range(2):
+        found = list(reader.frames())
+        assert len(found) == len(frames)
+        for frame, expected in zip(found, deep, strict=True):
+            assert np.abs(frame.image - expected * (255 / 4095)).max() <= 0.51
+    assert caplog.text.count("12 of 16 bits") == 1
+    assert reader.health.bad_frames == 0
+
+
+def test_a_mosaic_in_a_bag(tmp_path, frames, bags):
+    """ros-perception/image_pipeline's debayer is not needed."""
+    messages = [bags.image(frame, 0, encoding="bayer_rggb8") for frame in frames]
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    assert {frame.image.shape for frame in reader.frames()} == {(48, 64, 3)}

@@ -248,7 +248,7 @@ def test_truncated_bag_is_played_and_reported(ros, tmp_path, bags):
 
 def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capfd):
     """In the diagnostics, in the log, and for the container."""
-    messages = [bags.image(frame, 0, encoding="mono16") for frame in frames]
+    messages = [bags.image(frame, 0, encoding="32FC1") for frame in frames]
     bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
     reports = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
     node = ros.start(Replay, input=str(bag))
