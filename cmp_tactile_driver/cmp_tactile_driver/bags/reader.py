@@ -27,8 +27,8 @@ from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, whole_frame_info
-from cmp_tactile_processing.ros.messages.reading import decode_raw
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 STORAGE_SUFFIXES = (".mcap", ".db3")
@@ -303,7 +303,8 @@ BAD_MESSAGE = (SerdeError, ValueError, IndexError, OverflowError)
 class BagReader:
     """Frames of one image topic of a bag, and the camera infos beside it.
 
-    image_topic: where the frames come from.
+    image_topic: where the frames come from.  Where these have 16 bits a pixel, all are read ahead
+    once for the bits that they use.
     """
 
     def __init__(self, path: Path, topic: str = "", expected_size: ImageSize | None = None) -> None:
@@ -316,6 +317,7 @@ class BagReader:
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self.image_topic = _choose_topic(path, self._storage.topics, topic)
         self._info_topic = _info_topic(self._storage.topics, self.image_topic)
+        self._depth = BitDepth(f"{path}: {self.image_topic}", look_ahead=self._used_bits)
         self._given_size = expected_size
         self._expected_size = expected_size
         self._frame_health = SourceHealth()
@@ -404,17 +406,27 @@ class BagReader:
             return False
         return True
 
-    def _read_frame(self, stored: StoredMessage) -> RecordedFrame:
+    def _used_bits(self) -> int:
+        depth = BitDepth(say=str)
+        for stored in self._storage.messages([self.image_topic]):
+            with suppress(FrameError):
+                self._decode(self._read_message(stored), depth)
+        return depth.bits
+
+    def _read_message(self, stored: StoredMessage) -> Any:
         kind = self._storage.topics[stored.topic]
         try:
-            message: Any = self._typestore.deserialize_cdr(stored.data, kind)
+            return self._typestore.deserialize_cdr(stored.data, kind)
         except BAD_MESSAGE as error:
             msg = f"not a {kind}: {error}"
             raise FrameError(msg) from None
-        if kind == IMAGE:
+
+    def _read_frame(self, stored: StoredMessage) -> RecordedFrame:
+        message = self._read_message(stored)
+        if not hasattr(message, "format"):
             # Before it is converted: a wrong one may be large.
             self._check_size((message.width, message.height))
-        image = self._decode(message, kind)
+        image = self._decode(message, self._depth)
         size = (image.shape[1], image.shape[0])
         self._check_size(size)
         self._expected_size = size
@@ -431,11 +443,18 @@ class BagReader:
             msg = f"found {size_text(size)}, expected {size_text(self._expected_size)}"
             raise WrongSizeError(msg)
 
-    def _decode(self, message: Any, kind: str) -> NDArray[np.uint8]:
+    def _decode(self, message: Any, depth: BitDepth) -> NDArray[np.uint8]:
         data = np.asarray(message.data, np.uint8)
-        if kind == COMPRESSED_IMAGE:
-            return decode_compressed(message.format, data)
-        return decode_raw((message.width, message.height), message.encoding, message.step, data)
+        if hasattr(message, "format"):
+            return decode_compressed(message.format, data, depth)
+        return decode_raw(
+            (message.width, message.height),
+            message.encoding,
+            message.step,
+            data,
+            big_endian=bool(message.is_bigendian),
+            depth=depth,
+        )
 
 
 def _choose_topic(path: Path, topics: dict[str, str], wanted: str) -> str:

@@ -96,7 +96,7 @@ def test_choice_of_the_topic(tmp_path, bags):
 def test_bad_messages_are_skipped_and_named(tmp_path, frames, bags):
     times = bags.stamps(len(frames))
     messages = [bags.image(frame, time) for frame, time in zip(frames, times, strict=True)]
-    messages[3] = bags.image(frames[3], times[3], encoding="mono16")
+    messages[3] = bags.image(frames[3], times[3], encoding="32FC1")
     messages[5] = bags.image(frames[5][:, :32], times[5])
     messages[7] = bags.image(frames[7], times[7], data=frames[7].ravel()[:-1])
     reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
@@ -108,7 +108,7 @@ def test_bad_messages_are_skipped_and_named(tmp_path, frames, bags):
     assert found == [time for number, time in enumerate(times) if number not in (3, 5, 7)]
     assert reader.health.bad_frames == 3
     text = " ".join(problems)
-    assert f"/image_raw at {times[3]} ns: encoding: found 'mono16'" in text
+    assert f"/image_raw at {times[3]} ns: encoding: found '32FC1'" in text
     assert f"/image_raw at {times[5]} ns: found 32 x 48 px, expected 64 x 48 px" in text
     assert f"/image_raw at {times[7]} ns: data: found 3071 bytes, expected 3072" in text
 
@@ -155,9 +155,9 @@ def test_camera_infos_that_cannot_be_read_are_left_out_and_named(frame_bag, fram
 
 
 def test_wrong_encoding_throughout(tmp_path, frames, bags):
-    messages = [bags.image(frame, 0, encoding="bayer_rggb8") for frame in frames]
+    messages = [bags.image(frame, 0, encoding="32FC1") for frame in frames]
     path = bags.write(tmp_path / "bag", {"/image_raw": messages})
-    with pytest.raises(BagError, match=r"no frame can be used: .*found 'bayer_rggb8'"):
+    with pytest.raises(BagError, match=r"no frame can be used: .*found '32FC1'"):
         list(BagReader(path).frames())
 
 
@@ -322,3 +322,34 @@ def test_the_calibration_is_read_from_the_bag(frame_bag, frames, tmp_path, bags)
     np.testing.assert_array_equal(found.D, [0.1, 0.2, 0.3, 0.4, 0.5])
     bag = bags.write(tmp_path / "bare", {"/image_raw": [bags.image(frames[0], 0)]})
     assert BagReader(bag).calibration() is None
+
+
+def _twelve_bits(frames):
+    """The frames with 12 of 16 bits; of the first three no pixel is above 900."""
+    deep = [frame.astype(np.uint16) * 16 for frame in frames]
+    return [(frame // 5 if number < 3 else frame) for number, frame in enumerate(deep)]
+
+
+def test_12_bits_have_one_scale_from_a_dark_beginning_to_the_end(tmp_path, frames, bags, caplog):
+    deep = _twelve_bits(frames)
+    messages = [
+        bags.image(
+            frame.astype("<u2"), number, encoding="mono16", data=frame.view(np.uint8).ravel()
+        )
+        for number, frame in enumerate(deep)
+    ]
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    for _ in range(2):
+        found = list(reader.frames())
+        assert len(found) == len(frames)
+        for frame, expected in zip(found, deep, strict=True):
+            assert np.abs(frame.image - expected * (255 / 4095)).max() <= 0.51
+    assert caplog.text.count("12 of 16 bits") == 1
+    assert reader.health.bad_frames == 0
+
+
+def test_a_mosaic_in_a_bag(tmp_path, frames, bags):
+    """ros-perception/image_pipeline's debayer is not needed."""
+    messages = [bags.image(frame, 0, encoding="bayer_rggb8") for frame in frames]
+    reader = BagReader(bags.write(tmp_path / "bag", {"/image_raw": messages}))
+    assert {frame.image.shape for frame in reader.frames()} == {(48, 64, 3)}

@@ -25,6 +25,7 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.messages import conversions, making
 from cmp_tactile_processing.ros.messages.making import encoding_of
@@ -166,9 +167,10 @@ class ViewSplitter(StageNode):
     """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
 
     With `input_transport` compressed it takes `image_raw/compressed` (PNG or JPEG) in its place, as
-    a bag may have it that `ros2 bag play` plays.  Frames in colour, bgr8 or rgb8, stay so; those in
-    YUYV become grey unless `tracking.red`, `green` and `blue` of the sensor description ask for
-    other than their luminance.  With `frame_queue` newest, for a controller, it reads `wrench`, and
+    a bag may have it that `ros2 bag play` plays.  Frames in colour, such as bgr8 or rgba8, stay so;
+    those in YUV and Bayer become grey unless `tracking.red`, `green` and `blue` of the sensor
+    description ask for other than their luminance.  Pixels of 16 bits become 8, with a scale for
+    the bits that they use.  With `frame_queue` newest, for a controller, it reads `wrench`, and
     while a frame is on its way to one, only the newest frame waits: the latency does not grow where
     frames come quicker than they can be processed.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
@@ -191,6 +193,7 @@ class ViewSplitter(StageNode):
         topic, split = "image_raw", self._on_image
         if options.input_transport == "compressed":
             kind, topic, split = CompressedImage, "image_raw/compressed", self._on_compressed
+        self._depth = BitDepth(self.resolve_topic_name(topic), self.get_logger().info)
         newest = options.frame_queue == "newest"
         if newest:
             self._pacing = FramePacing(split)
@@ -230,10 +233,12 @@ class ViewSplitter(StageNode):
         self._run_guarded(topic, self._pacing.came_out, stamp_ns(msg.header.stamp))
 
     def _on_image(self, msg: Image) -> None:
-        self._split(image_from_msg(msg, self.sensor.tracking.grey_weights), msg.header)
+        weights = self.sensor.tracking.grey_weights
+        self._split(image_from_msg(msg, weights, self._depth), msg.header)
 
     def _on_compressed(self, msg: CompressedImage) -> None:
-        self._split(decode_compressed(msg.format, np.frombuffer(msg.data, np.uint8)), msg.header)
+        data = np.frombuffer(msg.data, np.uint8)
+        self._split(decode_compressed(msg.format, data, self._depth), msg.header)
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")

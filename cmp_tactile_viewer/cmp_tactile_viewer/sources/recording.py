@@ -22,6 +22,7 @@ from cmp_tactile_driver.bags.recording import is_bag, open_recording
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import ADVICE, single_flags
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -111,6 +112,7 @@ class StoredResults:
         self._storage = open_storage(path)
         self._topics = _result_topics(path, self._storage.topics)
         self._sensor, self.problem = sensor, ""
+        self._depth = BitDepth(str(path))
         self._placements = {name: view.placement for name, view in build_views(sensor).items()}
         first_ns, last_ns = self._storage.times_ns
         self._begin_ns, self.length_s = first_ns, (last_ns - first_ns) * 1e-9
@@ -142,7 +144,7 @@ class StoredResults:
 
     def _value(self, field: str, message: Any) -> Any:
         if field == "frame":
-            return reading.image_from_msg(message)
+            return reading.image_from_msg(message, depth=self._depth)
         if field == "surface":
             return reading.surface_from_msg(message, self._sensor.pattern.shape)
         if field == "force":
