@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -69,7 +69,9 @@ def next_frame(source: frames.SelfPacedSource, closing: threading.Event) -> fram
 class V4L2Source:
     """A SelfPacedSource that opens its camera again, and sets its controls, after it was away.
 
-    frame_rate: what the camera says; 0 where it does not.
+    frame_rate: what the camera says; 0 where it does not.  Controls that were set are set again
+    once frames come, as some cameras reset them then.  refused_controls: those that the camera
+    keeps otherwise, in words.  when_settled: is called when that is known, from any thread.
     """
 
     def __init__(self, options: frames.SourceOptions) -> None:
@@ -85,6 +87,11 @@ class V4L2Source:
         self._closing = threading.Event()
         self._camera: V4L2Camera | None = None
         self._wanted_controls: dict[str, devices.ControlValue] = {}
+        # Of these, those that somebody set; what streaming makes of them is looked at twice.
+        self._asked_controls: dict[str, devices.ControlValue] = {}
+        self._settles = False
+        self.when_settled: Callable[[], object] = int
+        self.refused_controls = ""
         self._running = False
         self._lost = ""
         self._recent = ("", -MEMORY_S)
@@ -128,6 +135,7 @@ class V4L2Source:
             "serial": self._found.serial or "none",
             "mode": f"{self._mode.pixel_format} {width} x {height}, {self._rate_text}",
             "connected": self._camera is not None,
+            "refused controls": self.refused_controls or "none",
             "reconnects": self._reconnects,
             "stamps": self._stamp_kind,
         }
@@ -153,6 +161,8 @@ class V4L2Source:
                     self._camera.start()
                 except devices.UnpluggedError as error:
                     self._lose(str(error))
+                else:
+                    self._begin_settling()
             self._running = True
             self._forget_sequence()
 
@@ -204,6 +214,7 @@ class V4L2Source:
         with self._lock:
             self.controls().set(values)
             self._wanted_controls.update(values)
+            self._asked_controls.update(values)
 
     def keep_controls(self) -> dict[str, devices.ControlValue]:
         """The values of all controls, which the camera gets again when it comes back."""
@@ -211,6 +222,25 @@ class V4L2Source:
             values = self.controls().values()
             self._wanted_controls = dict(values)
             return values
+
+    def _begin_settling(self) -> None:
+        self._settles = True
+        self._settle_controls()
+
+    def _settle_controls(self) -> None:
+        """Set again what the camera reset when streaming began, and note what it keeps."""
+        with self._lock:
+            try:
+                controls = self.controls()
+                # Some forget them and still report them.
+                failures = controls.restore(self._asked_controls, also_equal=True)
+                kept = controls.kept_otherwise(self._asked_controls)
+            except FrameSourceError:  # away again: the next frame will not come
+                return
+            self.refused_controls = "; ".join(dict.fromkeys([*failures, *kept]))
+        if self.refused_controls:
+            self._note(f"{self.name}: {self.refused_controls}")
+        self.when_settled()
 
     def _open(self, found: devices.VideoDevice) -> V4L2Camera:
         return V4L2Camera(found, self._request, self._options.camera.buffers)
@@ -257,6 +287,7 @@ class V4L2Source:
             self._forget_sequence()
         if failures:
             self._note("; ".join(failures))
+        self._begin_settling()
 
     def _forget_sequence(self) -> None:
         self._sequence = None
@@ -286,6 +317,10 @@ class V4L2Source:
         # Only a good frame shows that the camera is well again.
         self._lost = ""
         self._back_off.reset()
+        if self._settles:
+            # Some reset their controls with the first frame only.
+            self._settles = False
+            self._settle_controls()
         return frames.Frame(image, origin, monotonic_ns=self._time_of(buffer, now_ns))
 
     def _count_dropped(self, sequence: int) -> None:
@@ -442,6 +477,21 @@ class CameraPair:
         """The values of the left camera; each gets its own again when it comes back."""
         left, _ = (source.keep_controls() for source in self._sources)
         return left
+
+    @property
+    def refused_controls(self) -> str:
+        """Those that a camera keeps otherwise."""
+        return "; ".join(filter(None, (source.refused_controls for source in self._sources)))
+
+    @property
+    def when_settled(self) -> Callable[[], object]:
+        """As of one camera."""
+        return self._sources[0].when_settled
+
+    @when_settled.setter
+    def when_settled(self, call: Callable[[], object]) -> None:
+        for source in self._sources:
+            source.when_settled = call
 
     def _paired(self) -> Frame | None:
         left, right = self._waiting

@@ -527,3 +527,58 @@ def test_splitter_passes_frames_over_until_a_wrench_comes(ros, sample):
     ros.wait(lambda: len(left) == 3, "the newest view")
     assert [view.header.stamp.sec for view in left] == [1, 2, 5]
     assert splitter.diagnostics.passed_over == 2
+
+
+def _frame_warnings(capfd) -> list[str]:
+    lines = capfd.readouterr().err.splitlines()
+    return [line for line in lines if "[WARN]" in line and "/tf_static is published by" in line]
+
+
+def test_a_frame_of_two_sensors_is_warned_of_with_both_publishers(ros, capfd):
+    """Whichever node starts first; tf keeps one parent of the two, and says nothing.
+
+    - microsoft/AirSim 4475 (cameras of one name on two vehicles): both splitters warn.
+    - realsenseai/realsense-ros 471, 3331 (two cameras, one camera_link): as above; sensor_name
+      gives each its own frames, which is not warned of.
+    """
+    ros.start(ViewSplitter, name="first", parent_frame="robot1_flange")
+    ros.start(ViewSplitter, name="second", parent_frame="robot2_flange")
+    found: list[str] = []
+
+    def both():
+        found.extend(_frame_warnings(capfd))
+        return len(found) >= 2
+
+    ros.wait(both, "the warnings")
+    ros.run(0.3)
+    assert len(found + _frame_warnings(capfd)) == 2
+    for line in found:
+        assert "sample_rig_gel_frame" in line
+        assert "robot1_flange" in line
+        assert "robot2_flange" in line
+        assert f"{ros.namespace}/first" in line
+        assert f"{ros.namespace}/second" in line
+
+
+def test_one_mount_given_twice_and_sensors_with_names_of_their_own_are_not_warned_of(ros, capfd):
+    ros.start(ViewSplitter, name="first", parent_frame="robot1_flange")
+    ros.start(ViewSplitter, name="same", parent_frame="robot1_flange")
+    ros.start(ViewSplitter, name="other", parent_frame="robot2_flange", sensor_name="robot2")
+    statics = ros.listen(TFMessage, "/tf_static", latched=True)
+    ros.wait(lambda: len(statics) == 3, "all transforms")
+    ros.run(0.5)
+    assert _frame_warnings(capfd) == []
+
+
+def test_one_parent_with_two_mounts_is_warned_of(ros, capfd):
+    ros.start(ViewSplitter, name="first", parent_frame="gripper")
+    mount = {"mount_position": [0.0, 0.05, 0.0]}
+    ros.start(ViewSplitter, name="second", parent_frame="gripper", **mount)
+    found: list[str] = []
+
+    def warned():
+        found.extend(_frame_warnings(capfd))
+        return found
+
+    ros.wait(warned, "the warning")
+    assert "sample_rig_gel_frame has two places in gripper" in found[0]
