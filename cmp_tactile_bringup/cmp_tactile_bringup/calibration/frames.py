@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.recordings.library import check_source, recorded_source
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_driver.sources.frames import ImageSize
@@ -65,8 +66,9 @@ def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None)
         frame_id="",
         expected_size=size,
     )
-    frames = (item for item in recording.messages() if isinstance(item, RecordedFrame))
-    chosen = list(islice(_from(frames, selection.start_s), selection.count))
+    messages = recording.messages(TimeSpan(start=selection.start_s))
+    frames = (item for item in messages if isinstance(item, RecordedFrame))
+    chosen = list(islice(frames, selection.count))
     if not chosen:
         msg = f"{source}: found no frame after {selection.start_s:g} s, expected a longer recording"
         raise FrameSourceError(msg)
@@ -75,14 +77,6 @@ def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None)
         [frame.stamp_ns for frame in chosen],
         recording.health.summary,
     )
-
-
-def _from(frames: Iterator[RecordedFrame], start_s: float) -> Iterator[RecordedFrame]:
-    first_ns: int | None = None
-    for frame in frames:
-        first_ns = frame.stamp_ns if first_ns is None else first_ns
-        if frame.stamp_ns - first_ns >= start_s * 1e9:
-            yield frame
 
 
 def read_images(files: Sequence[Path]) -> list[Frame]:
