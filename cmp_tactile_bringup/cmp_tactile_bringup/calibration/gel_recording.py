@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags import reader
-from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.recording import is_bag, open_recording
 from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
@@ -263,7 +263,7 @@ def _rest_frames(
 
 def _surface_topic(path: Path, topic: str) -> str:
     """The surface topic to be read; empty where images are."""
-    if not path.exists() or (path.is_dir() and not _holds_bag(path)):
+    if not path.exists() or (path.is_dir() and not is_bag(path)):
         return ""
     storage = open_storage(path)
     kinds = storage.topics
@@ -278,10 +278,6 @@ def _surface_topic(path: Path, topic: str) -> str:
     expected = "--topic to name one" if surfaces else f"images or {SURFACE}"
     msg = f"{path}: found the topics {found}, expected {expected}"
     raise RecordingError(msg)
-
-
-def _holds_bag(folder: Path) -> bool:
-    return any(folder.glob("*.mcap")) or any(folder.glob("*.db3"))
 
 
 def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMotion:

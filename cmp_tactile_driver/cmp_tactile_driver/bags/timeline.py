@@ -118,7 +118,7 @@ def _between_restarts(places: Sequence[Place], stamps: Sequence[int]) -> list[ra
     behind, and belongs before those that came sooner.
     """
     delays = [place.time_ns - stamp for place, stamp in zip(places, stamps, strict=True)]
-    least_after = list(accumulate(reversed(delays), min))[::-1]
+    least_after = _least_until_jump(delays)
     parts = []
     begin, newest = 0, stamps[0]
     for number, stamp in enumerate(stamps):
@@ -132,11 +132,20 @@ def _between_restarts(places: Sequence[Place], stamps: Sequence[int]) -> list[ra
     return [*parts, range(begin, len(stamps))]
 
 
+def _least_until_jump(delays: Sequence[int]) -> list[int]:
+    """The least of each delay and those after it, up to where the clock was set forward."""
+    least = list(delays)
+    for number in range(len(delays) - 2, -1, -1):
+        if delays[number] - delays[number + 1] <= LONGEST_GAP_S * NS_PER_S:
+            least[number] = min(least[number], least[number + 1])
+    return least
+
+
 def _gaps_text(gaps: Sequence[float], places: Sequence[Place]) -> str:
     """One line on times that are skipped, or on receipts that are no guide to the time."""
     if gaps:
         longest = max(gaps, key=abs)
-        return f"{len(gaps)} gaps between stamps skipped, the longest of {longest:.6g} s"
+        return f"jumps of the stamps skipped: {len(gaps)}, the largest of {longest:.6g} s"
     receipts = [place.time_ns for place in places]
     longest = max((b - a for a, b in pairwise(receipts)), default=0)
     if longest <= LONGEST_GAP_S * NS_PER_S:

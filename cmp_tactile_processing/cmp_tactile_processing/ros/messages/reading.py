@@ -185,12 +185,13 @@ def decode_raw(
     size: width, height in px.  step: bytes per row.  data: (N,) uint8; not copied where it need
     not be changed.  luminance: read YUYV as grey.
     Raises FrameError naming the field, for an encoding that is not in ENCODINGS or a buffer that
-    does not fit size and step.
+    is too short for size and step.
     """
     width, height = size
     _check_raw(width, height, encoding, step, data)
     channels = CHANNELS[encoding]
-    rows = data.reshape(height, step)[:, : width * channels]
+    # Some drivers send their whole buffer, which is longer.
+    rows = data[: height * step].reshape(height, step)[:, : width * channels]
     if channels == 1:
         return np.ascontiguousarray(rows)
     if channels == 2 and luminance:
@@ -217,7 +218,7 @@ def _check_raw(width: int, height: int, encoding: str, step: int, data: NDArray[
     if step < least:
         msg = f"step: found {step} bytes, expected at least {least} for {encoding}"
         raise FrameError(msg)
-    if data.size != height * step:
+    if data.size < height * step:
         msg = f"data: found {data.size} bytes, expected {height * step} (height x step)"
         raise FrameError(msg)
 
