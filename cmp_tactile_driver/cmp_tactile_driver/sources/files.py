@@ -67,20 +67,34 @@ class FileSource:
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
+VIDEO_SUFFIXES = (
+    ".avi",
+    ".m4v",
+    ".mjpeg",
+    ".mkv",
+    ".mov",
+    ".mp4",
+    ".mpeg",
+    ".mpg",
+    ".webm",
+    ".wmv",
+)
+
 
 def image_files(folder: Path) -> list[Path]:
-    """The images of a folder in natural order: 2.png before 10.png.
+    """The images of a folder in natural order: 2.png before 10.png; hidden files are none.
 
     Raises FrameSourceError where there is no such folder or no image in it.
     """
     if not folder.is_dir():
         msg = f"{folder}: found no such folder, expected one with images"
         raise FrameSourceError(msg)
-    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    # macOS leaves ._NAME.png beside NAME.png on the disks of others.
+    there = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    files = [path for path in there if path.suffix.lower() in IMAGE_SUFFIXES]
     if not files:
-        count = sum(1 for _ in folder.iterdir())
         expected = ", ".join(IMAGE_SUFFIXES)
-        msg = f"{folder}: found no image among {count} entries, expected {expected}"
+        msg = f"{folder}: found no image among {len(there)} entries, expected {expected}"
         raise FrameSourceError(msg)
     return sorted(files, key=_natural_key)
 

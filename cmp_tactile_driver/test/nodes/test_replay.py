@@ -243,7 +243,7 @@ def test_truncated_bag_is_played_and_reported(ros, tmp_path, bags):
     ros.wait(lambda: len(images) == count, "what was sent")
     assert 5 <= count < 11
     assert statuses.last.level == DiagnosticStatus.WARN
-    assert f"{count} messages can be read, any after them are lost" in statuses.last.message
+    assert f"{count} of 20 messages read, the rest is lost" in statuses.last.message
 
 
 def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capfd):

@@ -24,6 +24,19 @@ def test_natural_order_and_pixels(image_folder, frames):
     assert {frame.encoding for frame in found} == {"mono8"}
 
 
+def test_hidden_files_are_no_images(image_folder, frames):
+    """macOS leaves one beside each file on a foreign disk.
+
+    Reports: jurplel/qView 651, CyberTimon/RapidRAW 1570; tried: not read, not counted.
+    """
+    for number in range(3):
+        (image_folder / f"._{number}.png").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X")
+    source = ImageFolder(image_folder, 10.0)
+    found = list(iter(source.read, None))
+    assert len(found) == len(frames)
+    assert source.health.bad_frames == 0
+
+
 def test_colour_stays_colour(tmp_path):
     bgr = np.random.default_rng(1).integers(0, 256, (6, 8, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "a.PNG"), bgr)

@@ -66,6 +66,19 @@ def test_wrong_fields_are_named(size, encoding, step, length, message):
         decode_raw(size, encoding, step, np.zeros(length, np.uint8))
 
 
+@pytest.mark.parametrize("behind", [1, 8, 4096])
+def test_bytes_behind_the_image_are_cut(behind):
+    """A driver sends its whole buffer, with padding in each row and behind the image.
+
+    Reports: dganbold/raspicam_node 4 (more than height x step bytes), ros-perception/vision_opencv
+    27 (padded rows); tried: read.
+    """
+    image = np.arange(48, dtype=np.uint8).reshape(6, 8)
+    padded = np.pad(image, ((0, 0), (0, 2)), constant_values=7).ravel()
+    data = np.concatenate([padded, np.full(behind, 9, np.uint8)])
+    assert np.array_equal(decode_raw((8, 6), "mono8", 10, data), image)
+
+
 def test_compressed_png_is_exact():
     grey = _colour()[..., 0]
     data = cv2.imencode(".png", grey)[1].ravel()
