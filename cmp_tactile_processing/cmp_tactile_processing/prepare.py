@@ -19,6 +19,7 @@ from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import SurfaceGrid
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator
@@ -78,7 +79,7 @@ def _install(sensor: str, prefix: Path) -> int:
     """Compile all parts side by side for the packages below this prefix; the exit code."""
     try:
         with installing(prefix) as folder:
-            command = [sys.executable, "-m", "cmp_tactile_processing.prepare", sensor, "--only"]
+            command = python_command("cmp_tactile_processing.prepare", sensor, "--only")
             env = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
             processes = [subprocess.Popen([*command, part], env=env) for part in PARTS]
             codes = [process.wait() for process in processes]

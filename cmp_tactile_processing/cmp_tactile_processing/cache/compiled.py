@@ -70,7 +70,8 @@ def use_cache_of_these_sources() -> None:
             folder.touch()
             _remove_oldest(folder.parent)
     except OSError as error:
-        if installed is None:
+        # Foreign is what was found without an error of the system.
+        if installed is None or error.errno is None:
             LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
         folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
