@@ -72,19 +72,22 @@ def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
     for part in _between_restarts(places, stamps):
         begins.append(len(ordered))
         ordered += sorted(part, key=lambda number: stamps[number])
-    steps = [(stamps[b] - stamps[a]) / NS_PER_S for a, b in pairwise(ordered)]
-    usual = [step for step in steps if 0 < step <= LONGEST_GAP_S]
-    step_s = median(usual) if usual else DEFAULT_STEP_S
+    # In ns: a sum of seconds misses a frame at 0.2 s by its last digit.
+    steps = [stamps[b] - stamps[a] for a, b in pairwise(ordered)]
+    longest = LONGEST_GAP_S * NS_PER_S
+    usual = [step for step in steps if 0 < step <= longest]
+    usual_step = round(median(usual) if usual else DEFAULT_STEP_S * NS_PER_S)
     restarts = {begin - 1 for begin in begins[1:]}
-    skipped = [number in restarts or step > LONGEST_GAP_S for number, step in enumerate(steps)]
-    passed = [step_s if skip else step for step, skip in zip(steps, skipped, strict=True)]
-    times = list(accumulate(passed, initial=0.0))
+    skipped = [number in restarts or step > longest for number, step in enumerate(steps)]
+    passed = [usual_step if skip else step for step, skip in zip(steps, skipped, strict=True)]
+    times = list(accumulate(passed, initial=0))
     first = next((k for k, n in enumerate(ordered) if places[n].topic == first_topic), 0)
+    gaps = [step / NS_PER_S for step, skip in zip(steps, skipped, strict=True) if skip]
     return Timeline(
         tuple(places[number] for number in ordered),
-        tuple(max(0.0, time - times[first]) for time in times),
+        tuple(max(0, time - times[first]) / NS_PER_S for time in times),
         tuple(places[number].stamp_ns or places[number].time_ns for number in ordered),
-        _gaps_text([step for step, skip in zip(steps, skipped, strict=True) if skip], places),
+        _gaps_text(gaps, places),
     )
 
 

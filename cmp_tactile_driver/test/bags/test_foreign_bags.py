@@ -30,8 +30,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
+from cmp_tactile_driver.bags.files import Place
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
@@ -310,3 +312,13 @@ def test_messages_in_another_encoding_are_named(tmp_path):
         writer.register_channel(TOPIC, "ros1", schema)
         writer.finish()
     assert open_storage(tmp_path / "bag.mcap").topics == {TOPIC: f"{IMAGE} in ros1"}
+
+
+def test_a_part_that_begins_at_a_frame_has_that_frame():
+    """A sum of the seconds between frames would put the one at 0.2 s before 0.2 s."""
+    stamps = [7 * HOUR_NS + round(k * 1e9 / 30) for k in range(300)]
+    line = timeline([Place(TOPIC, IMAGE, stamp, stamp, None) for stamp in stamps], TOPIC)
+    assert [line.times_s[k] for k in (0, 6, 30, 75)] == [0.0, 0.2, 1.0, 2.5]
+    for number, stamp in enumerate(stamps):
+        start = (stamp - stamps[0]) / 1e9
+        assert line.part(TimeSpan(start, start + 0.1))[0] == number
