@@ -233,7 +233,8 @@ class Recorder(ReportingNode):
     beside the files is the sensor description.  What the disk is too slow for is dropped and
     counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
-    `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched) reports state and counts.
+    `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched)
+    reports state and counts.
     Raises CmpTactileError where parameters or folder cannot be used.
     """
 

@@ -136,7 +136,7 @@ def latched(depth: int = 1) -> Qos:
         ("/map", [], [b"a"], []),
     ],
 )
-def test_every_file_begins_with_what_is_latched(tmp_path, bags, topic, depths, sent, kept):
+def test_every_file_begins_with_what_is_latched(tmp_path, bags, topic, depths, sent, kept):  # noqa: PLR0917  a case has four
     """Whatever the middleware hands to who comes late is in each file, before all else.
 
     Reports: ros2/rosbag2 1234, ros-tooling/rosbag2_storage_mcap 75 (only the first file has
