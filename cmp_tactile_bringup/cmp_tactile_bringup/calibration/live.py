@@ -8,16 +8,18 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 
 from cmp_tactile_bringup.calibration import gel_recording
 from cmp_tactile_bringup.calibration.loads import NS_PER_S, WrenchSeries, averaged, weight_on_gel
 from cmp_tactile_bringup.recordings.library import RecordingError
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_processing.calibration.material.loads import LoadSample
@@ -29,7 +31,7 @@ from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-IMAGE_TYPE = "sensor_msgs/msg/Image"
+IMAGE_TYPES = {Image: IMAGE, CompressedImage: COMPRESSED_IMAGE}
 # A camera is faster than a board is found: of what waits, only the newest is worth looking at.
 KEPT_FRAMES = 4
 MOST_REST_FRAMES = 50
@@ -43,8 +45,9 @@ Say = Callable[[str], None]
 class LiveFrames(Listener):
     """Frames of an image topic, received on a thread of its own; a context manager.
 
-    topic: with its namespace.  expected_size: frames of another size end the reading; None takes
-    the size of the first.  timeout_s: how long to wait for a frame.
+    topic: with its namespace; of Images or CompressedImages, or of Images that are published on
+    TOPIC/compressed alone.  expected_size: frames of another size end the reading; None takes the
+    size of the first.  timeout_s: how long to wait for a frame.
     """
 
     def __init__(
@@ -59,14 +62,27 @@ class LiveFrames(Listener):
         self._timeout_s = timeout_s
         self._depth = BitDepth(self._topic)
         self._grey_weights = grey_weights
+        self._subscription: Any = None
         super().__init__("calibration")
-        self._waiting: deque[Image] = deque(maxlen=KEPT_FRAMES)
+        self._waiting: deque[Image | CompressedImage] = deque(maxlen=KEPT_FRAMES)
         self._arrived = threading.Condition()
 
     def _subscribe(self) -> None:
-        self._subscription = self.node.create_subscription(
-            Image, self._topic, self._on_image, qos_profile_sensor_data
-        )
+        self._look_for_images()
+
+    def _look_for_images(self) -> None:
+        """Listen to what is published of the image; nothing as long as nothing is.
+
+        A middleware may refuse a second type of one topic in a process.
+        """
+        compressed = CompressedImage, f"{self._topic}/compressed"
+        for kind, topic in (*((kind, self._topic) for kind in IMAGE_TYPES), compressed):
+            others = self.node.get_publishers_info_by_topic(topic)
+            if any(other.topic_type == IMAGE_TYPES[kind] for other in others):
+                self._subscription = self.node.create_subscription(
+                    kind, topic, self._on_image, qos_profile_sensor_data
+                )
+                return
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         """Frames as they come, (H, W) or (H, W, 3) BGR; those that come meanwhile are dropped.
@@ -76,17 +92,19 @@ class LiveFrames(Listener):
         while True:
             yield self._decoded(self._next())
 
-    def _next(self) -> Image:
+    def _next(self) -> Image | CompressedImage:
         end = time.monotonic() + self._timeout_s
         with self._arrived:
             while not self._waiting:
                 # Short waits, so that Ctrl-C is heard.
                 self._arrived.wait(0.1)
+                if self._subscription is None:
+                    self._look_for_images()
                 if not self._waiting and time.monotonic() > end:
                     raise FrameSourceError(self._silence())
             return self._waiting.popleft()
 
-    def _decoded(self, message: Image) -> NDArray[np.uint8]:
+    def _decoded(self, message: Image | CompressedImage) -> NDArray[np.uint8]:
         try:
             image = image_from_msg(message, self._grey_weights, self._depth)
         except CmpTactileError as error:
@@ -105,16 +123,21 @@ class LiveFrames(Listener):
     def _silence(self) -> str:
         """Why nothing came, as far as that can be seen from here."""
         waited = f"{self._topic}: no frame within {self._timeout_s:g} s"
-        if self._subscription.get_publisher_count():
+        if self._subscription is not None and self._subscription.get_publisher_count():
             return f"{waited}, though there is a publisher: is the camera running?"
-        topics = self.node.get_topic_names_and_types()
+        others = self.node.get_publishers_info_by_topic(self._topic)
+        if others:
+            kinds = ", ".join(sorted({other.topic_type for other in others}))
+            return f"{waited}: found {kinds}, expected {' or '.join(IMAGE_TYPES.values())}"
         images = sorted(
-            name for name, types in topics if IMAGE_TYPE in types and name != self._topic
+            name
+            for name, types in self.node.get_topic_names_and_types()
+            if {*types} & {*IMAGE_TYPES.values()} and name != self._topic
         )
         there = f"there are {', '.join(images)}" if images else "there is no image topic at all"
         return f"{waited}: nobody publishes it, {there} (ROS_DOMAIN_ID is the same?)"
 
-    def _on_image(self, message: Image) -> None:
+    def _on_image(self, message: Image | CompressedImage) -> None:
         with self._arrived:
             self._waiting.append(message)
             self._arrived.notify_all()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,8 @@ class SensorSettings:
     paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
     wait_for_subscribers: int = _setting(
         1,
-        "subscribers on image_raw before the first frame is sent; the view splitter is one",
+        "subscribers on image_raw before the first frame is sent; the view splitter is one, a "
+        "recorder comes on top",
         REPLAY,
     )
     publish_clock: bool = _setting(
@@ -341,6 +343,13 @@ def _recorder(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Compone
         yield sensor.component("cmp_tactile_driver::Recorder", "recorder", parameters)
 
 
+def _records_frames(sensor: GraphSensor, settings: SensorSettings) -> bool:
+    """Whether the recorder subscribes to the images."""
+    topics = settings.record_topics.split() if settings.record else []
+    images = absolute_name("image_raw", sensor.namespace)
+    return any(fnmatchcase(images, absolute_name(item, sensor.namespace)) for item in topics)
+
+
 def _source(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:
     """What publishes the frames; nothing where others do."""
     camera = "cmp_tactile_driver::CameraDriver", "camera_driver"
@@ -354,7 +363,9 @@ def _source(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component
         yield sensor.component(*camera, given)
     elif settings.source == "replay":
         given = settings.some("input", "topic", "rate", "start", "end", "loop", "paused")
-        given |= settings.some("wait_for_subscribers", "publish_clock")
+        given |= settings.some("publish_clock")
+        awaited = settings.wait_for_subscribers + _records_frames(sensor, settings)
+        given["wait_for_subscribers"] = awaited
         # Its diagnostics have the time of /clock, as those of the other nodes.
         given |= {"frame_rate": settings.image_rate, "use_sim_time": True}
         yield sensor.component("cmp_tactile_driver::Replay", "replay", given)

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from cmp_tactile_bringup.calibration.live import LiveFrames
@@ -65,6 +65,49 @@ def test_frames_come_from_a_topic(camera):
         frames = iter(live)
         for _ in range(3):
             np.testing.assert_array_equal(next(frames), np.full((12, 16), 7))
+
+
+@pytest.mark.parametrize("named", ["camera/image_raw", "camera/image_raw/compressed"])
+def test_compressed_frames_are_taken_where_there_are_only_these(ros, named):
+    """By their own name, and by that of the images that they are made of.
+
+    Reports: ros-visualization/rqt_image_view 69 (the type is chosen before there is a publisher),
+    ros-perception/image_pipeline 417 (only CompressedImage is published); tried: frames come.
+    """
+    grey = np.full((12, 16), 7, np.uint8)
+    png = CompressedImage(format="mono8; png compressed ")
+    png.data.frombytes(cv2.imencode(".png", grey)[1].tobytes())
+    publisher = ros.node.create_publisher(CompressedImage, "camera/image_raw/compressed", 2)
+    ended = threading.Event()
+
+    def publish():
+        while not ended.wait(0.02):
+            publisher.publish(png)
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        with LiveFrames(f"{ros.namespace}/{named}", (16, 12), TIMEOUT_S) as live:
+            np.testing.assert_array_equal(next(iter(live)), grey)
+    finally:
+        ended.set()
+        thread.join()
+
+
+def test_a_topic_of_another_type_is_named_with_it(ros):
+    publisher = ros.node.create_publisher(Header, "camera/image_raw", 2)
+
+    def complaint() -> str:
+        with (
+            LiveFrames(f"{ros.namespace}/camera/image_raw", None, 2.0) as live,
+            pytest.raises(FrameSourceError) as raised,
+        ):
+            next(iter(live))
+        return str(raised.value)
+
+    # On a busy machine 2 s may be too short to discover it.
+    assert any("found std_msgs/msg/Header, expected sens" in complaint() for _ in range(20))
+    ros.node.destroy_publisher(publisher)
 
 
 def test_frames_of_another_size_end_the_reading(camera):

@@ -48,6 +48,24 @@ def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
     assert recorder.parameters["output"] == str(Path("there").resolve())
 
 
+@pytest.mark.parametrize(
+    ("given", "awaited"),
+    [
+        ({}, 1),
+        ({"record": "there"}, 2),
+        ({"record": "there", "record_topics": "/sample_rig/* wrench"}, 2),
+        ({"record": "there", "record_topics": "force_field"}, 1),
+        ({"record": "there", "wait_for_subscribers": "3"}, 4),
+    ],
+)
+def test_a_replay_waits_for_the_recorder_of_its_frames(given, awaited):
+    """Reports: ros2/rosbag2 1430, 2318 (what is sent before the recorder subscribes is missing);
+    tried: the bag has every frame.
+    """
+    graph = _load("replay", sensor="sample_rig", **given)
+    assert graph.components[-1].parameters["wait_for_subscribers"] == awaited
+
+
 def test_a_sensor_has_the_namespace_and_the_name_that_it_is_given():
     assert _load("replay", sensor="prototype").namespace == "/prototype"
     assert _load("replay", namespace="hand/left").namespace == "/hand/left"

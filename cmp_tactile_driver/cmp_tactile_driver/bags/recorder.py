@@ -181,7 +181,7 @@ class BagRecorder:
         with self._condition:
             self._size, self._files = self._writer.size, self._writer.file_count
             # What was written last may have found no room on the disk.
-            lost = self._messages - self._writer.counts
+            lost = self._messages - (self._writer.counts - self._writer.repeated)
             self._dropped.update(lost)
             self._messages -= lost
             self._state = RecorderState.FAILED if problem else RecorderState.FINISHED

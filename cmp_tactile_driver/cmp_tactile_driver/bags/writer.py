@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
-from rosbags.interfaces import Qos
+from rosbags.interfaces import Qos, QosDurability
 from rosbags.rosbag2.metadata import dump_qos_v9
 
 from cmp_tactile_driver.errors import BagWriteError
@@ -274,6 +274,10 @@ def put_sensor_beside(bag: Path, sensor_description: str, sensor_name: str = "")
 
 
 METADATA_VERSION = 9
+# Of a latched topic.  Broadcasters of transforms come late, and send a message for each that they
+# add: as tf2's listeners, take many.
+MOST_KEPT = 100
+LEAST_KEPT = {"/tf_static": MOST_KEPT}
 
 
 @dataclass(frozen=True)
@@ -291,6 +295,16 @@ class _Topic:
     definition: MessageDefinition
     qos: tuple[Qos, ...]
 
+    @property
+    def kept(self) -> int:
+        """How many of its last messages somebody who comes late gets; 0 where it is not latched."""
+        if not self.qos or any(
+            item.durability != QosDurability.TRANSIENT_LOCAL for item in self.qos
+        ):
+            return 0
+        depth = sum(max(1, item.depth) for item in self.qos)
+        return min(MOST_KEPT, max(depth, LEAST_KEPT.get(self.name, 0)))
+
     def qos_dicts(self) -> list[dict[str, Any]]:
         return [dict(item) for item in dump_qos_v9(list(self.qos))]
 
@@ -304,11 +318,12 @@ class _WrittenFile:
 class BagWriter:
     """One bag; not for several threads at once.
 
+    Each file begins with what is latched by then, so that it can be used without those before it.
     Whatever cannot be written raises BagWriteError, after which the bag may only be closed: what
     was written before stays.
 
     folder: the bag.  counts: messages in the files that are closed, by topic; those that found no
-    room not counted.
+    room not counted.  repeated: how many of them a file before has already.
     """
 
     def __init__(
@@ -321,7 +336,9 @@ class BagWriter:
         self._topics: dict[str, _Topic] = {}
         self._channels: dict[str, int] = {}
         self._files: list[_WrittenFile] = []
+        self._latched: dict[str, deque[tuple[int, bytes]]] = {}
         self.counts: Counter[str] = Counter()
+        self.repeated: Counter[str] = Counter()
         self._bytes = 0
         self._first_ns = 0
         self._closed = False
@@ -362,7 +379,10 @@ class BagWriter:
         Raises MessageDefinitionError where the message's definition is not installed.
         """
         if name not in self._topics:
-            self._topics[name] = _Topic(name, kind, message_definition(kind), tuple(qos))
+            topic = _Topic(name, kind, message_definition(kind), tuple(qos))
+            self._topics[name] = topic
+            if topic.kept:
+                self._latched[name] = deque(maxlen=topic.kept)
 
     def write(self, topic: str, log_ns: int, data: bytes, publish_ns: int | None = None) -> None:
         """Add a message.  log_ns: when it came.  data: CDR.  publish_ns: its stamp, if it has.
@@ -373,10 +393,26 @@ class BagWriter:
             publish_ns = log_ns
         if self._is_full(log_ns):
             self.split()
-        if topic not in self._channels:
-            self._channels[topic] = self._add_channel(self._topics[topic])
         if not self._first_ns:
             self._first_ns = log_ns
+            self._repeat_latched(log_ns)
+        self._put(topic, log_ns, publish_ns, data)
+        if topic in self._latched:
+            message = publish_ns, data
+            with suppress(ValueError):  # sent once more
+                self._latched[topic].remove(message)
+            self._latched[topic].append(message)
+
+    def _repeat_latched(self, log_ns: int) -> None:
+        for topic, messages in self._latched.items():
+            for publish_ns, data in messages:
+                self._put(topic, log_ns, publish_ns, data)
+                self.repeated[topic] += 1
+        self._repeated_bytes = self._file.size
+
+    def _put(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._add_channel(self._topics[topic])
         try:
             self._file.write(self._channels[topic], log_ns, publish_ns, data)
         except OSError as error:
@@ -411,7 +447,8 @@ class BagWriter:
 
     def _is_full(self, log_ns: int) -> bool:
         limits = self._limits
-        if limits.size_bytes and self._file.size >= limits.size_bytes:
+        size = self._file.size - self._repeated_bytes
+        if limits.size_bytes and size >= limits.size_bytes:
             return True
         return bool(
             limits.duration_ns and self._first_ns and log_ns - self._first_ns >= limits.duration_ns
@@ -421,7 +458,7 @@ class BagWriter:
         name = f"{self.folder.name}_{len(self._files)}.mcap"
         file = McapFile(self.folder / name, compressed=self._compressed)
         self._channels = {}
-        self._first_ns = 0
+        self._first_ns = self._repeated_bytes = 0
         self._closed = False
         return file
 

@@ -25,6 +25,7 @@ from rosbags import interfaces
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.bags.recorder import (
     BagRecorder,
     EncodedMessage,
@@ -161,8 +162,6 @@ def _time(duration: Any) -> interfaces.QosTime:
     return interfaces.QosTime(*divmod(duration.nanoseconds, 10**9))
 
 
-COMPRESSED = "sensor_msgs/msg/CompressedImage"
-IMAGE = "sensor_msgs/msg/Image"
 ENCODED = ("mono8", "bgr8", "rgb8")
 # Camera noise leaves PNG's dictionary nothing to find, and of its filters only the fixed ones are
 # quick: 8 ms a frame of 1024 x 768 px instead of 15 to 150, at 5 % more bytes than the best.
@@ -207,7 +206,10 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
         )
         compressed.data = array.array("B", content.tobytes())
         return EncodedMessage(
-            f"{topic}/compressed", COMPRESSED, serialize_message(compressed), _stamp_ns(message)
+            f"{topic}/compressed",
+            COMPRESSED_IMAGE,
+            serialize_message(compressed),
+            _stamp_ns(message),
         )
 
     return encode
@@ -231,7 +233,8 @@ class Recorder(ReportingNode):
     beside the files is the sensor description.  What the disk is too slow for is dropped and
     counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
-    `~/split` begins a new file.  `~/status` (latched) reports state and counts.
+    `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched)
+    reports state and counts.
     Raises CmpTactileError where parameters or folder cannot be used.
     """
 

@@ -10,6 +10,14 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -97,6 +105,78 @@ def test_files_of_limited_size_and_duration_are_one_bag(tmp_path, bags, limits, 
     found = sorted(path.name for path in (tmp_path / "bag").glob("*.mcap"))
     assert found == [f"bag_{number}.mcap" for number in range(files)]
     assert [frame.time_ns for frame in BagReader(tmp_path / "bag").frames()] == times
+
+
+TF = "tf2_msgs/msg/TFMessage"
+
+
+def latched(depth: int = 1) -> Qos:
+    zero = QosTime(0, 0)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        depth,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        zero,
+        zero,
+        QosLiveliness.AUTOMATIC,
+        zero,
+        False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("topic", "depths", "sent", "kept"),
+    [
+        ("/tf_static", [1], [b"a"], [b"a"]),
+        # One broadcaster came later than the recorder, and sent twice as it added a transform.
+        ("/tf_static", [1], [b"a", b"b", b"bc"], [b"a", b"b", b"bc"]),
+        ("/tf_static", [1], [b"a", b"b", b"a"], [b"b", b"a"]),
+        ("/map", [1, 1], [b"a", b"b", b"c"], [b"b", b"c"]),
+        ("/map", [], [b"a"], []),
+    ],
+)
+def test_every_file_begins_with_what_is_latched(tmp_path, bags, topic, depths, sent, kept):  # noqa: PLR0917  a case has four
+    """Whatever the middleware hands to who comes late is in each file, before all else.
+
+    Reports: ros2/rosbag2 1234, ros-tooling/rosbag2_storage_mcap 75 (only the first file has
+    /tf_static); tried: each has it.  ros/ros_comm 805 (several publishers); tried: one of each.
+    ros/geometry2 412 (several broadcasters); tried: all are kept.
+    """
+    bag = tmp_path / "bag"
+    times = bags.stamps(12)
+    frames = [serialised(f, t, bags) for f, t in zip(bags.frames(12, 480, 640), times, strict=True)]
+    with BagWriter(bag, limits=SplitLimits(duration_ns=249_000_000)) as writer:
+        writer.add_topic(topic, TF, [latched(depth) for depth in depths])
+        for data in sent:
+            writer.write(topic, times[0], data, times[0] - 7)
+        writer.add_topic(TOPIC, IMAGE)
+        for time_ns, data in zip(times, frames, strict=True):
+            writer.write(TOPIC, time_ns, data)
+    files = sorted(bag.glob("*.mcap"))
+    assert len(files) == 3
+    for number, file in enumerate(files):
+        with file.open("rb") as stream:
+            found = [(c.topic, m) for _, c, m in make_reader(stream).iter_messages()]
+        expected = kept if number else sent
+        assert [m.data for _, m in found[: len(expected)]] == expected
+        assert {name for name, _ in found[len(expected) :]} == {TOPIC}
+        assert all(m.publish_time == times[0] - 7 for _, m in found[: len(expected)])
+    with Reader(bag) as reader:
+        assert reader.message_count == len(frames) + len(sent) + 2 * len(kept)
+    assert [frame.time_ns for frame in BagReader(bag).frames()] == times
+
+
+def test_what_is_latched_does_not_fill_a_file_by_itself(tmp_path, bags):
+    """Larger than a file may become: frames still come four to a file."""
+    bag = tmp_path / "bag"
+    with BagWriter(bag, limits=SplitLimits(size_bytes=10**6)) as writer:
+        writer.add_topic("/map", TF, [latched()])
+        writer.write("/map", 1, bytes(3 * 10**6))
+        writer.add_topic(TOPIC, IMAGE)
+        for frame, time_ns in zip(bags.frames(12, 480, 640), bags.stamps(12), strict=True):
+            writer.write(TOPIC, time_ns, serialised(frame, time_ns, bags))
+    assert len(list(bag.glob("*.mcap"))) == 4
 
 
 @pytest.mark.parametrize("compressed", [False, True])

@@ -25,7 +25,6 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
-from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.messages import conversions, making
@@ -242,10 +241,10 @@ class ViewSplitter(StageNode):
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
         self._send_transforms(Mounting.declare(self, self.sensor))
         options = declare_parameters(self, ViewSplitterParameters())
-        kind: type = Image
-        topic, split = "image_raw", self._on_image
-        if options.input_transport == "compressed":
-            kind, topic, split = CompressedImage, "image_raw/compressed", self._on_compressed
+        is_compressed = options.input_transport == "compressed"
+        kind: type = CompressedImage if is_compressed else Image
+        topic = "image_raw/compressed" if is_compressed else "image_raw"
+        split = self._on_image
         self._depth = BitDepth(self.resolve_topic_name(topic), self.get_logger().info)
         newest = options.frame_queue == "newest"
         if newest:
@@ -286,13 +285,9 @@ class ViewSplitter(StageNode):
         topic = self.resolve_topic_name("image_raw")
         self._run_guarded(topic, self._pacing.came_out, stamp_ns(msg.header.stamp))
 
-    def _on_image(self, msg: Image) -> None:
+    def _on_image(self, msg: Image | CompressedImage) -> None:
         weights = self.sensor.tracking.grey_weights
         self._split(image_from_msg(msg, weights, self._depth), msg.header)
-
-    def _on_compressed(self, msg: CompressedImage) -> None:
-        data = np.frombuffer(msg.data, np.uint8)
-        self._split(decode_compressed(msg.format, data, self._depth), msg.header)
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")

@@ -139,6 +139,16 @@ def test_compressed_frames_are_the_same_and_others_are_reported(ros, sample):
     assert "/image_raw/compressed" in splitter.diagnostics.last_error
 
 
+def test_frames_that_come_compressed_alone_are_named_where_raw_ones_are_awaited(ros):
+    """Reports: ros-perception/image_common 270, RobotWebTools/roslibjs 272 (the other transport is
+    waited for, silently); tried: the diagnostics name topic and type.
+    """
+    splitter = ros.start(ViewSplitter)
+    ros.node.create_publisher(CompressedImage, "image_raw/compressed", 2)
+    there = "image_raw/compressed, sensor_msgs/msg/CompressedImage)"
+    ros.wait(lambda: there in splitter._status().message, "what there is instead")
+
+
 def test_wrong_transport_is_refused(ros):
     with pytest.raises(ParameterError, match="input_transport: found 'h264', expected one of raw"):
         ros.start(ViewSplitter, input_transport="h264")

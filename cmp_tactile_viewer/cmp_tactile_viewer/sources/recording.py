@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, RecordedFrame
 from cmp_tactile_driver.bags.recording import is_bag, open_recording
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 SURFACE, FORCE_FIELD, GRID = (
     f"cmp_tactile_msgs/msg/{name}" for name in ("Surface", "ForceField", "Grid")
 )
-# Looks into the recording so far before a place, to find the frame before it.
+# Looks into the recording so far before a place, to find the frame before it; then farther.
 BACK_S = 0.5
 DEFAULT_RATE_HZ = 30.0
 # Messages of one frame come within so many others.
@@ -169,15 +169,25 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
             found[topic] = "force"
         elif kind == GRID:
             found[topic] = topic.split("/")[-2]
-        elif kind == "sensor_msgs/msg/Image" and topic.endswith("/image_raw"):
-            found[topic] = "frame" if topic.split("/")[-2] not in ("left", "right") else ""
-    found = {topic: field for topic, field in found.items() if field}
+        elif (
+            kind in (IMAGE, COMPRESSED_IMAGE)
+            and _is_frame(topic)
+            # Raw ones come first, and are better.
+            and topic.removesuffix("/compressed") not in found
+        ):
+            found[topic] = "frame"
     for field in ("surface", "force"):
         several = [topic for topic, other in found.items() if other == field]
         if len(several) > 1:
             msg = f"{path}: found results of several sensors: {', '.join(several)}; expected one"
             raise ViewerError(msg)
     return found
+
+
+def _is_frame(topic: str) -> bool:
+    """Whether it is the topic of a camera, not of a view of it."""
+    parts = topic.removesuffix("/compressed").split("/")
+    return parts[-1] == "image_raw" and parts[-2:-1] not in (["left"], ["right"])
 
 
 def open_frames(path: Path, sensor: SensorDescription, topic: str = "") -> Frames:
@@ -275,13 +285,17 @@ class RecordingSource(PassiveSource):
         """Ask for the last frame before the one on show."""
         assert self.frames is not None  # noqa: S101  as in `_play_on`
         playback.steps += 1
-        begin = max(playback.position_s - BACK_S, 0.0)
-        before = begin
-        for time_s in self._times(begin):
-            if time_s >= playback.position_s - 1e-6:
+        back_s, before = BACK_S, None
+        while before is None:
+            begin = max(playback.position_s - back_s, 0.0)
+            for time_s in self._times(begin):
+                if time_s >= playback.position_s - 1e-6:
+                    break
+                before = time_s
+            if not begin:
                 break
-            before = time_s
-        playback.seek_s = before
+            back_s *= 4
+        playback.seek_s = before or 0.0
 
     def _times(self, start_s: float) -> Iterator[float]:
         assert self.frames is not None  # noqa: S101  as in `_play_on`

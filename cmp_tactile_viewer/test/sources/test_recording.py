@@ -10,6 +10,8 @@ import pytest
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
@@ -135,6 +137,45 @@ def test_the_pace_is_that_of_the_recording(monkeypatch):
     for time_s in (0.0, 0.5, 0.6):
         clock.wait(time_s, playback, Ended())
     assert now[0] == pytest.approx(100.0 + 0.6 / 2.0)
+
+
+@pytest.mark.parametrize("results_kind", [recording.FORCE_FIELD, recording.SURFACE])
+def test_compressed_frames_are_shown_beside_recorded_results(
+    grasp_bag, results, results_kind, tmp_path, sensor
+):
+    """As `record_compression:=png` records them: picture and surface, not the forces alone.
+
+    Reports: ros-visualization/rqt_common_plugins 215 (compressed topics of a bag cannot be
+    chosen), SJTU-ViSYS/M2DGR 35 (bags with these alone); tried: the frames are shown.
+    """
+    bag = tmp_path / "recorded"
+    with BagWriter(bag) as writer:
+        for path, kind in ((grasp_bag, recording.COMPRESSED_IMAGE), (results, results_kind)):
+            storage = open_storage(path)
+            found = storage.topics.items()
+            topic = next(name for name, other in found if other == kind and "/truth/" not in name)
+            writer.add_topic(topic, kind)
+            for stored in storage.read(storage.places([topic])):
+                writer.write(topic, stored.time_ns, stored.data)
+    shown = [snapshot for _, snapshot in open_frames(bag, sensor).read(0.0)]
+    assert len(shown) == FRAMES
+    assert all(item.frame is not None and item.surface is not None for item in shown)
+
+
+def test_a_step_back_finds_the_frame_before_however_long_ago(playing, monkeypatch, results):
+    times = [0.0, 3.5, 9.7]
+    monkeypatch.setattr(
+        StoredResults,
+        "read",
+        lambda _, start_s: ((time_s, Snapshot(7)) for time_s in times if time_s >= start_s),
+    )
+    source, looker = playing(results, playing=False)
+    playback = source.playback
+    wait_until(lambda: looker.snapshots, "the first frame")
+    playback.seek_s = 9.7
+    wait_until(lambda: playback.position_s == 9.7, "the last frame")
+    playback.steps = -1
+    wait_until(lambda: playback.position_s == 3.5, "the frame before")
 
 
 def test_results_of_several_sensors_are_refused():

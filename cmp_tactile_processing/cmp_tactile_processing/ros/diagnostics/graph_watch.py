@@ -31,6 +31,8 @@ CLOCK = "/clock"
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 UNNAMED = "a node without a name"
 PATIENCE_S = 2.0
+# What image_transport adds to the topic of an image.
+COMPRESSED = "/compressed"
 INFINITE_NS = 2**63 - 1
 
 
@@ -65,9 +67,23 @@ class ConnectionWatch:
         return list(self.problems.values())
 
     def unpublished(self) -> list[str]:
-        """Topics that are subscribed to, and that nobody publishes."""
+        """Topics that are subscribed to and that nobody publishes.
+
+        Each with the topic of the same image in another transport, where that is published.
+        """
         topics = {end.topic_name for end in self._node.subscriptions} - {*OTHERS, CLOCK}
-        return sorted(topic for topic in topics if not self._node.count_publishers(topic))
+        return sorted(
+            topic + self._other_transport(topic)
+            for topic in topics
+            if not self._node.count_publishers(topic)
+        )
+
+    def _other_transport(self, topic: str) -> str:
+        """The topic of the same image, raw or compressed, with its type; empty for none."""
+        base = topic.removesuffix(COMPRESSED)
+        other = base if topic != base else base + COMPRESSED
+        kinds = {item.topic_type for item in self._node.get_publishers_info_by_topic(other)}
+        return f" (there is {other}, {', '.join(sorted(kinds))})" if kinds else ""
 
     def _found(self) -> Iterator[tuple[tuple[str, str, str], str]]:
         for end in self._node.subscriptions:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing import measured
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.split import LUMINANCE
+from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
@@ -154,18 +155,21 @@ def image_from_msg(
     weights: tuple[float, float, float] = LUMINANCE,
     depth: BitDepth | None = None,
 ) -> NDArray[np.uint8]:
-    """Image of a message: grey (H, W) uint8, or BGR (H, W, 3) where it comes in colours.
+    """Image of an Image or CompressedImage: grey (H, W) uint8, or BGR (H, W, 3) where in colours.
 
     weights: of red, green and blue in the grey value that is made of it.  YUV and Bayer are read
     as grey where luminance is all that is asked of them.  depth: of the topic; absent for an
     image by itself.
-    Raises FrameError, as decode_raw.
+    Raises FrameError, as decode_raw and decode_compressed.
     """
+    data = np.frombuffer(msg.data, np.uint8)
+    if hasattr(msg, "format"):
+        return decode_compressed(msg.format, data, depth)
     return decode_raw(
         (msg.width, msg.height),
         msg.encoding,
         msg.step,
-        np.frombuffer(msg.data, np.uint8),
+        data,
         big_endian=bool(msg.is_bigendian),
         luminance=weights == LUMINANCE,
         depth=depth,
