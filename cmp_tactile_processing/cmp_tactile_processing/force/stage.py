@@ -21,6 +21,12 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
 
+# Without contact the force is 0 but for noise; more than so many deviations and this, N, is the
+# reference's.
+DOUBTED_DEVIATIONS, LEAST_DOUBTED_N = 10.0, 0.02
+# The load under which a reference was taken is gone where a later one makes up for this share.
+SAME_LOAD = 0.1
+
 
 class ForceStage:
     """Turns surfaces of one sensor, in the order of their stamps, into force fields.
@@ -46,6 +52,13 @@ class ForceStage:
         self._slip = SlipObserver(sensor)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
+        self._last: ForceField | None = None
+        self._zeroed = np.zeros(3)
+
+    @property
+    def zeroed_load(self) -> float:
+        """Force under which the reference in use was taken, N; 0 where none is known of."""
+        return float(np.linalg.norm(self._zeroed))
 
     def process(self, surface: Surface, stamp_ns: int | None = None) -> ForceField:
         """Force, contacts and slip of a surface.
@@ -63,8 +76,9 @@ class ForceStage:
         # Entered here it costs nothing within.
         with one_blas_thread():
             field = self._model.reconstruct(displacement, surface.status, surface.covariance)
-            flags = field.flags | self._beyond(field, displacement)
+            flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
         relaxed = self._relaxation is not None and stamp_ns is not None
+        self._last = field
         return self._slip.update(replace(field, relaxed=relaxed, flags=flags), surface)
 
     def reset(self) -> None:
@@ -92,6 +106,7 @@ class ForceStage:
         """
         self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
         self._relaxation = other._relaxation
+        self._last, self._zeroed = other._last, other._zeroed
 
     def _beyond(self, field: ForceField, displacement: NDArray[np.float64]) -> ForceFlag:
         known = np.isfinite(field.wrench).all()
@@ -99,11 +114,41 @@ class ForceStage:
             return ForceFlag.BEYOND_MARKERS
         return ForceFlag.NONE
 
+    def _of_zero(self, field: ForceField) -> ForceFlag:
+        """Whether the reference was taken under load, as known before or as the force shows."""
+        unpressed = not field.contacts and _is_force(field)
+        return ForceFlag.ZERO_DOUBTFUL if self._zeroed.any() or unpressed else ForceFlag.NONE
+
+    def _note_load(self, before_id: int, after_id: int) -> None:
+        """What the load was under which another reference is taken, by the one before it.
+
+        By the nominal surface, number 0, errors of the description look like a load.
+        """
+        last = self._last
+        if last is None or 0 in {before_id, after_id} or not np.isfinite(last.wrench).all():
+            self._zeroed = np.zeros(3)
+            return
+        force = last.wrench[:3] if _is_force(last) else np.zeros(3)
+        before, load = self._zeroed, self._zeroed + force
+        most = SAME_LOAD * max(np.linalg.norm(before), np.linalg.norm(force))
+        # What pulls without pressing is a load that an earlier reference had in it, now gone.
+        known = bool(last.contacts) or bool(before.any())
+        gone = np.linalg.norm(load) <= most + LEAST_DOUBTED_N
+        self._zeroed = load if known and not gone else np.zeros(3)
+
     def _begin_again_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
+        if self._reference_id is not None and reference_id != self._reference_id:
+            self._note_load(self._reference_id, reference_id)
         if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
             self.reset()
         self._reference_id = reference_id
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
+
+
+def _is_force(field: ForceField) -> bool:
+    """Whether a field's force is more than noise makes of none."""
+    limit = np.maximum(DOUBTED_DEVIATIONS * field.wrench_std[:3], LEAST_DOUBTED_N)
+    return bool((np.abs(field.wrench[:3]) > limit).any())
 
 
 def _goes_back(before: int | None, now: int | None) -> bool:
