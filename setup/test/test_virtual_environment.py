@@ -156,17 +156,42 @@ def uv(*arguments, **variables):
     return done
 
 
+PLAIN = ("--quiet", "--no-config", "--no-python-downloads", "--no-header", "--no-annotate")
+LINUX = (
+    "--python-platform",
+    "x86_64-manylinux_2_28",
+    "--only-binary",
+    ":all:",
+    "--no-binary",
+    "empy",
+)
+
+
 @pytest.mark.parametrize("python", PYTHONS)
 @pytest.mark.parametrize("distro", DISTRIBUTIONS)
 def test_a_lock_is_complete_and_has_a_wheel_of_each_library(distro, python):
     """Resolved anew with its own versions: nothing is missing, contradicted or without a wheel."""
-    platform = ("--python-version", python, "--python-platform", "x86_64-manylinux_2_28")
-    sources = ("--only-binary", ":all:", "--no-binary", "empy")
-    plain = ("--quiet", "--no-config", "--no-python-downloads", "--no-header", "--no-annotate")
-    lock = SETUP / f"locked-{distro}.txt"
-    resolved = uv("compile", *plain, *platform, *sources, str(lock)).stdout.split()
+    lock = str(SETUP / f"locked-{distro}.txt")
+    resolved = uv("compile", *PLAIN, *LINUX, "--python-version", python, lock).stdout.split()
     here = (r for r, _ in locked(distro) if applies(r, python))
     assert sorted(resolved) == sorted(f"{r.name}{r.specifier}" for r in here)
+
+
+# Python and NumPy of the Ubuntu that a distribution is for (its "supported platforms").
+BESIDE_ROS = {
+    "jazzy": ("3.12", "1.26.4"),
+    "kilted": ("3.12", "1.26.4"),
+    "lyrical": ("3.14", "2.3.4"),
+}
+
+
+@pytest.mark.parametrize("distro", BESIDE_ROS)
+def test_what_a_ros_of_the_system_lacks_can_be_installed_beside_it(distro, tmp_path):
+    python, numpy = BESIDE_ROS[distro]
+    (tmp_path / "constraints.txt").write_text(f"numpy=={numpy}\n")
+    names = ("-c", str(tmp_path / "constraints.txt"), str(SETUP / "requirements-with-ros.txt"))
+    found = uv("compile", *PLAIN, *LINUX, "--python-version", python, *names).stdout
+    assert f"numpy=={numpy}" in found.split()
 
 
 @pytest.mark.parametrize("distro", DISTRIBUTIONS)

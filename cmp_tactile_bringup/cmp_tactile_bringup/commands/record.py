@@ -65,19 +65,17 @@ class Record(Command):
 
     def run(self) -> int:
         """Record until a signal comes; 0 where all is in the bag."""
-        import rclpy
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
-        from rclpy.signals import SignalHandlerOptions
 
         from cmp_tactile_bringup.terminal.stop_signal import StopSignal
-        from cmp_tactile_processing.ros.process import joining_ros
+        from cmp_tactile_processing.ros.process import init_beside, joining_ros
 
         stop = StopSignal()
         context = Context()
         try:
             with joining_ros():
-                rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+                init_beside(context)
                 recorder = _recorder(self, context)
             executor = SingleThreadedExecutor(context=context)
             executor.add_node(recorder)

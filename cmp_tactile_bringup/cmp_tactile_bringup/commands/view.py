@@ -62,6 +62,15 @@ class View(Command):
         str, option("that the address must have, against others on the network", group=PAGE)
     ] = ""
     read_only: Annotated[bool, option("no buttons and no parameters", group=PAGE)] = False
+    allow_host: Annotated[
+        list[str] | None,
+        option(
+            "further name by which browsers reach this machine, as robot.lab.example, or the name "
+            "of a proxy; may be repeated",
+            group=PAGE,
+            metavar="NAME",
+        ),
+    ] = None
     open: Annotated[bool, option("open it in this machine's browser", group=PAGE)] = False
 
     def run(self) -> int:
@@ -87,7 +96,9 @@ class View(Command):
         source = open_source(path, sensor, self.topic)
         if source.playback is not None:
             source.playback.playing = not self.paused
-        access = Access(self.host, self.port, self.token, self.read_only)
+        access = Access(
+            self.host, self.port, self.token, self.read_only, tuple(self.allow_host or ())
+        )
         return serve(source, access, open_browser=self.open)
 
 

@@ -34,7 +34,7 @@ from cmp_tactile_bringup.terminal.output import shown_stages
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_processing.ros.process import joining_ros
+from cmp_tactile_processing.ros.process import joining_ros, split_ros_args
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
@@ -51,7 +51,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     0 after a clean end; 1 where it cannot start, and where a component fails, which ends the others
     too.  arguments: those of the process, its name first.
     """
-    own, ros_args = _split_ros_args(arguments[1:])
+    own, ros_args = split_ros_args(arguments[1:])
     ros_args.insert(0, arguments[0])
     try:
         options = _parser().parse_intermixed_args(own)
@@ -277,21 +277,6 @@ def _parser() -> argparse.ArgumentParser:
         "--show-args", action="store_true", help="list the arguments of the graph and end"
     )
     return parser
-
-
-def _split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Our own arguments and ROS's, which stand between --ros-args and --.
-
-    rclpy.utilities.remove_ros_args would also take away NAME:=VALUE, the remap rules of old.
-    """
-    own: list[str] = []
-    ros: list[str] = []
-    in_ros = False
-    for argument in arguments:
-        in_ros = in_ros or argument == "--ros-args"
-        (ros if in_ros else own).append(argument)
-        in_ros = in_ros and argument != "--"
-    return own, ros
 
 
 class StoppedError(Exception):

@@ -270,6 +270,12 @@ RUN_ARGUMENTS = (
         "view_port", "integer", "port of the page; 0 for the first free one from 8080 on", default=0
     ),
     Argument("view_token", "text", "that the address of the page must have", default=""),
+    Argument(
+        "view_allow_host",
+        "text",
+        "further names, separated by spaces, by which browsers reach the page",
+        default="",
+    ),
 )
 # Of the launch files alone.
 RVIZ = Argument("rviz", "boolean", "show the sensors in RViz", default=False)
@@ -498,6 +504,7 @@ def _viewer(found: Graph, values: Mapping[str, Any]) -> dict[str, Value]:
         "host": values["view_host"],
         "port": values["view_port"],
         "token": values["view_token"],
+        "allow_hosts": values["view_allow_host"],
     }
 
 

@@ -47,7 +47,7 @@ def viewing(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
             process.kill()
 
 
-def status_of(address: str) -> int:
+def status_of(address: str | urllib.request.Request) -> int:
     try:
         with urllib.request.urlopen(address, timeout=TIMEOUT_S) as answer:  # noqa: S310
             return int(answer.status)
@@ -69,6 +69,14 @@ def test_a_page_with_a_token_is_for_those_who_have_it(grasp_bag):
         assert address.endswith("/?token=secret")
         assert status_of(address) == 200
         assert status_of(address.replace("secret", "guess")) == FORBIDDEN
+
+
+def test_a_page_answers_to_the_names_that_are_allowed(grasp_bag):
+    names = ["a.example", "b.example"]
+    with viewing(str(grasp_bag), *(f"--allow-host={name}" for name in names)) as (_, address):
+        for name, status in (*((name, 200) for name in names), ("c.example", FORBIDDEN)):
+            request = urllib.request.Request(address, headers={"Host": name})  # noqa: S310
+            assert status_of(request) == status
 
 
 def test_it_says_who_else_may_press_the_buttons(grasp_bag):

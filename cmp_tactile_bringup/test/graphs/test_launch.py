@@ -120,13 +120,16 @@ def test_the_page_is_started_when_asked_for(name, actions):
     from launch_ros.utilities import evaluate_parameters
 
     word = "1234"
-    context, (*_, viewer) = actions(view="true", view_port="8123", view_token=word)
+    context, (*_, viewer) = actions(
+        view="true", view_port="8123", view_token=word, view_allow_host="a.example b.example"
+    )
     assert isinstance(viewer, Node)
     assert (viewer.node_package, viewer.node_executable) == ("cmp_tactile_viewer", "web_viewer")
     (parameters,) = evaluate_parameters(context, viewer._Node__parameters)
     assert (parameters["host"], parameters["port"]) == ("127.0.0.1", 8123)
     # A text that looks like a number stays one.
     assert parameters["token"] == word
+    assert parameters["allow_hosts"].split() == ["a.example", "b.example"]
     count = 2 if name == "gripper" else 1
     assert len(parameters["sensors"].split()) == count
     assert len(parameters["mounts"].split(",")) == count

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 from typing import TypeVar
@@ -63,6 +63,31 @@ def joining_ros() -> Iterator[None]:
         else:
             raise
         raise JoinError(msg) from None
+
+
+def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Our own arguments and ROS's, which stand between --ros-args and --.
+
+    rclpy.utilities.remove_ros_args would also take away NAME:=VALUE, the remap rules of old.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    in_ros = False
+    for argument in arguments:
+        in_ros = in_ros or argument == "--ros-args"
+        (ros if in_ros else own).append(argument)
+        in_ros = in_ros and argument != "--"
+    return own, ros
+
+
+def init_beside(context: Context) -> None:
+    """Initialise a context of a program's own, with the ROS arguments of its command line.
+
+    The program's own signal handlers end it; rclpy's would end the context first.
+    """
+    # By itself rclpy takes arguments of ours, such as view:=true, for remap rules and warns.
+    _, ros_args = split_ros_args(sys.argv[1:])
+    rclpy.init(args=ros_args, context=context, signal_handler_options=SignalHandlerOptions.NO)
 
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -140,9 +165,8 @@ class Listener:
         self._context = Context()
 
     def __enter__(self: Self) -> Self:
-        # The process's own signals end it; rclpy's handlers would end the context first.
         with joining_ros():
-            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+            init_beside(self._context)
             self.node = Node(self._node_name, namespace=self._namespace, context=self._context)
         self._subscribe()
         self._executor = SingleThreadedExecutor(context=self._context)

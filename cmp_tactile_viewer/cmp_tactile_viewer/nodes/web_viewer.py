@@ -49,6 +49,11 @@ class WebViewerParameters(Parameters):
         0, f"to listen on; 0 for the first that is free from {DEFAULT_PORT} on", within=(0, 65535)
     )
     token: str = parameter("", "that the address of the page must have; empty for none")
+    allow_hosts: str = parameter(
+        "",
+        "further names, separated by spaces, by which browsers reach this machine: those of a "
+        "name server or of a proxy",
+    )
     read_only: bool = parameter(False, "no buttons and no parameters on the page")
     max_rate: float = parameter(
         30.0, "the page is drawn so often at most", unit="Hz", within=(0.1, 120.0)
@@ -71,7 +76,13 @@ class WebViewer(ReportingNode):
             own = declare_parameters(self, WebViewerParameters())
             sensors = running_sensors(own, self.get_namespace())
             self._live = LiveSensors(self, sensors, own.max_rate)
-            access = Access(own.host, own.port or None, own.token, own.read_only)
+            access = Access(
+                own.host,
+                own.port or None,
+                own.token,
+                own.read_only,
+                tuple(own.allow_hosts.split()),
+            )
             self.page = Page(self._live, access, own.max_rate)
             self.start_reporting()
             self.warn_of_unknown_parameters()

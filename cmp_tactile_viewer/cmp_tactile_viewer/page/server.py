@@ -30,7 +30,16 @@ DEFAULT_PORT = 8080
 ASK_FOR_ADDRESS = (
     "This page needs its token: open the address that was printed, which ends in ?token=..."
 )
-OTHER_PAGE = "Refused: this request comes from another page."
+# Refused at another name: what was found, and what the user can do about it.
+OTHER_NAME = (
+    "Refused: this page has no name {name!r}. If that is this machine, or a proxy before it, start "
+    "the page with --allow-host {name} (nodes: view_allow_host:={name}, the parameter allow_hosts)."
+)
+NO_NAME = "Refused: the request's {header} header {found!r} has no name of a machine."
+# A name as an attacker may send it is not repeated at any length.
+LONGEST_NAME = 253
+# Ports that an address need not state; a proxy may serve https and ask the page by http.
+UNSTATED_PORTS = (80, 443, None)
 _serving = threading.Lock()
 
 
@@ -40,12 +49,14 @@ class Access:
 
     host: address to listen on.  port: None for the first that is free from DEFAULT_PORT on.
     token: that an address must have; empty for none.  read_only: no buttons, no parameters.
+    allow_hosts: further names of this machine, or of proxies before it, that addresses may have.
     """
 
     host: str = "127.0.0.1"
     port: int | None = None
     token: str = ""
     read_only: bool = False
+    allow_hosts: tuple[str, ...] = ()
 
     @property
     def is_local(self) -> bool:
@@ -107,6 +118,7 @@ class Guard:
 
     def __init__(self, access: Access) -> None:
         self._access = access
+        self._allowed = frozenset(_allowed_name(name) for name in access.allow_hosts)
         # Pages on other ports of a machine get the same cookies: each has a name of its own.
         self.cookie = f"cmp_tactile_{hashlib.sha256(access.token.encode()).hexdigest()[:8]}"
 
@@ -115,14 +127,20 @@ class Guard:
 
         A page elsewhere may send requests to this machine from the user's browser: by name
         resolution that changes (another Host), or by a WebSocket, which no browser forbids
-        (another Origin).
+        (another Origin).  A proxy may send its own Host with the browser's Origin.
         """
-        host = request.headers.get("Host", "")
-        if not self._is_own_name(urlsplit(f"//{host}").hostname or ""):
-            return OTHER_PAGE
-        origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != host:
-            return OTHER_PAGE
+        host, origin = (request.headers.get(header) for header in ("Host", "Origin"))
+        place = _place(f"//{host or ''}")
+        if place is None:
+            return NO_NAME.format(header="Host", found=(host or "")[:LONGEST_NAME])
+        if not (place[0] in self._allowed or self._is_own_name(place[0])):
+            return OTHER_NAME.format(name=place[0])
+        if origin is not None:
+            source = _place(origin)
+            if source is None:
+                return NO_NAME.format(header="Origin", found=origin[:LONGEST_NAME])
+            if source != place and source[0] not in self._allowed:
+                return OTHER_NAME.format(name=source[0])
         return "" if self.token_of(request) is not None else ASK_FOR_ADDRESS
 
     def token_of(self, request: Request) -> str | None:
@@ -149,8 +167,33 @@ class Guard:
             ipaddress.ip_address(name)
         except ValueError:
             own = socket.gethostname().lower()
-            return name in (self._access.host.lower(), own, f"{own}.local", socket.getfqdn())
+            return name in (self._access.host.lower(), own, f"{own}.local", _full_name())
         return True
+
+
+def _full_name() -> str:
+    return socket.getfqdn().lower().rstrip(".")
+
+
+def _place(url: str) -> tuple[str, int | None] | None:
+    """Name in lower case without the dot of the root, and port of an address; None for no name."""
+    try:
+        parts = urlsplit(url)
+        name, port = (parts.hostname or "").rstrip("."), parts.port
+    except ValueError:
+        return None
+    if not name or len(name) > LONGEST_NAME:
+        return None
+    return name, None if port in UNSTATED_PORTS else port
+
+
+def _allowed_name(text: str) -> str:
+    """The name in what a user gives: a name, with a port, or the address of a page."""
+    place = _place(text if "//" in text else f"//{text}")
+    if place is None or any(sign in text for sign in "*, "):
+        msg = f"--allow-host: found {text!r}, expected the name of a machine, as robot.lab.example"
+        raise ViewerError(msg)
+    return place[0]
 
 
 Answer = Callable[[Any, Request], Response | None]

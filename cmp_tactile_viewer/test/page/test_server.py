@@ -10,6 +10,8 @@ import pytest
 import viser
 import websockets.asyncio.server
 import websockets.exceptions
+from websockets.datastructures import Headers
+from websockets.http11 import Request
 from websockets.sync.client import connect
 
 from cmp_tactile_viewer.errors import ViewerError
@@ -42,6 +44,10 @@ def answer(page, path="/", **headers):
     return found
 
 
+def asked(**headers):
+    return Request("/", Headers(headers))
+
+
 def may_connect(page, **more):
     address = f"ws://127.0.0.1:{page.get_port()}/"
     try:
@@ -60,7 +66,8 @@ def test_the_page_and_its_socket_are_open_to_this_machine(started):
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", ""]
+    "host",
+    ["evil.example", "evil.example:8080", "127.0.0.1.evil.example", "", "[::1", "localhost:x", "."],
 )
 def test_a_name_that_another_page_made_to_mean_this_machine_is_refused(started, host):
     page = started()
@@ -73,6 +80,62 @@ def test_another_page_of_the_same_browser_gets_no_socket(started):
     assert not may_connect(page, origin="http://evil.example")
     assert not may_connect(page, origin=f"http://127.0.0.1:{page.get_port() + 1}")
     assert not may_connect(page, origin="null")
+
+
+NAME = "robot.lab.example"
+
+
+@pytest.mark.parametrize("given", [NAME, "Robot.Lab.Example.", f"{NAME}:8080", f"https://{NAME}/"])
+@pytest.mark.parametrize(
+    ("host", "origin"),
+    [
+        (f"{NAME}:8123", f"http://{NAME}:8123"),
+        (f"{NAME}:80", f"http://{NAME}"),
+        (f"{NAME}.", f"http://{NAME}."),
+        (NAME.upper(), f"http://{NAME}"),
+        (NAME, f"https://{NAME}"),
+        (f"{NAME}", f"https://{NAME}:8443"),
+        ("127.0.0.1:8080", f"https://{NAME}"),
+    ],
+)
+def test_a_name_that_is_allowed_opens_page_and_socket(given, host, origin):
+    """The name of a name server, or of a proxy, which keeps the browser's Host or sends its own.
+
+    NousResearch/hermes-agent 55917: a proxy sends Host 127.0.0.1 and the browser's Origin: the page
+    opened and the socket was refused; it opens.
+    amiantos/lurker 580: names given with a slash, a scheme or a port matched nothing; they match.
+    kenn-io/agentsview 78: behind a proxy 403 without a reason; the answer names --allow-host.
+    """
+    for access in (Access(allow_hosts=(given,)), Access("0.0.0.0", allow_hosts=(given,))):  # noqa: S104
+        guard = server.Guard(access)
+        assert guard.refusal(asked(Host=host)) == ""
+        assert guard.refusal(asked(Host=host, Origin=origin)) == ""
+        assert guard.refusal(asked(Host=host, Origin="http://evil.example")) != ""
+        assert guard.refusal(asked(Host=f"evil.{NAME}")) != ""
+        assert guard.refusal(asked(Host=host, Origin=f"http://{NAME}.evil.example")) != ""
+
+
+def test_a_page_by_an_allowed_name_gets_its_socket(started):
+    page = started(allow_hosts=(NAME,))
+    assert answer(page, Host=f"{NAME}:8123").status == OK
+    assert may_connect(page, origin=f"https://{NAME}")
+
+
+def test_a_name_that_is_not_allowed_is_told_what_to_do():
+    """Both for the page and for its socket; a proxy of this machine's own name needs nothing."""
+    guard = server.Guard(Access("0.0.0.0"))  # noqa: S104
+    assert f"--allow-host {NAME}" in guard.refusal(asked(Host=f"{NAME}:8123"))
+    assert f"--allow-host {NAME}" in guard.refusal(
+        asked(Host="127.0.0.1:8080", Origin=f"https://{NAME}")
+    )
+    own = socket.gethostname()
+    assert guard.refusal(asked(Host=own, Origin=f"https://{own}")) == ""
+
+
+@pytest.mark.parametrize("given", ["*", "", "a b", "a,b", "http://", "*.lab.example"])
+def test_what_is_no_name_is_refused_at_the_start(given):
+    with pytest.raises(ViewerError, match=r"--allow-host: found .*, expected the name"):
+        server.Guard(Access(allow_hosts=(given,)))
 
 
 def test_a_token_is_asked_for_once_and_kept_as_a_cookie(started):
