@@ -20,12 +20,15 @@ from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
 
 # Without contact the force is 0 but for noise; more than so many deviations and this, N, is the
 # reference's.
 DOUBTED_DEVIATIONS, LEAST_DOUBTED_N = 10.0, 0.02
-# The load under which a reference was taken is gone where a later one makes up for this share.
-SAME_LOAD = 0.1
+# A load under which a reference was taken is gone where what a later one takes away leaves less
+# than this share: large presses are not linear.
+SHARE_LEFT = 0.2
 
 
 class ForceStage:
@@ -67,7 +70,7 @@ class ForceStage:
         displacement counts from another reference than before, and where time goes back, as where
         a recording is played again.
         """
-        self._begin_again_where_due(surface.reference_id, stamp_ns)
+        self._begin_again_where_due(surface, stamp_ns)
         # Before the memory: what a marker that moved too far shows is not to be remembered.
         displacement = within_reach(surface.displacement, self._sensor)
         surface = replace(surface, displacement=displacement)
@@ -83,7 +86,7 @@ class ForceStage:
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""
-        self._reference_id = self._stamp_ns = None
+        self._stamp_ns = self._last = None
         self._model.reset()
         self._slip.reset()
         if self._relaxation is not None:
@@ -119,26 +122,30 @@ class ForceStage:
         unpressed = not field.contacts and _is_force(field)
         return ForceFlag.ZERO_DOUBTFUL if self._zeroed.any() or unpressed else ForceFlag.NONE
 
-    def _note_load(self, before_id: int, after_id: int) -> None:
-        """What the load was under which another reference is taken, by the one before it.
+    def _note_load(self, surface: Surface) -> None:
+        """What the load was under which another reference was taken, by the one before it.
 
         By the nominal surface, number 0, errors of the description look like a load.
         """
-        last = self._last
-        if last is None or 0 in {before_id, after_id} or not np.isfinite(last.wrench).all():
-            self._zeroed = np.zeros(3)
+        last, before = self._last, self._zeroed
+        self._zeroed = np.zeros(3)
+        if last is None or 0 in {self._reference_id, surface.reference_id}:
+            return
+        if not np.isfinite(last.wrench).all() or not (last.contacts or before.any()):
             return
         force = last.wrench[:3] if _is_force(last) else np.zeros(3)
-        before, load = self._zeroed, self._zeroed + force
-        most = SAME_LOAD * max(np.linalg.norm(before), np.linalg.norm(force))
+        most = SHARE_LEFT * max(np.linalg.norm(before), np.linalg.norm(force))
+        if before.any() and np.linalg.norm(before + force) <= most + LEAST_DOUBTED_N:
+            return
         # What pulls without pressing is a load that an earlier reference had in it, now gone.
-        known = bool(last.contacts) or bool(before.any())
-        gone = np.linalg.norm(load) <= most + LEAST_DOUBTED_N
-        self._zeroed = load if known and not gone else np.zeros(3)
+        shape = rest_shape(Reference.nominal(self._sensor).position, surface.reference)
+        if last.contacts or why_touched(shape, RestParameters()):
+            self._zeroed = before + force
 
-    def _begin_again_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
-        if self._reference_id is not None and reference_id != self._reference_id:
-            self._note_load(self._reference_id, reference_id)
+    def _begin_again_where_due(self, surface: Surface, stamp_ns: int | None) -> None:
+        reference_id = surface.reference_id
+        if reference_id != self._reference_id:
+            self._note_load(surface)
         if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
             self.reset()
         self._reference_id = reference_id
