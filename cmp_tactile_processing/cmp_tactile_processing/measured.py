@@ -340,6 +340,7 @@ class ForceFlag(IntFlag):
     NOT_CONVERGED = 64  # the large-press correction did not settle, or not yet
     POOR_FIT = 128  # no force explains how the markers moved: wrong sensor, reference or marker
     IMPLAUSIBLE = 256  # the markers show what no such gel can do or bear: all is NaN
+    ZERO_DOUBTFUL = 512  # a force without contact, or the reference was taken under load
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ UNUSABLE = (
     | ForceField.FLAG_BEYOND_MARKERS
     | ForceField.FLAG_POOR_FIT
     | ForceField.FLAG_IMPLAUSIBLE
+    | ForceField.FLAG_ZERO_DOUBTFUL
 )
 LONGEST_S = 0.2  # a longer gap between two forces counts as that
 PERIOD_S = 0.05  # of looking whether the sensor is still there

@@ -20,6 +20,7 @@ UNKNOWN = (
     | ForceField.FLAG_BEYOND_MARKERS
     | ForceField.FLAG_POOR_FIT
     | ForceField.FLAG_IMPLAUSIBLE
+    | ForceField.FLAG_ZERO_DOUBTFUL
 )
 
 

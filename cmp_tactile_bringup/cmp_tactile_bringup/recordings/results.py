@@ -44,7 +44,9 @@ COLUMN_TYPES = {
 UNITS = {"s": "s", "N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # These spoil the forces; too few markers are reported with the views' faults, and the others belong
 # to ordinary use.
-WARNED_OF = ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE
+WARNED_OF = (
+    ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE | ForceFlag.ZERO_DOUBTFUL
+)
 # Longest name of a fault: an array of texts has one length.
 FAULT_TYPE = f"U{max(len(fault.value) for fault in GridFault)}"
 COPY_BYTES = 1 << 20

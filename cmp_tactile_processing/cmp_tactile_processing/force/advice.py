@@ -44,6 +44,10 @@ ADVICE: dict[ForceFlag, str] = {
         "exposure and what covers the pattern, take a reference with nothing touching the gel, "
         "and check the sensor description's pitch, size and modulus"
     ),
+    ForceFlag.ZERO_DOUBTFUL: (
+        "zero again with nothing touching the gel (stereo_triangulator/set_reference): there is a "
+        "force without any contact, or the reference was taken under load"
+    ),
 }
 
 SLIP_WORDS: dict[SlipState, str] = {

@@ -20,6 +20,15 @@ from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
+from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
+
+# Without contact the force is 0 but for noise; more than so many deviations and this, N, is the
+# reference's.
+DOUBTED_DEVIATIONS, LEAST_DOUBTED_N = 10.0, 0.02
+# A load under which a reference was taken is gone where what a later one takes away leaves less
+# than this share: large presses are not linear.
+SHARE_LEFT = 0.2
 
 
 class ForceStage:
@@ -46,6 +55,13 @@ class ForceStage:
         self._slip = SlipObserver(sensor)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
+        self._last: ForceField | None = None
+        self._zeroed = np.zeros(3)
+
+    @property
+    def zeroed_load(self) -> float:
+        """Force under which the reference in use was taken, N; 0 where none is known of."""
+        return float(np.linalg.norm(self._zeroed))
 
     def process(self, surface: Surface, stamp_ns: int | None = None) -> ForceField:
         """Force, contacts and slip of a surface.
@@ -54,7 +70,7 @@ class ForceStage:
         displacement counts from another reference than before, and where time goes back, as where
         a recording is played again.
         """
-        self._begin_again_where_due(surface.reference_id, stamp_ns)
+        self._begin_again_where_due(surface, stamp_ns)
         # Before the memory: what a marker that moved too far shows is not to be remembered.
         displacement = within_reach(surface.displacement, self._sensor)
         surface = replace(surface, displacement=displacement)
@@ -63,13 +79,14 @@ class ForceStage:
         # Entered here it costs nothing within.
         with one_blas_thread():
             field = self._model.reconstruct(displacement, surface.status, surface.covariance)
-            flags = field.flags | self._beyond(field, displacement)
+            flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
         relaxed = self._relaxation is not None and stamp_ns is not None
+        self._last = field
         return self._slip.update(replace(field, relaxed=relaxed, flags=flags), surface)
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""
-        self._reference_id = self._stamp_ns = None
+        self._stamp_ns = self._last = None
         self._model.reset()
         self._slip.reset()
         if self._relaxation is not None:
@@ -92,6 +109,7 @@ class ForceStage:
         """
         self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
         self._relaxation = other._relaxation
+        self._last, self._zeroed = other._last, other._zeroed
 
     def _beyond(self, field: ForceField, displacement: NDArray[np.float64]) -> ForceFlag:
         known = np.isfinite(field.wrench).all()
@@ -99,11 +117,45 @@ class ForceStage:
             return ForceFlag.BEYOND_MARKERS
         return ForceFlag.NONE
 
-    def _begin_again_where_due(self, reference_id: int, stamp_ns: int | None) -> None:
+    def _of_zero(self, field: ForceField) -> ForceFlag:
+        """Whether the reference was taken under load, as known before or as the force shows."""
+        unpressed = not field.contacts and _is_force(field)
+        return ForceFlag.ZERO_DOUBTFUL if self._zeroed.any() or unpressed else ForceFlag.NONE
+
+    def _note_load(self, surface: Surface) -> None:
+        """What the load was under which another reference was taken, by the one before it.
+
+        By the nominal surface, number 0, errors of the description look like a load.
+        """
+        last, before = self._last, self._zeroed
+        self._zeroed = np.zeros(3)
+        if last is None or 0 in {self._reference_id, surface.reference_id}:
+            return
+        if not np.isfinite(last.wrench).all() or not (last.contacts or before.any()):
+            return
+        force = last.wrench[:3] if _is_force(last) else np.zeros(3)
+        most = SHARE_LEFT * max(np.linalg.norm(before), np.linalg.norm(force))
+        if before.any() and np.linalg.norm(before + force) <= most + LEAST_DOUBTED_N:
+            return
+        # What pulls without pressing is a load that an earlier reference had in it, now gone.
+        shape = rest_shape(Reference.nominal(self._sensor).position, surface.reference)
+        if last.contacts or why_touched(shape, RestParameters()):
+            self._zeroed = before + force
+
+    def _begin_again_where_due(self, surface: Surface, stamp_ns: int | None) -> None:
+        reference_id = surface.reference_id
+        if reference_id != self._reference_id:
+            self._note_load(surface)
         if reference_id != self._reference_id or _goes_back(self._stamp_ns, stamp_ns):
             self.reset()
         self._reference_id = reference_id
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
+
+
+def _is_force(field: ForceField) -> bool:
+    """Whether a field's force is more than noise makes of none."""
+    limit = np.maximum(DOUBTED_DEVIATIONS * field.wrench_std[:3], LEAST_DOUBTED_N)
+    return bool((np.abs(field.wrench[:3]) > limit).any())
 
 
 def _goes_back(before: int | None, now: int | None) -> bool:

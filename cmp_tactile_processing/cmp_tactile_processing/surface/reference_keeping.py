@@ -152,6 +152,7 @@ class ReferenceKeeper:
         self.reference = nominal
         self.waiting = True
         self.reason = ""
+        self._doubt = ""
         self.judged: FramesJudged | None = None
         self._zero = ZeroParameters()
         self.watch(RestParameters(), DriftParameters())
@@ -178,13 +179,17 @@ class ReferenceKeeper:
 
         Raises ReferenceFramesError where they cannot serve; all then stays as it was.
         """
-        number = self.reference.id + 1
-        reference = Reference.average(frames, number, stamp_ns)
-        left_out = f" of {len(frames)}" if reference.frames < len(frames) else ""
-        said = f"reference {number} is the mean of {reference.frames}{left_out} frames"
-        shape = rest_shape(self._nominal.position, reference.position)
-        doubt = why_touched(shape, self._rest)
+        reference = Reference.average(frames, self.reference.id + 1, stamp_ns)
+        return self._use(reference, self._why_touched(reference), len(frames))
+
+    def _why_touched(self, reference: Reference) -> str:
+        return why_touched(rest_shape(self._nominal.position, reference.position), self._rest)
+
+    def _use(self, reference: Reference, doubt: str, frames: int) -> str:
+        left_out = f" of {frames}" if reference.frames < frames else ""
+        said = f"reference {reference.id} is the mean of {reference.frames}{left_out} frames"
         self.reference, self.waiting, self.reason = reference, False, ""
+        self._doubt = doubt
         self._drift = DriftMonitor(self._rest, self._drift_parameters)
         return f"{said}; but {doubt}" if doubt else said
 
@@ -212,10 +217,19 @@ class ReferenceKeeper:
             if not number:
                 kept = "reference yet, displacement is against the nominal surface"
             return f"no {kept}: {self.reason}; {later}, or by ~/set_reference"
+        if self._doubt:
+            return (
+                f"reference {self.reference.id} is doubtful: {self._doubt}; call ~/set_reference "
+                "while nothing touches the gel, or calibrate"
+            )
         return self._drift.warning()
 
     def _taken(self, judged: FramesJudged, stamp_ns: int) -> str:
-        return self.take(judged.frames, stamp_ns) + ", taken by itself"
+        reference = Reference.average(judged.frames, self.reference.id + 1, stamp_ns)
+        doubt = self._why_touched(reference)
+        if doubt:
+            raise ReferenceFramesError(doubt)
+        return self._use(reference, "", len(judged.frames)) + ", taken by itself"
 
     def _awaited(self, judged: FramesJudged, stamp_ns: int) -> str:
         self.reason = judged.reason

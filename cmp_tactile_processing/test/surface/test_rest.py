@@ -371,6 +371,31 @@ class TestKeeping:
         said = _keeper(sensor).take(_frames(nominal + _bump(nominal, 2e-4)), 1)
         assert said.startswith("reference 1 is the mean of 20 frames; but markers around")
 
+    def test_the_doubt_holds_until_a_reference_is_taken_of_a_free_gel(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        keeper.take(_frames(nominal + _bump(nominal, 2e-4)), 1)
+        for k in range(2, 5):
+            _feed(keeper, _frames(nominal, seed=k), k)
+            assert keeper.warning().startswith("reference 1 is doubtful: markers around")
+            assert "~/set_reference" in keeper.warning()
+        keeper.take(_frames(nominal, seed=9), 6)
+        assert keeper.warning() == ""
+
+    def test_nothing_taken_by_itself_is_doubted(self, sensor, nominal):
+        """Presses at the limit of what counts as touched: the median of frames may be below it and
+        their mean above."""
+        limit = RestParameters().rest_tolerance
+        depth = 200 * UM * limit / rest_shape(nominal, nominal + _bump(nominal, 200 * UM)).bump
+        taken = 0
+        for seed in range(60):
+            keeper = _keeper(sensor)
+            press = depth * (0.96 + 0.001 * seed)
+            _feed(keeper, _frames(nominal + _bump(nominal, press), seed=seed))
+            taken += not keeper.waiting
+            assert "doubtful" not in keeper.warning()
+            assert keeper.waiting == ("no reference yet" in keeper.warning())
+        assert 0 < taken < 60
+
     def test_drift_is_followed_at_rest_and_reported(self, sensor, nominal):
         keeper = _keeper(sensor)
         _feed(keeper, _frames(nominal))

@@ -95,6 +95,11 @@ class ScenePlayer:
         """The contact of the frame that was played last; the gel at rest before the first."""
         return self._state.contact
 
+    @property
+    def at_start(self) -> bool:
+        """Whether no frame was played since the beginning."""
+        return self._state.frame < 0
+
     def start(self) -> ContactState:
         """Back to the beginning: the contact before the first frame."""
         self._state, self._due = self._simulation.start(), 0.0

@@ -17,6 +17,7 @@ from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
+from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.live import motion
@@ -65,8 +66,10 @@ class LiveSensor:
         # In this order: the state is as new as the status or newer.
         status, state = self._contact.status, self._contact.latest
         surface = self._surface(state)
+        image = self._camera.picture(surface)
+        self._contact.pictured(state)
         return motion.LiveFrame(
-            image=self._camera.picture(surface),
+            image=image,
             origin=f"{self._scene.name} [{state.number if state else 'at rest'}]",
             status=status,
             pose=state.contact.pose if state else None,
@@ -205,6 +208,9 @@ def _with_half_the_pixels(camera: Camera | None) -> Camera | None:
 LONGEST_STEP = 3
 # Share of the last steps in the average of their duration.
 STEP_MEMORY = 0.9
+# A scene's motion begins when so many pictures of the gel at rest were taken: in them a reference
+# is found however slow the machine is, though some be lost and a count of frames be under way.
+REST_PICTURES = 3 * RestParameters().rest_frames
 Goal = Pose | Load | motion.LiveMode
 """PLAYING and HOLDING where there is no target."""
 
@@ -241,12 +247,18 @@ class LiveContact:
         self._latest: LiveState | None = None
         self._note = self._problem = ""
         self._step_s = 0.0
+        self._pictures = 0
         self._worker = Worker("mechanics", self._run)
 
     @property
     def latest(self) -> LiveState | None:
         """The newest state; None until the elastic model is built."""
         return self._latest
+
+    def pictured(self, state: LiveState | None) -> None:
+        """Know that a picture of that state was taken."""
+        if state is not None and state is self._latest:
+            self._pictures += 1
 
     @property
     def mode(self) -> motion.LiveMode:
@@ -344,6 +356,8 @@ class LiveContact:
         if goal is None:
             return player.start(), False
         if goal is motion.LiveMode.PLAYING:
+            if player.at_start and self._pictures < REST_PICTURES:
+                return player.contact, False
             return player.step(elapsed), False
         assert self._simulation is not None  # noqa: S101
         assert self._latest is not None  # noqa: S101  published before the first step
@@ -368,7 +382,7 @@ class LiveContact:
         if latest is None or contact is not latest.contact:
             number = 0 if latest is None else latest.number + 1
             moved = self._simulation.elastomer.marker_displacement(contact.force)
-            self._latest = LiveState(number, contact, moved)
+            self._latest, self._pictures = LiveState(number, contact, moved), 0
         self._problem = ""
 
 

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SceneError
@@ -142,6 +144,20 @@ def test_the_scene_plays_until_a_target_comes_and_again_after_a_reset():
         wait(live, lambda f: normal_force(f) > 0)
     finally:
         live.close()
+
+
+@pytest.mark.parametrize("every_s", [0.0, 0.1], ids=["quick", "slow"])
+def test_the_gel_rests_long_enough_for_a_reference_however_slow_pictures_are(every_s):
+    """The scene begins to press in its first frame, which is due after 20 ms."""
+    live = LiveSensor(load_scene(str(SCENE)), replace(QUICK, autoplay=True), RATE_HZ)
+    at_rest = 0
+    try:
+        while (state := live.picture()).pose is None or state.status.steps == 0:
+            at_rest += state.pose is not None
+            time.sleep(every_s)
+    finally:
+        live.close()
+    assert at_rest >= 2 * RestParameters().rest_frames, "counting may begin at any of them"
 
 
 def test_what_cannot_be_solved_leaves_the_last_state_and_says_so(sensor):

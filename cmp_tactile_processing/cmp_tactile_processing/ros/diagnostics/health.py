@@ -165,7 +165,11 @@ def reference_figures(keeper: ReferenceKeeper) -> dict[str, object]:
 
 # The others are reported, but belong to ordinary use.
 WARNED_OF = (
-    ForceFlag.FEW_MARKERS | ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE
+    ForceFlag.FEW_MARKERS
+    | ForceFlag.NOT_CONVERGED
+    | ForceFlag.POOR_FIT
+    | ForceFlag.IMPLAUSIBLE
+    | ForceFlag.ZERO_DOUBTFUL
 )
 # A flag is reported once it holds in this share of a second's fields, and until it holds in less
 # than the other: one that comes and goes from frame to frame is reported without a break.

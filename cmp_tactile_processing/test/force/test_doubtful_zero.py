@@ -1,0 +1,119 @@
+"""A reference that was taken under load is reported until one is taken of a gel that is free.
+
+The truth of every case is hidden from the stage: it sees displacement from the reference alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
+
+from .conftest import NOISE_M, Press, noisy
+
+Measure = Callable[..., ForceField]
+FREE = np.zeros((20, 20, 3))
+DOUBTED = ForceFlag.ZERO_DOUBTFUL
+
+
+@pytest.fixture(scope="module")
+def stage(sample_rig: SensorDescription) -> ForceStage:
+    """The stage of the packaged rig."""
+    return ForceStage(sample_rig)
+
+
+@pytest.fixture
+def measure(stage: ForceStage, sample_rig: SensorDescription) -> Measure:
+    """Measures a true displacement against a true one that is reference `number`, with noise."""
+    rest: Surface = surface_at_rest(Reference.nominal(sample_rig), sample_rig.pattern.shape)
+
+    def process(
+        moved: NDArray[np.float64], zero: NDArray[np.float64], number: int, seed: int = 1
+    ) -> ForceField:
+        reference = rest.reference + zero
+        displacement = noisy(moved - zero, seed)
+        covariance = np.broadcast_to(np.diag(NOISE_M**2), (20, 20, 3, 3))
+        surface = replace(
+            rest,
+            position=reference + displacement,
+            reference=reference,
+            displacement=displacement,
+            covariance=covariance.copy(),
+            ray_gap=np.zeros((20, 20)),
+            reference_id=number,
+        )
+        return stage.process(surface)
+
+    process(FREE, FREE, 0)
+    return process
+
+
+@pytest.mark.parametrize("load", ["press", "shear", "small press", "two contacts"])
+@pytest.mark.parametrize("newtons", [0.2, 2.0])
+def test_lift_off_from_a_reference_under_load_is_flagged(
+    measure: Measure, truth: dict[str, Press], load: str, newtons: float
+) -> None:
+    """As after a start with something on the gel: nothing is known from before."""
+    pressed = newtons / 10 * truth[load].displacement
+    assert not measure(pressed, pressed, 1).flags & DOUBTED, "that is all a reference can show"
+    lifted = measure(FREE, pressed, 1)
+    assert lifted.wrench[2] == pytest.approx(newtons, rel=0.2)
+    assert lifted.flags & DOUBTED
+    assert not measure(FREE, FREE, 2).flags & DOUBTED
+
+
+def test_the_load_is_told_from_zero_to_the_next_zero_of_a_free_gel(
+    stage: ForceStage, measure: Measure, truth: dict[str, Press]
+) -> None:
+    pressed = 0.2 * truth["press"].displacement
+    measure(FREE, FREE, 1)
+    assert not measure(pressed, FREE, 1).flags & DOUBTED
+    for moved in (pressed, FREE, 1.5 * pressed, FREE):
+        assert measure(moved, pressed, 2).flags & DOUBTED
+        assert stage.zeroed_load == pytest.approx(2, rel=0.1)
+    assert not measure(FREE, FREE, 3).flags & DOUBTED
+    assert stage.zeroed_load == 0
+
+
+def test_half_of_the_load_that_stays_is_still_a_load(
+    stage: ForceStage, measure: Measure, truth: dict[str, Press]
+) -> None:
+    pressed = 0.2 * truth["press"].displacement
+    measure(FREE, FREE, 1)
+    measure(pressed, FREE, 1)
+    measure(pressed, pressed, 2)
+    measure(pressed / 2, pressed, 2)
+    assert measure(pressed / 2, pressed / 2, 3).flags & DOUBTED
+    assert stage.zeroed_load == pytest.approx(1, rel=0.2)
+
+
+def test_a_reset_keeps_the_reference_and_the_doubt_but_no_older_force(
+    stage: ForceStage, measure: Measure, truth: dict[str, Press]
+) -> None:
+    pressed = 0.2 * truth["press"].displacement
+    measure(FREE, FREE, 1)
+    measure(pressed, FREE, 1)
+    measure(pressed, pressed, 2)
+    stage.reset()
+    assert measure(pressed, pressed, 2).flags & DOUBTED
+    stage.reset()
+    assert not measure(FREE, FREE, 3).flags & DOUBTED
+
+
+def test_a_free_gel_and_any_press_from_a_free_reference_are_not_doubted(
+    measure: Measure, truth: dict[str, Press]
+) -> None:
+    measure(FREE, FREE, 1)
+    assert not any(measure(FREE, FREE, 1, seed).flags & DOUBTED for seed in range(60))
+    for name, press in truth.items():
+        for newtons in (0.05, 0.2, 1.0, 5.0):
+            field = measure(newtons / 10 * press.displacement, FREE, 1)
+            assert not field.flags & DOUBTED, f"{name}, {newtons} N"
