@@ -66,6 +66,16 @@ def grasp_bag() -> Path:
 
 
 @pytest.fixture(scope="session")
+def weigh_bag() -> Path:
+    """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
+    from cmp_tactile_simulation.recording.run import recording_of
+
+    with pytest.MonkeyPatch.context() as patch:
+        _with_short_scenes(patch)
+        return recording_of("weigh")
+
+
+@pytest.fixture(scope="session")
 def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Makes what many tests read once for all workers: a path of that name, filled by `make`."""
     from cmp_tactile_processing.cache.files import locked

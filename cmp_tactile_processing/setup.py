@@ -27,7 +27,7 @@ setup(
         (f"share/{package_name}/config", sorted(map(str, Path("config").glob("*.yaml")))),
     ],
     # Only what has no rosdep key; package.xml names the rest.
-    install_requires=["setuptools", "scikit-fem", "threadpoolctl"],
+    install_requires=["setuptools", "scikit-fem", "simplejpeg", "threadpoolctl"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -5,16 +5,32 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from command_output import output_of
 
 import cmp_tactile_processing
 import cmp_tactile_simulation
 from cmp_tactile_processing.cache.compiled import (
+    DIGEST_FILE,
+    INSTALLED,
     KEPT,
     _remove_oldest,
     compiled_digest,
+    installing,
     source_digest,
 )
+
+# Says "compiled" where the function has to be compiled for a value of this type.
+KERNEL = "from numba import njit\n\none = njit(cache=True)(lambda x: x + 1)\n"
+CALL = """
+import sys
+import cmp_tactile_processing
+from cmp_tactile_processing.cache.compiled import when_compiling
+sys.path.insert(0, {folder!r})
+with when_compiling(lambda: print("compiled")):
+    from kernels import one
+    one({value})
+"""
 
 
 def test_the_folder_depends_on_every_source(tmp_path):
@@ -56,6 +72,71 @@ def test_a_cache_of_another_user_is_not_used(tmp_path):
     assert used.parent == tmp_path
     assert used.name.startswith("cmp_tactile_")
     assert not used.exists()
+
+
+@pytest.fixture
+def call(tmp_path):
+    """Calls a compiled function in a process: "compiled" where it had to be compiled, or nothing.
+
+    As a user with this cache folder, of packages that are installed below this prefix.
+    """
+    (tmp_path / "kernels.py").write_text(KERNEL)
+
+    def called(cache, prefix="", value="1.0", **variables):
+        # A process would take the NUMBA_CACHE_DIR of this one for the user's choice.
+        user = {"XDG_CACHE_HOME": str(cache), "AMENT_PREFIX_PATH": str(prefix)}
+        code = CALL.format(folder=str(tmp_path), value=value)
+        return output_of("-c", code, **user, **{"NUMBA_CACHE_DIR": None, **variables}).strip()
+
+    return called
+
+
+@pytest.fixture
+def installed(call, tmp_path):
+    """A prefix with that function compiled into it, as the build does."""
+    prefix = tmp_path / "prefix"
+    with installing(prefix) as folder:
+        assert call(tmp_path / "builder", NUMBA_CACHE_DIR=str(folder)) == "compiled"
+    return prefix
+
+
+def test_every_user_takes_what_was_compiled_when_the_packages_were_installed(
+    call, installed, tmp_path
+):
+    """Another user, a container or a home that cannot be written compiled for minutes, in silence.
+
+    numba/numba 4032 and 7248, LMCache 4597: in a container, as a user without a home, numba finds
+    no folder for its cache.
+    """
+    assert call(tmp_path / "one") == "compiled"
+    for cache in (tmp_path / "two", tmp_path / "two", "/proc/cannot/be/written"):
+        assert call(cache, installed) == ""
+    before = {path: path.read_bytes() for path in installed.rglob("*") if path.is_file()}
+    # What is newer goes into the user's own folder, beside what came with the packages.
+    assert call(tmp_path / "two", installed, value="1") == "compiled"
+    for value in ("1", "1.0"):
+        assert call(tmp_path / "two", installed, value=value) == ""
+    assert {path: path.read_bytes() for path in installed.rglob("*") if path.is_file()} == before
+
+
+def test_what_is_half_installed_of_other_sources_or_writable_by_all_is_not_used(
+    call, installed, tmp_path
+):
+    record = installed / INSTALLED / DIGEST_FILE
+    digest = record.read_text()
+    record.write_text("of other sources")
+    assert call(tmp_path / "one", installed) == "compiled"
+    record.unlink()
+    assert call(tmp_path / "two", installed) == "compiled"
+    record.write_text(digest)
+    record.parent.chmod(0o777)
+    assert call(tmp_path / "three", installed) == "compiled"
+
+
+def test_a_part_that_fails_leaves_nothing_installed(tmp_path):
+    with pytest.raises(OSError, match="disk"), installing(tmp_path):
+        raise OSError("disk")
+    assert not (tmp_path / INSTALLED / DIGEST_FILE).exists()
 
 
 def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_path):

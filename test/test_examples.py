@@ -72,28 +72,52 @@ def test_the_drawing_of_the_mirrors_is_made(tmp_path):
     assert np.abs(drawn.astype(float) - kept).mean() < 2
 
 
+def test_every_example_is_run_by_a_test():
+    tests = "".join(path.read_text("utf-8") for path in Path(__file__).parent.glob("*.py"))
+    for example in EXAMPLES.glob("*.py"):
+        assert f'"{example.name}"' in tests, example.name
+
+
 def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
-    """Up to the end of the press, coarser and in fewer samples, as the tutorial's commands do."""
+    """All of its motion on the tutorial's mesh, in fewer samples, as the tutorial's commands do.
+
+    Reports of the kind, tried here:
+    RobotLocomotion/drake 9241 (a grip's contact swings and settles only with another step, load or
+    tolerance): the washer's release, which failed at frame 39 on machines that round otherwise; it
+    ends.
+    idaholab/moose 7544 (after a failed solve, a shorter step gives another state): a step that
+    failed before it changes no digit of the one that follows.
+    """
     scene = (EXAMPLES / "washer" / "washer.yaml").read_text(encoding="utf-8")
-    coarse = scene + "contact_nodes: 21\nsamples: 2\n"
-    (tmp_path / "washer.yaml").write_text(coarse, encoding="utf-8")
+    (tmp_path / "washer.yaml").write_text(scene + "samples: 2\n", encoding="utf-8")
     shutil.copy(EXAMPLES / "washer" / "washer.stl", tmp_path)
     bag = tmp_path / "recording"
     command = ["cmp_tactile", "simulate", tmp_path / "washer.yaml", "--output", bag, "--video"]
-    subprocess.run([*command, "--frames", "21"], check=True, capture_output=True)
+    subprocess.run(command, check=True, capture_output=True)
     assert (bag / "video.mp4").stat().st_size > 10_000
     printed = output_of(EXAMPLES / "compare.py", bag)
     rows = rows_of(printed)
-    assert [row[0] for row in rows] == [0, 5, 10, 15, 20]
-    for _, corners_px, surface_um, found, true, *_ in rows:
+    assert [row[0] for row in rows] == list(range(0, 47, 5))
+    for _, corners_px, surface_um, found, true, *moments in rows:
         # The detector's noise at this sensor's blur, and what it makes in depth.
         assert corners_px < 0.05
         assert surface_um < 5
         assert found == pytest.approx(true, abs=0.1 * abs(true) + 0.1)
-    assert rows[-1][4] == pytest.approx(-4, abs=0.01)
-    # The press comes to its load on another way where the mesh is coarser; noise differs, too.
-    shown = shown_after(TUTORIALS / "simulate.md", "docs/examples/compare.py washer")[:6]
-    assert_printed(shown, printed, rel=0.2, absolute=0.2)
+        assert moments[0] == pytest.approx(moments[1], abs=0.1)
+    assert rows[4][4] == pytest.approx(-4, abs=0.01)
+    assert rows[-1][4] == 0
+    # Noise differs, and where the release slides it depends on rounding.
+    shown = shown_after(TUTORIALS / "simulate.md", "docs/examples/compare.py washer")
+    assert_printed(shown, printed, rel=0.2, absolute=0.3)
+
+
+def test_the_example_that_weighs_reads_what_is_true(weigh_bag):
+    """Of the short scene: 200 g and 500 g on a coarser mesh."""
+    rows = rows_of(output_of(EXAMPLES / "weigh.py", weigh_bag))
+    assert max(row[3] for row in rows) == pytest.approx(500, abs=0.5)
+    for _, weight, deviations, true in rows:
+        # What the force stage reaches on another mesh than the simulator's.
+        assert weight == pytest.approx(true, abs=0.03 * true + deviations + 2)
 
 
 def test_a_forgotten_scale_is_reported_as_the_tutorial_shows(tmp_path, monkeypatch, capsys):

@@ -46,6 +46,7 @@ WITHOUT_ROSDEP_KEY = {
     "distributed": "distributed",
     "mcap": "mcap",
     "pyarrow": "pyarrow",
+    "simplejpeg": "simplejpeg",
     "skfem": "scikit-fem",
     "threadpoolctl": "threadpoolctl",
     "trimesh": "trimesh",

@@ -75,17 +75,6 @@ def images(tmp_path: Path, recording: Recording) -> Path:
 
 
 @pytest.fixture(scope="session")
-def weigh_bag() -> Path:
-    """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
-    from cmp_tactile_simulation.recording.run import recording_of
-
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("AMENT_PREFIX_PATH", f"{SHORT_SCENES}{os.pathsep}{prefixes}")
-        return recording_of("weigh")
-
-
-@pytest.fixture(scope="session")
 def practice_set(made_once: Callable[..., Path]) -> Path:
     """The practice set that the tutorial makes, but small and always the same."""
     from cmp_tactile_bringup.command import main

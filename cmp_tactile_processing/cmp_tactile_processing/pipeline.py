@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.optics import ViewGeometry
@@ -50,11 +51,12 @@ class Pipeline:
         As the parameter of the node, whose default is when_still; ParameterError for another.
         """
         self._sensor = sensor
-        self._rig = StereoRig(sensor)
-        self._views = [_TrackedView(sensor, view) for view in self._rig.views.values()]
-        self._threads = ViewThreads(len(self._views))
-        self._force = ForceStage(sensor)
-        self._keeper = ReferenceKeeper(Reference.nominal(sensor))
+        with compiling_is_logged():
+            self._rig = StereoRig(sensor)
+            self._views = [_TrackedView(sensor, view) for view in self._rig.views.values()]
+            self._threads = ViewThreads(len(self._views))
+            self._force = ForceStage(sensor)
+            self._keeper = ReferenceKeeper(Reference.nominal(sensor))
         self._auto = auto_reference != "never"
         self._keeper.zero(ZeroParameters(auto_reference=auto_reference))
         self._reference_note = ""

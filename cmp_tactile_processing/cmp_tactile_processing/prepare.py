@@ -1,16 +1,20 @@
 """Makes what frames of a sensor need before the first of them: compiled code and elastic model.
 
 `python3 -m cmp_tactile_processing.prepare NAME [--only PART]` does so in a process of its own.  It
-writes "compiling" on stdout as soon as there is something to compile.
+writes "compiling" on stdout as soon as there is something to compile.  With `--install PREFIX` the
+compiled code goes below the prefix that the packages are installed in, for all users.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
-from cmp_tactile_processing.cache.compiled import when_compiling
+from cmp_tactile_processing.cache.compiled import installing, when_compiling
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
@@ -56,14 +60,34 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="prepare")
     parser.add_argument("sensor")
     parser.add_argument("--only", choices=PARTS, help="one of the parts")
+    parser.add_argument("--install", metavar="PREFIX", type=Path, help="compile for all users")
     options = parser.parse_args(arguments)
     try:
+        if options.install is not None:
+            return _install(options.sensor, options.install)
         sensor = load_sensor(options.sensor)
         with when_compiling(_report):
             PARTS.get(options.only, prepare)(sensor)
     except CmpTactileError as error:
         sys.stderr.write(f"prepare: {error}\n")
         return 1
+    return 0
+
+
+def _install(sensor: str, prefix: Path) -> int:
+    """Compile all parts side by side for the packages below this prefix; the exit code."""
+    try:
+        with installing(prefix) as folder:
+            command = [sys.executable, "-m", "cmp_tactile_processing.prepare", sensor, "--only"]
+            env = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+            processes = [subprocess.Popen([*command, part], env=env) for part in PARTS]
+            codes = [process.wait() for process in processes]
+            if any(codes):
+                msg = f"{prefix}: nothing is installed, as a part could not be compiled"
+                raise CmpTactileError(msg)
+    except OSError as error:
+        msg = f"{prefix}: cannot be written: {error}"
+        raise CmpTactileError(msg) from None
     return 0
 
 

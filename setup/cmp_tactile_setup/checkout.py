@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from cmp_tactile_setup import machine, steps, virtual_environment
@@ -21,6 +21,7 @@ from cmp_tactile_setup.layout import (
 from cmp_tactile_setup.machine import RosInstallation, sourced_ros
 from cmp_tactile_setup.workspace import Workspace
 
+COMPILED = "cmp_tactile_processing"
 # Its sources count for the folder of the cache.
 COMPILED_TOO = "cmp_tactile_simulation"
 
@@ -71,6 +72,7 @@ def _build(layout: Layout, ros: RosInstallation | None) -> None:
     clean = clean_environment(os.environ, layout, with_ros)
     env = build_environment(layout, clean, with_ros)
     changed = workspace.changed()
+    workspace.clear_outdated()
     with compiling_beside(layout, env):
         if changed:
             machine.check_tools(for_venv=False, for_wheels=False)
@@ -81,27 +83,23 @@ def _build(layout: Layout, ros: RosInstallation | None) -> None:
 
 @contextmanager
 def compiling_beside(layout: Layout, env: Mapping[str, str]) -> Iterator[None]:
-    """Compile trackers and forces of the default sensor, at once, while the packages are built.
+    """Compile trackers and forces into the installed packages, while these are built.
 
-    Each start of the software would do it otherwise. Where it fails, the first start does it and
+    Each user's first start of the software would do it otherwise. Where it fails, that does it and
     says why.
     """
     started = time.monotonic()
-    sources = [str(layout.root / name) for name in ("cmp_tactile_processing", COMPILED_TOO)]
+    sources = [str(layout.root / name) for name in (COMPILED, COMPILED_TOO)]
     paths = [*sources, *filter(None, [env.get("PYTHONPATH")])]
-    command = [str(layout.venv_python), "-m", "cmp_tactile_processing.prepare", "sample_rig"]
+    prefix = str(layout.install / COMPILED)
+    module = f"{COMPILED}.prepare"
+    command = [str(layout.venv_python), "-m", module, "sample_rig", "--install", prefix]
     changed = {**env, "PYTHONPATH": os.pathsep.join(paths)}
-    with ExitStack() as started_ones:
-        processes = {}
-        # Each takes about as long as the packages do.
-        for part, what in (("tracking", "gridlines"), ("forces", "forces")):
-            log = layout.logs / f"compile_{part}.log"
-            begun = steps.started_command([*command, "--only", part], log, changed, layout.root)
-            processes[what] = started_ones.enter_context(begun), log
+    log = layout.logs / "compile.log"
+    with steps.started_command(command, log, changed, layout.root) as process:
         yield
-        for what, (process, log) in processes.items():
-            if not steps.wait_for_step(f"compiling what finds {what}", process, started):
-                steps.say(f"the first start of the software will compile it (log: {log})")
+        if not steps.wait_for_step("compiling what finds gridlines and forces", process, started):
+            steps.say(f"the first start of the software will compile it (log: {log})")
 
 
 def _restart_with_a_better_python(distro: str) -> None:

@@ -54,6 +54,7 @@ class Workspace:
 
     layout: Layout
     flavour: str
+    from_wheels: bool
     packages: tuple[Package, ...]
 
     @classmethod
@@ -66,7 +67,7 @@ class Workspace:
             Package(folder.name, folder, digest(_sources(folder), _linked(folder), layout.root))
             for folder in folders
         ]
-        return cls(layout, _flavour(layout, ros), tuple(packages))
+        return cls(layout, _flavour(layout, ros), ros is None, tuple(packages))
 
     def changed(self) -> list[Package]:
         """The packages that are not built, or that have changed since."""
@@ -78,11 +79,14 @@ class Workspace:
         record = read_record(self.layout.build_record)
         return record.get("setup") == _setup_digest() and not self.changed()
 
+    def clear_outdated(self) -> None:
+        """Remove what was built for another ROS 2."""
+        if not self._built():
+            forget_build(self.layout)
+
     def build(self, changed: Sequence[Package], env: Mapping[str, str]) -> None:
         """Build packages. Raises SetupError with the reason if that fails."""
         kept = self._built()
-        if not kept:
-            forget_build(self.layout)
         for package in changed:
             kept.pop(package.name, None)
         self._write_record(kept, finished=False)
@@ -122,6 +126,7 @@ class Workspace:
             *("--event-handlers", "console_direct+"),
             *("--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
             *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
+            *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if self.from_wheels else []),
         ]
         title = f"building {_enumerate(selected)}"
         if not run_step(title, command, log, env, layout.root):

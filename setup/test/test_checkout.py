@@ -14,10 +14,10 @@ def test_compiling_beside_the_build_may_fail(layout, capsys, status):
         built = True
     assert built
     sources = [f"{layout.root}/cmp_tactile_{name}" for name in ("processing", "simulation")]
-    for part in ("tracking", "forces"):
-        command, paths = (layout.logs / f"compile_{part}.log").read_text().rsplit(" ", 1)
-        assert command == f"-m cmp_tactile_processing.prepare sample_rig --only {part}"
-        assert paths.strip() == ":".join([*sources, "/opt/ros"])
+    command, paths = (layout.logs / "compile.log").read_text().rsplit(" ", 1)
+    prefix = layout.install / "cmp_tactile_processing"
+    assert command == f"-m cmp_tactile_processing.prepare sample_rig --install {prefix}"
+    assert paths.strip() == ":".join([*sources, "/opt/ros"])
     said = capsys.readouterr().out
     assert ("FAILED" in said) == ("the first start of the software will" in said) == bool(status)
 

@@ -6,6 +6,7 @@ skew in the image differ enough from those of all frames kept so far.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -16,9 +17,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.recordings.library import check_source, recorded_source
+from cmp_tactile_bringup.recordings.library import (
+    RecordingError,
+    check_source,
+    recorded_source,
+)
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_driver.sources.frames import ImageSize
@@ -65,8 +71,9 @@ def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None)
         frame_id="",
         expected_size=size,
     )
-    frames = (item for item in recording.messages() if isinstance(item, RecordedFrame))
-    chosen = list(islice(_from(frames, selection.start_s), selection.count))
+    messages = recording.messages(TimeSpan(start=selection.start_s))
+    frames = (item for item in messages if isinstance(item, RecordedFrame))
+    chosen = list(islice(frames, selection.count))
     if not chosen:
         msg = f"{source}: found no frame after {selection.start_s:g} s, expected a longer recording"
         raise FrameSourceError(msg)
@@ -77,17 +84,53 @@ def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None)
     )
 
 
-def _from(frames: Iterator[RecordedFrame], start_s: float) -> Iterator[RecordedFrame]:
-    first_ns: int | None = None
-    for frame in frames:
-        first_ns = frame.stamp_ns if first_ns is None else first_ns
-        if frame.stamp_ns - first_ns >= start_s * 1e9:
-            yield frame
-
-
 def read_images(files: Sequence[Path]) -> list[Frame]:
     """Grey images (H, W) of files; FrameError for one that cannot be read."""
     return [to_grey(decode_file(file.expanduser())) for file in files]
+
+
+def pairs_by_number(
+    left: Sequence[Path], right: Sequence[Path]
+) -> tuple[list[tuple[Path, Path]], list[Path]]:
+    """Images that were taken together, by the numbers in their names, and those without a partner.
+
+    A number that is the same in all names of a side, such as that of its camera, does not count.
+    Raises RecordingError for a name without a number, numbers that come twice, and no pair at all.
+    """
+    numbered = {"left": _by_number(left), "right": _by_number(right)}
+    both = [number for number in numbered["left"] if number in numbered["right"]]
+    if not both:
+        msg = (
+            f"{left[0].name} to {left[-1].name}, {right[0].name} to {right[-1].name}: found no "
+            "number in names of both, expected the same one in the two images of a pair"
+        )
+        raise RecordingError(msg)
+    pairs = [(numbered["left"][number], numbered["right"][number]) for number in both]
+    alone = [file for side in numbered.values() for n, file in side.items() if n not in both]
+    return pairs, alone
+
+
+def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
+    """The files of one side by the numbers that differ between their names, in their order."""
+    numbers = [tuple(map(int, re.findall(r"\d+", file.stem))) for file in files]
+    for file, found in zip(files, numbers, strict=True):
+        if not found:
+            msg = (
+                f"{file}: found no number in its name, expected that of its pair, as in left04.png"
+            )
+            raise RecordingError(msg)
+    if len(set(map(len, numbers))) == 1 and len(set(numbers)) > 1:
+        varying = [k for k, values in enumerate(zip(*numbers, strict=True)) if len(set(values)) > 1]
+        keys = [tuple(found[k] for k in varying) for found in numbers]
+    else:
+        keys = [found[-1:] for found in numbers]
+    chosen: dict[tuple[int, ...], Path] = {}
+    for key, file in zip(keys, files, strict=True):
+        if key in chosen:
+            msg = f"{file}: found the number of {chosen[key]}, expected one of its own"
+            raise RecordingError(msg)
+        chosen[key] = file
+    return chosen
 
 
 def take_frames(

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags import reader
-from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.recording import is_bag, open_recording
+from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
+from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
@@ -144,7 +146,8 @@ class MarkerCamera:
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._views = build_views(sensor)
-        self._trackers = {name: GridTracker(sensor, name) for name in self._views}
+        with compiling_is_logged():
+            self._trackers = {name: GridTracker(sensor, name) for name in self._views}
         self._rig = StereoRig(sensor)
 
     def markers(self, image: NDArray[np.uint8]) -> Markers3D:
@@ -262,9 +265,9 @@ def _rest_frames(
 
 def _surface_topic(path: Path, topic: str) -> str:
     """The surface topic to be read; empty where images are."""
-    if not path.exists() or (path.is_dir() and not _holds_bag(path)):
+    if not path.exists() or (path.is_dir() and not is_bag(path)):
         return ""
-    storage = reader.open_storage(path)
+    storage = open_storage(path)
     kinds = storage.topics
     if topic:
         return topic if kinds.get(topic) == SURFACE else ""
@@ -279,12 +282,8 @@ def _surface_topic(path: Path, topic: str) -> str:
     raise RecordingError(msg)
 
 
-def _holds_bag(folder: Path) -> bool:
-    return any(folder.glob("*.mcap")) or any(folder.glob("*.db3"))
-
-
 def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMotion:
-    storage = reader.open_storage(path)
+    storage = open_storage(path)
     corners = sensor.pattern.shape.corners
     stamps, displacement, status = [], [], []
     for message in _surfaces(storage, topic):
@@ -310,12 +309,12 @@ def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMoti
     )
 
 
-def _surfaces(storage: reader.BagStorage, topic: str) -> Iterator[Any]:
+def _surfaces(storage: BagStorage, topic: str) -> Iterator[Any]:
     for stored in storage.messages([topic]):
         yield _surface(stored)
 
 
-def _surface(stored: reader.StoredMessage) -> Any:
+def _surface(stored: StoredMessage) -> Any:
     try:
         return simulation_typestore().deserialize_cdr(stored.data, SURFACE)
     except reader.BAD_MESSAGE as error:

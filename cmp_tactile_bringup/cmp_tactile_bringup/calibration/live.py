@@ -23,6 +23,7 @@ from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.split import LUMINANCE
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Markers3D
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.process import Listener
@@ -56,6 +57,7 @@ class LiveFrames(Listener):
         self._topic = topic if topic.startswith("/") else f"/{topic}"
         self._expected_size = expected_size
         self._timeout_s = timeout_s
+        self._depth = BitDepth(self._topic)
         self._grey_weights = grey_weights
         super().__init__("calibration")
         self._waiting: deque[Image] = deque(maxlen=KEPT_FRAMES)
@@ -86,7 +88,7 @@ class LiveFrames(Listener):
 
     def _decoded(self, message: Image) -> NDArray[np.uint8]:
         try:
-            image = image_from_msg(message, self._grey_weights)
+            image = image_from_msg(message, self._grey_weights, self._depth)
         except CmpTactileError as error:
             msg = f"{self._topic}: {error}"
             raise FrameSourceError(msg) from None

@@ -20,7 +20,8 @@ from cmp_tactile_bringup.calibration.gel_recording import (
     steady_stretches,
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
-from cmp_tactile_driver.bags.reader import BAD_MESSAGE, open_storage
+from cmp_tactile_driver.bags.reader import BAD_MESSAGE
+from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml

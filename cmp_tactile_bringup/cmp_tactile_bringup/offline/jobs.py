@@ -11,6 +11,8 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
+from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
+from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
@@ -57,6 +59,9 @@ class Options:
     def grids_of(self, views: Sequence[str]) -> tuple[str, ...]:
         """Those of a sensor's views of which grids are written."""
         return tuple(view for view in views if self.views in ("both", view))
+
+
+RECORDING_SUFFIXES = (*STORAGE_SUFFIXES, *IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
 
 
 @dataclass(frozen=True)
@@ -147,4 +152,6 @@ def _name_of(source: Path) -> str:
 
         return str(source).replace(VARIANT_MARK, "_")
     place = source.expanduser().resolve()
-    return place.stem if place.suffix else place.name
+    known = place.is_file() and place.suffix.lower() in RECORDING_SUFFIXES
+    # What else looks like a suffix may be a number: press_0.5N.
+    return place.stem if known else place.name

@@ -41,16 +41,15 @@ from cmp_tactile_driver.bags.recording import (
     SingleImage,
     open_recording,
 )
+from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import image_files
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, locked
-from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 NOMINAL = "nominal surface of the sensor description"
@@ -147,7 +146,6 @@ class _Files(ExitStack):
 
     def __init__(self, folder: Path, job: Job, sensor: SensorDescription, options: Options) -> None:
         super().__init__()
-        self._begin_ns: int | None = None
         # What is open already is closed where another cannot be opened.
         with ExitStack() as stack:
             grids = options.grids_of(tuple(sensor.views))
@@ -166,9 +164,7 @@ class _Files(ExitStack):
     def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
         """Write what came of the next frame."""
         self._bag.append(frame, result)
-        if self._begin_ns is None:
-            self._begin_ns = frame.stamp_ns
-        row = results.table_row(frame.stamp_ns, result.force, self._begin_ns, stamp_fault)
+        row = results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault)
         for append in self._tables:
             append(row)
         if self._arrays is not None:
@@ -245,24 +241,19 @@ def _frames_of(recording: Recording) -> Iterator[RecordedFrame]:
 
 
 def _frames_between(recording: Recording, start_s: float, end_s: float) -> Iterator[RecordedFrame]:
-    """The frames recorded from start_s up to end_s, in seconds from the first one.
+    """The frames from start_s up to end_s, in seconds from the first one.
 
     Raises FrameSourceError where there is none.
     """
-    first_ns: int | None = None
-    count, passed_s = 0, 0.0
-    for frame in _frames_of(recording):
-        first_ns = frame.time_ns if first_ns is None else first_ns
-        passed_s = (frame.time_ns - first_ns) / NS_PER_S
-        if passed_s > end_s:
-            break
-        if passed_s >= start_s:
+    count = 0
+    for message in recording.messages(TimeSpan(start_s, end_s)):
+        if isinstance(message, RecordedFrame):
             count += 1
-            yield frame
+            yield message
     if not count:
         msg = (
             f"{recording.name}: found no frame from {start_s:g} to {end_s:g} s, "
-            f"expected times from 0 to {passed_s:.3f} s"
+            f"expected times from 0 to {recording.duration:.3f} s"
         )
         raise FrameSourceError(msg)
 
@@ -272,21 +263,9 @@ def _declared_frames(recording: Recording, source: Path) -> int | None:
     if isinstance(recording, SingleImage):
         return 1
     if isinstance(recording, BagReader):
-        return _count_in_metadata(source, recording.image_topic)
+        return recording.stated_frames
     if isinstance(recording, FolderRecording):
         return len(image_files(source))
-    return None
-
-
-def _count_in_metadata(bag: Path, topic: str) -> int | None:
-    try:
-        topics: Any = read_yaml(bag / "metadata.yaml").raw("rosbag2_bagfile_information")
-        for item in topics["topics_with_message_count"]:
-            if item["topic_metadata"]["name"] == topic:
-                return int(item["message_count"])
-    except (DescriptionError, KeyError, TypeError, ValueError):
-        # Only the progress bar wants it.
-        return None
     return None
 
 

@@ -85,7 +85,8 @@ def _check_folder(source: Path) -> None:
     """Raise RecordingError for a folder without a recording, which says what is there instead."""
     if not source.is_dir() or is_bag(source):
         return
-    names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in source.iterdir())
+    there = [item for item in source.iterdir() if not item.name.startswith(".")]
+    names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in there)
     if any(Path(name).suffix.lower() in IMAGE_SUFFIXES for name in names):
         return
     bags = [name for name in names if name.endswith("/") and is_bag(source / name)]
@@ -112,16 +113,16 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
 
 
 def sensor_of_recording(source: str) -> str:
-    """The file of the description that lies beside a bag, or in results; empty for none.
+    """The file of the description in results, in a bag's folder, or beside a file; empty for none.
 
     The sensor of a packaged scene is known without simulating it.
     """
     if is_packaged(Path(source)):
         return sensor_of_scene(source)
     path = Path(source).expanduser()
-    if path.is_file() and path.suffix == ".mcap":
-        return _attached_sensor(path)
-    return str(path / SENSOR_FILE) if (path / SENSOR_FILE).is_file() else ""
+    attached = _attached_sensor(path) if path.is_file() and path.suffix == ".mcap" else ""
+    beside = (path.parent if path.is_file() else path) / SENSOR_FILE
+    return attached or (str(beside) if beside.is_file() else "")
 
 
 def _attached_sensor(path: Path) -> str:

@@ -80,17 +80,17 @@ def force_arrays(force: ForceField) -> dict[str, NDArray[Any]]:
 
 
 def table_row(
-    stamp_ns: int, force: ForceField, begin_ns: int, stamp_fault: str = ""
+    stamp_ns: int, time_s: float, force: ForceField, stamp_fault: str = ""
 ) -> list[float | str]:
     """The values of COLUMNS; slip state and flags as numbers, as in ForceField.msg, and by name.
 
-    begin_ns: the stamp from which time_s counts.  stamp_fault: what is wrong with the stamp, in a
+    time_s: from the first frame of its recording.  stamp_fault: what is wrong with the stamp, in a
     word; empty for nothing.
     """
     slip = (getattr(force.slip, name) for name in SLIP_FIGURES)
     return [
         stamp_ns,
-        (stamp_ns - begin_ns) * 1e-9,
+        time_s,
         *force.wrench.tolist(),
         force.contact_area,
         *force.wrench_std.tolist(),

@@ -26,7 +26,8 @@ from cmp_tactile_bringup.commands import parse, record
 from cmp_tactile_bringup.graphs import running
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_bringup.recordings.library import required_sensor
-from cmp_tactile_driver.bags.reader import BagReader, open_storage
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.sensor.description import load_sensor

@@ -135,7 +135,8 @@ def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table
     bag_with_stamps, tmp_path, capsys
 ):
     year = 365 * 86400 * 10**9
-    later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, T0_NS + 100 * MS, T0_NS, 0, T0_NS + year]
+    back_ns = T0_NS - 5000 * MS
+    later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, T0_NS + 100 * MS, back_ns, 0, T0_NS + year]
     assert process(bag_with_stamps(later), "--output", tmp_path) == 0
     printed = " ".join(capsys.readouterr().err.split())
     assert "1 of 7 stamps went back; tracking starts again there" in printed

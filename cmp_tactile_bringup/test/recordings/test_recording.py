@@ -17,7 +17,7 @@ from cmp_tactile_bringup.recordings.library import (
 from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor, packaged_sensors
 from cmp_tactile_simulation.errors import OutputError, SceneError
 from cmp_tactile_simulation.scenes.file import load_scene
 
@@ -69,6 +69,14 @@ def test_the_sensor_lies_beside_the_bag_unless_it_is_given(grasp_bag, tmp_path):
     assert required_sensor(grasp_bag, "prototype") == "prototype"
     with pytest.raises(RecordingError, match=r"found no --sensor, expected .*prototype"):
         required_sensor(tmp_path / "0.png", None)
+
+
+@pytest.mark.parametrize("name", ["bag_0.mcap", "bag_0.db3", "0.png"])
+def test_the_sensor_beside_a_file_is_that_of_its_folder(tmp_path, name):
+    (tmp_path / name).write_bytes(b"")
+    beside = tmp_path / "sensor.yaml"
+    shutil.copy(packaged_sensors()["sample_rig"], beside)
+    assert required_sensor(tmp_path / name, None) == required_sensor(tmp_path, None) == str(beside)
 
 
 def test_a_folder_without_a_recording_is_said_to_hold_what_it_holds(grasp_bag, tmp_path):

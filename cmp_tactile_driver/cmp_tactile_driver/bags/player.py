@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Generic, TypeVar
 
-from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, TimeSpan
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
+from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
 
@@ -97,7 +98,7 @@ class PlayerState(Enum):
 class PlayOptions:
     """How to play.
 
-    rate: speed, 1 as recorded.  start, end: s from the beginning.  loop: without end.  paused: at
+    rate: speed, 1 as recorded.  start, end: s from the first frame.  loop: without end.  paused: at
     first.
     """
 
@@ -163,7 +164,7 @@ class Player:
         self._state = PlayerState.WAITING if gate else PlayerState.PLAYING
         self._frames = self._passes = 0
         self._gap = 0.0
-        self._last_ns: int | None = None
+        self._last_s: float | None = None
         self._condition = threading.Condition()
         self._paused = options.paused
         self._steps = 0
@@ -217,7 +218,7 @@ class Player:
             return True
 
     def jump(self, start: float) -> None:
-        """Go on from another place; start: s from the beginning."""
+        """Go on from another place; start: s from the first frame."""
         with self._condition:
             self._jump_to = start
             self._condition.notify_all()
@@ -242,7 +243,7 @@ class Player:
         while not self._worker.stopping and not self._play_from(start):
             with self._condition:
                 start, self._jump_to = self._jump_to or 0.0, None
-            self._last_ns = None
+            self._last_s = None
             self._pacer.restart()
         self._state = PlayerState.STOPPED if self._worker.stopping else PlayerState.FINISHED
 
@@ -260,7 +261,7 @@ class Player:
         with Prefetch(self._timeline(start), PREFETCH_DEPTH) as items:
             for item in items:
                 if item is _Mark.RECORDING_OVER:
-                    self._last_ns = None
+                    self._last_s = None
                 elif item is _Mark.ALL_OVER:
                     self._passes += 1
                 elif not self._play(item):
@@ -288,8 +289,8 @@ class Player:
             start = self._options.start
 
     def _play(self, message: RecordedMessage) -> bool:
-        elapsed = self._gap if self._last_ns is None else (message.time_ns - self._last_ns) * 1e-9
-        self._last_ns = message.time_ns
+        elapsed = self._gap if self._last_s is None else message.time_s - self._last_s
+        self._last_s = message.time_s
         if not self._wait_until_due(max(0.0, elapsed)):
             return False
         self._send(message)

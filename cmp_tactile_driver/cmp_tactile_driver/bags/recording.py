@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cmp_tactile_driver.bags import reader
+from cmp_tactile_driver.bags import reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
 from cmp_tactile_processing.errors import FrameError
@@ -34,12 +34,18 @@ class Recording(Protocol):
 
     @property
     def duration(self) -> float:
-        """Time from its beginning to its last message, s."""
+        """Time of its last message, s from its first frame."""
+
+    @property
+    def gaps(self) -> str:
+        """Times of it that are skipped, in one line; empty for none."""
 
     def calibration(self) -> reader.RecordedCalibration | None:
         """What the recorded camera infos say; None where there are none."""
 
-    def messages(self, span: reader.TimeSpan = reader.WHOLE) -> Iterator[reader.RecordedMessage]:
+    def messages(
+        self, span: timeline.TimeSpan = timeline.WHOLE
+    ) -> Iterator[reader.RecordedMessage]:
         """The messages of a part; bad ones are skipped and counted.
 
         Raises FrameSourceError where not one frame is good.
@@ -50,6 +56,7 @@ class _WithoutStamps:
     """Images or a video: frame k has the stamp k / rate, and there is no calibration."""
 
     has_camera_info = False
+    gaps = ""
 
     def __init__(self, path: Path, frame_id: str, expected_size: frames.ImageSize | None) -> None:
         """Raises FrameSourceError where there is nothing to read."""
@@ -66,20 +73,23 @@ class _WithoutStamps:
         """None: images alone do not have it."""
         return None
 
-    def messages(self, span: reader.TimeSpan = reader.WHOLE) -> Iterator[reader.RecordedMessage]:
+    def messages(
+        self, span: timeline.TimeSpan = timeline.WHOLE
+    ) -> Iterator[reader.RecordedMessage]:
         """The good frames; FrameSourceError where there is none, or of another size."""
         self._source = self._open()
-        first_ns, before_ns = span.in_ns(0)
         try:
             for good in count():
                 frame = self._source.read()
                 # A bad image leaves a gap, as a lost frame does.
                 number = good + self._source.health.bad_frames
-                stamp_ns = round(number * 1e9 / self._source.frame_rate)
-                if frame is None or (before_ns is not None and stamp_ns >= before_ns):
+                time_s = number / self._source.frame_rate
+                if frame is None or time_s >= span.end:
                     return
-                if stamp_ns >= first_ns:
-                    yield reader.RecordedFrame(stamp_ns, stamp_ns, self._frame_id, frame.image)
+                if time_s in span:
+                    stamp_ns = round(time_s * 1e9)
+                    times = time_s, stamp_ns, stamp_ns
+                    yield reader.RecordedFrame(*times, self._frame_id, frame.image)
         finally:
             self._source.close()
 
@@ -124,6 +134,7 @@ class SingleImage:
     """One image file as a recording of one frame, with stamp 0."""
 
     has_camera_info = False
+    gaps = ""
     health = frames.SourceHealth()
     duration = 0.0
 
@@ -135,7 +146,9 @@ class SingleImage:
         """None: an image alone does not have it."""
         return None
 
-    def messages(self, span: reader.TimeSpan = reader.WHOLE) -> Iterator[reader.RecordedMessage]:
+    def messages(
+        self, span: timeline.TimeSpan = timeline.WHOLE
+    ) -> Iterator[reader.RecordedMessage]:
         """The image; FrameError where it cannot be used."""
         image = files.decode_file(self._path)
         size, expected = (image.shape[1], image.shape[0]), self._expected_size
@@ -143,8 +156,8 @@ class SingleImage:
             found = frames.size_text(size)
             msg = f"{self._path}: found {found}, expected {frames.size_text(expected)}"
             raise FrameError(msg)
-        if span.start <= 0:
-            yield reader.RecordedFrame(0, 0, self._frame_id, image)
+        if 0.0 in span:
+            yield reader.RecordedFrame(0.0, 0, 0, self._frame_id, image)
 
 
 def split_inputs(text: str) -> list[Path]:
@@ -170,18 +183,14 @@ def open_recording(
         return FolderRecording(path, frame_rate, frame_id, expected_size)
     if path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES:
         return SingleImage(path, frame_id, expected_size)
-    if path.is_file() and path.suffix.lower() not in reader.STORAGE_SUFFIXES:
+    if path.is_file() and path.suffix.lower() not in storage.STORAGE_SUFFIXES:
         return VideoRecording(path, frame_id, expected_size)
     return reader.BagReader(path, topic, expected_size)
 
 
 def is_bag(folder: Path) -> bool:
     """Whether a folder holds files of a bag, as it may also without its metadata."""
-    if (folder / "metadata.yaml").exists():
-        return True
-    return any(
-        file.suffix in reader.STORAGE_SUFFIXES and file.is_file() for file in folder.iterdir()
-    )
+    return (folder / "metadata.yaml").exists() or bool(storage.bag_files(folder))
 
 
 # Frames of which the times give the rate.
@@ -237,6 +246,6 @@ class RecordedSource:
         self._frames = iter(())
 
     def _recorded_rate(self) -> float:
-        times = [frame.time_ns for frame in islice(self._bag.frames(), SAMPLE)]
-        interval_s = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else 0.0
+        times_s = [frame.time_s for frame in islice(self._bag.frames(), SAMPLE)]
+        interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
         return min(1 / interval_s, 1000.0) if interval_s > 0 else files.DEFAULT_FRAME_RATE

@@ -146,6 +146,8 @@ class Replay(ReportingNode):
         self._names = ", ".join(item.name for item in self._recordings)
         for recording in self._recordings:
             self._check_calibration(recording)
+            if recording.gaps:
+                self.get_logger().warning(f"{recording.name}: {recording.gaps}")
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None

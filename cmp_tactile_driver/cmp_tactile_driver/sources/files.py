@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -14,11 +15,13 @@ from cmp_tactile_driver.errors import FrameSourceError, WrongSizeError
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import decode_image
+from cmp_tactile_processing.image.raw import BitDepth
 
 
-def decode_file(path: Path) -> NDArray[np.uint8]:
+def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
     """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
 
+    depth: of the images that the file is one of; absent for one by itself.
     Raises FrameError naming the file.
     """
     try:
@@ -26,7 +29,7 @@ def decode_file(path: Path) -> NDArray[np.uint8]:
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise FrameError(msg) from None
-    return decode_image(content, str(path))
+    return decode_image(content, str(path), depth)
 
 
 DEFAULT_FRAME_RATE = 30.0
@@ -64,26 +67,43 @@ class FileSource:
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
+VIDEO_SUFFIXES = (
+    ".avi",
+    ".m4v",
+    ".mjpeg",
+    ".mkv",
+    ".mov",
+    ".mp4",
+    ".mpeg",
+    ".mpg",
+    ".webm",
+    ".wmv",
+)
+
 
 def image_files(folder: Path) -> list[Path]:
-    """The images of a folder in natural order: 2.png before 10.png.
+    """The images of a folder in natural order: 2.png before 10.png; hidden files are none.
 
     Raises FrameSourceError where there is no such folder or no image in it.
     """
     if not folder.is_dir():
         msg = f"{folder}: found no such folder, expected one with images"
         raise FrameSourceError(msg)
-    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    # macOS leaves ._NAME.png beside NAME.png on the disks of others.
+    there = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    files = [path for path in there if path.suffix.lower() in IMAGE_SUFFIXES]
     if not files:
-        count = sum(1 for _ in folder.iterdir())
         expected = ", ".join(IMAGE_SUFFIXES)
-        msg = f"{folder}: found no image among {count} entries, expected {expected}"
+        msg = f"{folder}: found no image among {len(there)} entries, expected {expected}"
         raise FrameSourceError(msg)
     return sorted(files, key=_natural_key)
 
 
 class ImageFolder(FileSource):
-    """A FrameSource that reads the images of a folder in natural order."""
+    """A FrameSource that reads the images of a folder in natural order.
+
+    Where they have 16 bits a pixel, all are read ahead once for the bits that they use.
+    """
 
     def __init__(
         self,
@@ -99,6 +119,7 @@ class ImageFolder(FileSource):
         """
         super().__init__(folder, frame_rate, loop=loop, expected_size=expected_size)
         self._files = image_files(folder)
+        self._depth = BitDepth(str(folder), look_ahead=self._used_bits)
         self._next = 0
         self._good_in_pass = 0
         self._wrong_sizes = 0
@@ -150,8 +171,15 @@ class ImageFolder(FileSource):
         which = f"none of {first}{len(self._files)} images is good"
         return FrameSourceError(f"{self._path}: {which}, last: {self.health.problem}")
 
+    def _used_bits(self) -> int:
+        depth = BitDepth(say=str)
+        for path in self._files:
+            with suppress(FrameError):
+                decode_file(path, depth)
+        return depth.bits
+
     def _load(self, path: Path) -> NDArray[np.uint8]:
-        image = decode_file(path)
+        image = decode_file(path, self._depth)
         wrong = self._wrong_size((image.shape[1], image.shape[0]))
         if wrong:
             msg = f"{path}: {wrong}"

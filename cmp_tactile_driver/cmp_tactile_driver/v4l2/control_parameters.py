@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
@@ -24,6 +24,12 @@ class ControlledSource(Protocol):
     def name(self) -> str:
         """What messages about the source begin with."""
 
+    when_settled: Callable[[], object]
+
+    @property
+    def refused_controls(self) -> str:
+        """Controls that the camera keeps otherwise than asked for, in words."""
+
     @property
     def diagnostics(self) -> Mapping[str, object]:
         """Figures of the camera."""
@@ -42,7 +48,9 @@ class ControlParameters:
     """Parameters `controls.NAME` of a node, from when it is configured until it is cleaned up.
 
     Those that were given when the node was started are set, the others are as the camera has them.
-    A control that cannot be set is refused with the reason, also at start by ParameterError.
+    A control that cannot be set is refused with the reason, also at start by ParameterError.  What
+    the camera makes of them when frames begin to come is shown too, with a warning where it
+    keeps other values than were set.
     """
 
     def __init__(self, node: Any, source: ControlledSource) -> None:
@@ -51,6 +59,7 @@ class ControlParameters:
         self._following = False
         self._controls = dict(source.controls().by_name)
         self._declared: list[str] = []
+        self._refused = ""
         given = self._given()
         try:
             self._declare()
@@ -62,6 +71,9 @@ class ControlParameters:
         node.add_on_set_parameters_callback(self._set)
         node.add_post_set_parameters_callback(self._follow)
         self._follow([])
+        # Frames begin on the thread that reads, parameters are set by the executor.
+        self._settled = node.create_guard_condition(self._report_settled)
+        source.when_settled = self._settled.trigger
         for title in source.controls().skipped:
             node.get_logger().info(
                 f"{source.name}: control {title!r} has no single value: left out"
@@ -77,6 +89,8 @@ class ControlParameters:
 
     def close(self) -> None:
         """Undeclare the parameters."""
+        self._source.when_settled = int
+        self._node.destroy_guard_condition(self._settled)
         self._node.remove_on_set_parameters_callback(self._set)
         self._node.remove_post_set_parameters_callback(self._follow)
         self._undeclare()
@@ -122,6 +136,13 @@ class ControlParameters:
             except FrameSourceError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _report_settled(self) -> None:
+        refused, before = self._source.refused_controls, self._refused
+        self._refused = refused
+        if refused and refused != before:
+            self._node.get_logger().warning(f"{self._source.name}: {refused}")
+        self._follow([])
 
     def _follow(self, _parameters: list[Parameter[Any]]) -> None:
         """Let the parameters show what the camera made of it: one control may change others."""

@@ -322,21 +322,46 @@ class CameraControls:
                 raise
             done[name] = before
 
-    def restore(self, values: Mapping[str, ControlValue]) -> list[str]:
-        """Set what can be set, as after the camera was away; what could not be, in words."""
+    def restore(self, values: Mapping[str, ControlValue], *, also_equal: bool = False) -> list[str]:
+        """Set what can be set, as after the camera was away; what could not be, in words.
+
+        also_equal: set also what reads as if it were so already.
+        """
         failures = []
         for name in self._in_order(values):
             control = self.by_name.get(name)
             if control is None or control.fixed or control.kind is ControlKind.BUTTON:
                 continue
             try:
-                if self._flags(control) & FLAG.INACTIVE or self.value(name) == values[name]:
+                if self._flags(control) & FLAG.INACTIVE:
+                    continue
+                if not also_equal and self.value(name) == values[name]:
                     continue
                 self._set_one(name, values[name])
             # A text for what is a number now, of a camera with other firmware, is a ValueError.
             except (FrameSourceError, ValueError) as error:
                 failures.append(str(error))
         return failures
+
+    def kept_otherwise(self, values: Mapping[str, ControlValue]) -> list[str]:
+        """Controls that have an effect now and are not as they were asked to be, in words.
+
+        Rounding to the control's range and steps is none.  Raises FrameSourceError.
+        """
+        texts = []
+        for name, wanted in values.items():
+            control = self.by_name.get(name)
+            if control is None or control.kind is ControlKind.BUTTON or self.obstacle(name):
+                continue
+            found = self.value(name)
+            if control.kind is ControlKind.INTEGER:
+                nearest = min(max(int(wanted), control.low), control.high)
+                is_kept = abs(int(found) - nearest) < max(control.step, 1)
+            else:
+                is_kept = found == wanted
+            if not is_kept:
+                texts.append(f"{name}: asked for {wanted}, the camera keeps {found}")
+        return texts
 
     def _existing(self, name: str) -> Control:
         control = self.by_name.get(name)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -21,13 +20,10 @@ from cmp_tactile_driver.v4l2 import devices
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, ModeRequest, V4L2Camera
 from cmp_tactile_driver.v4l2.devices import CameraControls, ControlValue
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.ros.messages.reading import decode_raw
+from cmp_tactile_processing.image.compressed import decode_jpeg
+from cmp_tactile_processing.image.raw import decode_raw
 
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
-START_OF_IMAGE, END_OF_IMAGE = b"\xff\xd8", b"\xff\xd9"
-# ITU-T T.81, table B.1: SOF0 to SOF15, without the three tables and extensions among them.
-FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-START_OF_SCAN = 0xDA
 SEPARATOR = ","
 VIEWS = ("left", "right")
 
@@ -37,66 +33,17 @@ def decode_buffer(
 ) -> NDArray[np.uint8]:
     """(H, W) uint8 grey, or with `colour`, and where the camera has it, (H, W, 3) BGR.
 
-    Raises FrameError for a buffer that is cut off or no such image.
+    Raises FrameError for a buffer that is cut off, damaged or no such image.
     """
     pixels = np.frombuffer(data, np.uint8)
     encoding = RAW_ENCODINGS.get(mode.pixel_format)
     if encoding is None:
-        image = _decode_jpeg(data, mode.size, colour=colour)
+        image = decode_jpeg(data, "data", size=mode.size, grey=not colour)
     else:
         image = decode_raw(mode.size, encoding, bytes_per_line, pixels, luminance=not colour)
     if image.ndim == 3 and not colour:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
     return image
-
-
-def _decode_jpeg(data: bytes, size: frames.ImageSize, *, colour: bool) -> NDArray[np.uint8]:
-    # OpenCV fills up what is missing of a JPEG, and says so on stderr only.
-    if END_OF_IMAGE not in data:
-        msg = f"data: found {len(data)} bytes without the end of a JPEG, expected a whole one"
-        raise FrameError(msg)
-    # The decoder takes memory for whatever size the header names.
-    _check_size(_jpeg_size(data), size, len(data))
-    try:
-        flags = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        image = None
-    # Turned, where the header says so.
-    _check_size(None if image is None else (image.shape[1], image.shape[0]), size, len(data))
-    return np.asarray(image, np.uint8)
-
-
-def _check_size(found: frames.ImageSize | None, expected: frames.ImageSize, length: int) -> None:
-    if found is None:
-        msg = f"data: found {length} bytes that are no readable image, expected a JPEG"
-        raise FrameError(msg)
-    if found != expected:
-        msg = f"data: found {frames.size_text(found)}, expected {frames.size_text(expected)}"
-        raise FrameError(msg)
-
-
-def _jpeg_size(data: bytes) -> frames.ImageSize | None:
-    """Width and height in the frame header (ITU-T T.81, B.2.2); None where there is none.
-
-    As in libjpeg, bytes between two segments are passed over.
-    """
-    at = data.find(b"\xff", 2) if data.startswith(START_OF_IMAGE) else -1
-    while 0 <= at <= len(data) - 9:
-        marker = data[at + 1]
-        if marker in FRAME_HEADERS:
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return width, height
-        if marker == START_OF_SCAN:
-            return None
-        if marker == 0xFF:  # fills up
-            after = at + 1
-        elif marker in (0x00, 0x01) or 0xD0 <= marker <= 0xD9:  # stand alone
-            after = at + 2
-        else:
-            after = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-        at = data.find(b"\xff", after)
-    return None
 
 
 SEQUENCES = 2**32
@@ -122,7 +69,9 @@ def next_frame(source: frames.SelfPacedSource, closing: threading.Event) -> fram
 class V4L2Source:
     """A SelfPacedSource that opens its camera again, and sets its controls, after it was away.
 
-    frame_rate: what the camera says; 0 where it does not.
+    frame_rate: what the camera says; 0 where it does not.  Controls that were set are set again
+    once frames come, as some cameras reset them then.  refused_controls: those that the camera
+    keeps otherwise, in words.  when_settled: is called when that is known, from any thread.
     """
 
     def __init__(self, options: frames.SourceOptions) -> None:
@@ -138,6 +87,11 @@ class V4L2Source:
         self._closing = threading.Event()
         self._camera: V4L2Camera | None = None
         self._wanted_controls: dict[str, devices.ControlValue] = {}
+        # Of these, those that somebody set; what streaming makes of them is looked at twice.
+        self._asked_controls: dict[str, devices.ControlValue] = {}
+        self._settles = False
+        self.when_settled: Callable[[], object] = int
+        self.refused_controls = ""
         self._running = False
         self._lost = ""
         self._recent = ("", -MEMORY_S)
@@ -181,6 +135,7 @@ class V4L2Source:
             "serial": self._found.serial or "none",
             "mode": f"{self._mode.pixel_format} {width} x {height}, {self._rate_text}",
             "connected": self._camera is not None,
+            "refused controls": self.refused_controls or "none",
             "reconnects": self._reconnects,
             "stamps": self._stamp_kind,
         }
@@ -206,6 +161,8 @@ class V4L2Source:
                     self._camera.start()
                 except devices.UnpluggedError as error:
                     self._lose(str(error))
+                else:
+                    self._begin_settling()
             self._running = True
             self._forget_sequence()
 
@@ -257,6 +214,7 @@ class V4L2Source:
         with self._lock:
             self.controls().set(values)
             self._wanted_controls.update(values)
+            self._asked_controls.update(values)
 
     def keep_controls(self) -> dict[str, devices.ControlValue]:
         """The values of all controls, which the camera gets again when it comes back."""
@@ -264,6 +222,25 @@ class V4L2Source:
             values = self.controls().values()
             self._wanted_controls = dict(values)
             return values
+
+    def _begin_settling(self) -> None:
+        self._settles = True
+        self._settle_controls()
+
+    def _settle_controls(self) -> None:
+        """Set again what the camera reset when streaming began, and note what it keeps."""
+        with self._lock:
+            try:
+                controls = self.controls()
+                # Some forget them and still report them.
+                failures = controls.restore(self._asked_controls, also_equal=True)
+                kept = controls.kept_otherwise(self._asked_controls)
+            except FrameSourceError:  # away again: the next frame will not come
+                return
+            self.refused_controls = "; ".join(dict.fromkeys([*failures, *kept]))
+        if self.refused_controls:
+            self._note(f"{self.name}: {self.refused_controls}")
+        self.when_settled()
 
     def _open(self, found: devices.VideoDevice) -> V4L2Camera:
         return V4L2Camera(found, self._request, self._options.camera.buffers)
@@ -310,6 +287,7 @@ class V4L2Source:
             self._forget_sequence()
         if failures:
             self._note("; ".join(failures))
+        self._begin_settling()
 
     def _forget_sequence(self) -> None:
         self._sequence = None
@@ -339,6 +317,10 @@ class V4L2Source:
         # Only a good frame shows that the camera is well again.
         self._lost = ""
         self._back_off.reset()
+        if self._settles:
+            # Some reset their controls with the first frame only.
+            self._settles = False
+            self._settle_controls()
         return frames.Frame(image, origin, monotonic_ns=self._time_of(buffer, now_ns))
 
     def _count_dropped(self, sequence: int) -> None:
@@ -495,6 +477,21 @@ class CameraPair:
         """The values of the left camera; each gets its own again when it comes back."""
         left, _ = (source.keep_controls() for source in self._sources)
         return left
+
+    @property
+    def refused_controls(self) -> str:
+        """Those that a camera keeps otherwise."""
+        return "; ".join(filter(None, (source.refused_controls for source in self._sources)))
+
+    @property
+    def when_settled(self) -> Callable[[], object]:
+        """As of one camera."""
+        return self._sources[0].when_settled
+
+    @when_settled.setter
+    def when_settled(self, call: Callable[[], object]) -> None:
+        for source in self._sources:
+            source.when_settled = call
 
     def _paired(self) -> Frame | None:
         left, right = self._waiting

@@ -13,8 +13,9 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from cmp_tactile_driver.bags.reader import BagReader, open_storage
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recorder import BagRecorder, EncodedMessage, RecorderState, Tap
+from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_processing.errors import MessageDefinitionError

@@ -17,7 +17,8 @@ from cmp_tactile_driver.bags.player import (
     PlayOptions,
     StartGate,
 )
-from cmp_tactile_driver.bags.reader import WHOLE, RecordedFrame, TimeSpan
+from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceHealth
 
@@ -41,8 +42,9 @@ class _Recording:
         for number in range(10):
             if self._error is not None and number == 3:
                 raise self._error
-            if span.start <= number * FRAME_NS * 1e-9 < span.end:
-                yield RecordedFrame(number * FRAME_NS, number, "camera", IMAGE)
+            time_s = number * FRAME_NS * 1e-9
+            if time_s in span:
+                yield RecordedFrame(time_s, number * FRAME_NS, number, "camera", IMAGE)
 
 
 def _wait(condition: Callable[[], object]) -> None:

@@ -23,7 +23,10 @@ def fail(number: int) -> OSError:
 
 @dataclass
 class FakeControl:
-    """A control; while `ruler` has another value than `manual`, it is inactive."""
+    """A control; while `ruler` has another value than `manual`, it is inactive.
+
+    used: the value that the camera works with.
+    """
 
     id: int
     name: str
@@ -40,6 +43,7 @@ class FakeControl:
 
     def __post_init__(self) -> None:
         self.value = self.default if self.value is None else self.value
+        self.used = self.value
 
 
 def webcam_controls() -> list[FakeControl]:
@@ -107,7 +111,9 @@ class FakeCamera:
 
     modes: rates by pixel format and size.  stepwise: least, greatest and step of width and of
     height, in place of the sizes of modes.  made_rate: of any rate that it is asked for.
-    fault: error numbers by ioctl.
+    fault: error numbers by ioctl.  resets: that many times after the start of streaming, with the
+    first at once and the next ones before a frame, all controls have their defaults again.
+    insists: titles of controls that then keep them.  conceals: what is read does not show it.
     """
 
     serial: str = "CAM1"
@@ -124,6 +130,9 @@ class FakeCamera:
     made_rate: int = 0
     calls: list[int] = field(default_factory=list)
     pushed: int = 0
+    resets: int = 0
+    insists: tuple[str, ...] = ()
+    conceals: bool = False
 
     def __post_init__(self) -> None:
         self.node: Path | None = None
@@ -139,6 +148,16 @@ class FakeCamera:
         self.queued: list[int] = []
         self.done: list[raw.v4l2_buffer] = []
         self.sequence = 0
+        self.resets_left = 0
+
+    def reset(self) -> None:
+        """Give controls their defaults, where there are resets left."""
+        if self.resets_left > 0:
+            self.resets_left -= 1
+            for item in self.controls:
+                item.used = item.default
+                if not self.conceals:
+                    item.value = item.default
 
     @property
     def step(self) -> int:
@@ -157,6 +176,7 @@ class FakeCamera:
             sequence, self.sequence = self.sequence, self.sequence + 1
             if not (self.streaming and self.queued and self.node):
                 return
+            self.reset()
             index = self.queued.pop(0)
             with self.node.open("r+b") as memory:
                 memory.seek(index * self.length)

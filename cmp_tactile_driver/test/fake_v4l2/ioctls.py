@@ -122,6 +122,8 @@ def _stream_on(camera: FakeCamera, _kind: Any, number: int) -> None:
     if camera.owner != number:
         raise fail(errno.EBUSY if camera.owner else errno.EINVAL)
     camera.streaming, camera.sequence = True, 0
+    camera.resets_left = camera.resets
+    camera.reset()
 
 
 def _stream_off(camera: FakeCamera, _kind: Any, _: int) -> None:
@@ -175,8 +177,8 @@ def _set_controls(camera: FakeCamera, request: Any, _: int) -> None:
             camera.pushed += 1
         elif item.menu and entry.value not in item.menu:
             raise fail(errno.ERANGE)
-        else:
-            item.value = max(item.low, min(item.high, entry.value))
+        elif not (camera.streaming and item.name in camera.insists):
+            item.value = item.used = max(item.low, min(item.high, entry.value))
 
 
 HANDLERS = {

@@ -233,6 +233,87 @@ def test_wrong_controls_at_start_leave_the_node_unconfigured(ros, camera):
         assert text in reported()[name].message
 
 
+MANUAL = {
+    "controls.auto_exposure": 1,
+    "controls.exposure_time_absolute": 40,
+    "controls.gain": 3,
+    "controls.white_balance_automatic": False,
+    "controls.white_balance_temperature": 4000,
+    "controls.power_line_frequency": 2,
+}
+
+
+def _shown(driver):
+    return {name: driver.get(name.removeprefix("controls.")) for name in MANUAL}
+
+
+def _has(camera, name):
+    title = {
+        "auto_exposure": "Auto Exposure",
+        "exposure_time_absolute": "Exposure Time, Absolute",
+        "gain": "Gain",
+        "white_balance_automatic": "White Balance, Automatic",
+        "white_balance_temperature": "White Balance Temperature",
+        "power_line_frequency": "Power Line Frequency",
+    }[name.removeprefix("controls.")]
+    return camera.named(title).used
+
+
+@pytest.mark.parametrize(("resets", "conceals"), [(1, False), (2, False), (1, True)])
+def test_controls_that_streaming_resets_are_set_again(ros, kernel, exposing, resets, conceals):
+    """At once or with the first frame, and after the camera was away.
+
+    - mainsail-crew/crowsnest 185 (focus is 260 until streaming begins, then 192): set again.
+    - ros-drivers/openni2_camera 51 (exposure is ignored until some time after the start, and the
+      parameter does not match the camera): set again with the first frame, shown as it is.
+    - patjak/facetimehd 329 (what is set before STREAMON is dropped, and still reads as set): set
+      again whatever it reads.
+    """
+    exposing.resets, exposing.conceals = resets, conceals
+    images = ros.listen(Image, "image_raw")
+    driver = _Driver(ros, **MANUAL)
+
+    def is_set():
+        return all(_has(exposing, name) == value for name, value in MANUAL.items())
+
+    ros.wait(lambda: len(images) > 2 and is_set() and _shown(driver) == MANUAL, "the controls")
+    assert driver.values.get("refused controls", "none") == "none"
+    kernel.unplug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the loss in the diagnostics")
+    count = len(images)
+    kernel.plug(exposing, number=2)
+    ros.wait(lambda: len(images) > count + 2 and is_set(), "frames again, with the controls")
+    ros.wait(lambda: _shown(driver) == MANUAL, "the parameters")
+
+
+def test_what_a_camera_insists_on_is_shown_with_a_warning(ros, kernel, exposing, capfd):
+    exposing.resets, exposing.insists = 1, ("Gain", "Power Line Frequency")
+    driver = _Driver(ros, **MANUAL)
+    kept = {**MANUAL, "controls.gain": 20, "controls.power_line_frequency": 1}
+    ros.wait(lambda: _shown(driver) == kept, "the camera's values")
+    text = "gain: asked for 3, the camera keeps 20"
+    ros.wait(lambda: text in driver.values.get("refused controls", ""), "the diagnostics")
+    assert "power_line_frequency: asked for 2" in driver.values["refused controls"]
+    assert capfd.readouterr().err.count(text) == 1
+    # The first wish holds for the next start: by then it may be another firmware.
+    kernel.unplug(exposing)
+    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the loss in the diagnostics")
+    exposing.insists = ()
+    kernel.plug(exposing)
+    ros.wait(lambda: _shown(driver) == MANUAL, "the wish")
+    ros.wait(lambda: driver.values["refused controls"] == "none", "the diagnostics")
+
+
+def test_controls_that_streaming_changes_by_itself_are_shown(ros, exposing):
+    exposing.named("Brightness").value = 30
+    exposing.resets = 1
+    driver = _Driver(ros, autostart=False)
+    assert driver.change(Transition.TRANSITION_CONFIGURE)
+    assert driver.get("brightness") == 30
+    assert driver.change(Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: driver.get("brightness") == 8, "what the camera has now")
+
+
 def test_unplug_and_replug_without_a_restart(ros, kernel, exposing):
     images = ros.listen(Image, "image_raw")
     driver = _Driver(ros, **{"controls.gain": 7})
@@ -406,7 +487,8 @@ def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
 
 
 def test_an_inactive_camera_is_free_for_others_and_cannot_start_while_they_have_it(ros, camera):
-    driver = _Driver(ros)
+    # One that gave up waiting for frames would look for the camera, and start without it.
+    driver = _Driver(ros, frame_timeout=60.0)
     assert driver.change(Transition.TRANSITION_DEACTIVATE)
     assert (camera.owner, camera.streaming) == (0, False)
     camera.owner = 10**6

@@ -243,12 +243,12 @@ def test_truncated_bag_is_played_and_reported(ros, tmp_path, bags):
     ros.wait(lambda: len(images) == count, "what was sent")
     assert 5 <= count < 11
     assert statuses.last.level == DiagnosticStatus.WARN
-    assert f"{count} messages can be read, any after them are lost" in statuses.last.message
+    assert f"{count} of 20 messages read, the rest is lost" in statuses.last.message
 
 
 def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capfd):
     """In the diagnostics, in the log, and for the container."""
-    messages = [bags.image(frame, 0, encoding="mono16") for frame in frames]
+    messages = [bags.image(frame, 0, encoding="32FC1") for frame in frames]
     bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
     reports = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
     node = ros.start(Replay, input=str(bag))
@@ -260,10 +260,10 @@ def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capf
 
     ros.wait(failed, "a diagnostic of level ERROR")
     assert "no frame can be used" in failed()[0].message
-    assert "encoding: found 'mono16'" in failed()[0].message
-    assert "encoding: found 'mono16'" in node.failure
+    assert "encoding: found '32FC1'" in failed()[0].message
+    assert "encoding: found '32FC1'" in node.failure
     log = "".join(capfd.readouterr())
-    assert re.search(r"\[ERROR\].*failed: .*no frame can be used: .*found 'mono16'", log)
+    assert re.search(r"\[ERROR\].*failed: .*no frame can be used: .*found '32FC1'", log)
 
 
 @pytest.mark.parametrize(

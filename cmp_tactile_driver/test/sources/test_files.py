@@ -24,6 +24,19 @@ def test_natural_order_and_pixels(image_folder, frames):
     assert {frame.encoding for frame in found} == {"mono8"}
 
 
+def test_hidden_files_are_no_images(image_folder, frames):
+    """macOS leaves one beside each file on a foreign disk.
+
+    Reports: jurplel/qView 651, CyberTimon/RapidRAW 1570; tried: not read, not counted.
+    """
+    for number in range(3):
+        (image_folder / f"._{number}.png").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X")
+    source = ImageFolder(image_folder, 10.0)
+    found = list(iter(source.read, None))
+    assert len(found) == len(frames)
+    assert source.health.bad_frames == 0
+
+
 def test_colour_stays_colour(tmp_path):
     bgr = np.random.default_rng(1).integers(0, 256, (6, 8, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "a.PNG"), bgr)
@@ -151,3 +164,27 @@ def test_truncated_end_is_counted(tmp_path):
 def test_wrong_size_is_named(video):
     with pytest.raises(FrameSourceError, match="found 64 x 48 px, expected 1024 x 768 px"):
         VideoFile(video, expected_size=(1024, 768)).read()
+
+
+def test_a_folder_of_16_bits_has_one_scale_from_its_dark_beginning(tmp_path, frames, caplog):
+    deep = [
+        frame.astype(np.uint16) * (3 if number < 2 else 16) for number, frame in enumerate(frames)
+    ]
+    for number, frame in enumerate(deep):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
+    found = _read_all(ImageFolder(tmp_path, 30.0))
+    for frame, expected in zip(found, deep, strict=True):
+        assert np.abs(frame.image - expected * (255 / 4095)).max() <= 0.51
+    assert caplog.text.count("12 of 16 bits") == 1
+
+
+def test_a_jpeg_with_a_part_missing_is_no_frame(image_folder, frames):
+    """huggingface/lerobot 1487: frames half grey were recorded, learned from and never noticed."""
+    smooth = cv2.GaussianBlur(frames[0], (0, 0), 2)
+    content = cv2.imencode(".jpg", smooth)[1].tobytes()
+    middle = len(content) - 300
+    (image_folder / "0.jpg").write_bytes(content[:middle] + content[middle + 150 :])
+    source = ImageFolder(image_folder, 30.0)
+    assert len(_read_all(source)) == len(frames)
+    assert source.health.bad_frames == 1
+    assert "0.jpg: found a damaged JPEG" in source.health.problem

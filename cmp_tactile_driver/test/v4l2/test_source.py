@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import errno
+import re
 import struct
 import time
 
 import cv2
 import numpy as np
 import pytest
+import simplejpeg
 from linuxpy.video import raw
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SelfPacedSource
-from cmp_tactile_driver.v4l2 import source as v4l2_source
 from cmp_tactile_driver.v4l2.camera import PREFERENCE
 
 WIDTH, HEIGHT = 64, 48
@@ -78,11 +79,12 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_reported(open_source,
     source.start()
     other_size = cv2.imencode(".jpg", smooth[:40])[1].tobytes()
     for data, flags, reason in (
-        (jpeg[: len(jpeg) // 2], 0, "without the end of a JPEG"),
-        (b"", 0, "found 0 bytes without the end"),
+        (jpeg[: len(jpeg) // 2], 0, "damaged JPEG .*Premature end"),
+        (b"", 0, "found 0 bytes that are no readable image"),
         (b"\xff\xd8 nothing \xff\xd9", 0, "no readable image"),
         (_jpeg_of_size(jpeg, 65500, 65500), 0, "found 65500 x 65500 px, expected 64 x 48 px"),
         (jpeg[: jpeg.index(b"\xff\xc0")] + b"\xff\xd9", 0, "no readable image"),
+        (jpeg[:-200] + jpeg[-100:], 0, "damaged JPEG"),
         (b"\xff" * 5000 + b"\xff\xd9", 0, "no readable image"),
         (other_size, 0, "found 64 x 40 px, expected 64 x 48 px"),
         (jpeg, raw.BufferFlag.ERROR, "marks as damaged"),
@@ -91,7 +93,7 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_reported(open_source,
         camera.give(data, flags=flags)
         assert source.poll(1.0) is None
         assert source.health.bad_frames == before + 1
-        assert reason in source.health.problem
+        assert re.search(reason, source.health.problem)
         assert not source.health.silent
     camera.give(jpeg)
     frame = source.poll(20.0)
@@ -108,14 +110,13 @@ def test_a_jpeg_of_another_size_is_never_decoded(
     options = [cv2.IMWRITE_JPEG_PROGRESSIVE, progressive]
     jpeg = cv2.imencode(".jpg", picture, options)[1].tobytes()
     filled = jpeg[:2] + b"\xff\xe1\x00\x06\xff\xc0ab" + b"\xff" * 9 + jpeg[2:]
-    assert v4l2_source._jpeg_size(filled) == (WIDTH, HEIGHT)
     camera = plug(modes={"MJPG": {(WIDTH, HEIGHT): (30,)}})
     source = open_source()
     source.start()
     camera.give(filled)
     assert source.poll(20.0).image.shape == (HEIGHT, WIDTH)
     decoded = []
-    monkeypatch.setattr(v4l2_source.cv2, "imdecode", lambda *given: decoded.append(given))
+    monkeypatch.setattr(simplejpeg, "decode_jpeg", lambda *given, **_: decoded.append(given))
     camera.give(cv2.imencode(".jpg", picture[:, :40], options)[1].tobytes())
     assert source.poll(1.0) is None
     assert "found 40 x 48 px, expected 64 x 48 px" in source.health.problem

@@ -11,10 +11,11 @@ import importlib.util
 import logging
 import os
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,9 @@ LOGGER = logging.getLogger(__name__)
 
 # Compiled functions of so many versions of the sources are kept; the oldest are removed.
 KEPT = 6
+# Below a prefix of AMENT_PREFIX_PATH: what the build compiled, and of which sources.
+INSTALLED = Path("share", "cmp_tactile_processing", "compiled")
+DIGEST_FILE = "sources"
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_simulation")
 
 
@@ -49,27 +53,77 @@ def use_cache_of_these_sources() -> None:
     One folder for all of them: functions of the processing core are compiled into those of the
     simulator, and a process with the simulator takes what one without it has compiled.
     For what is compiled from now on; a $NUMBA_CACHE_DIR that the user set is left as it is.
+    What was compiled when the packages were installed is linked into it: numba writes into each
+    folder that it reads from, so that it could not share that of another user.
     """
     root = files.default_cache_dir() / "compiled"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is not None and Path(chosen).parent != root:
         return
-    folder = root / compiled_digest()
+    digest = compiled_digest()
+    folder = root / digest
+    installed = _installed(digest)
     try:
         # What numba keeps is code, which is run.
-        if not _is_safely_made_later(folder):
+        if installed is not None or not _is_safely_made_later(folder):
             files.own_contents(folder)
             folder.touch()
             _remove_oldest(folder.parent)
-    except PermissionError as error:
-        LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
+    except OSError as error:
+        if installed is None:
+            LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
         folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    except OSError:
-        pass  # numba says so itself where it cannot write
+    if installed is not None:
+        _link_contents(installed, folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
+
+
+def _installed(digest: str) -> Path | None:
+    """The folder with what was compiled from these sources when they were installed."""
+    owner = Path(__file__).stat().st_uid
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
+        folder = Path(prefix) / INSTALLED
+        try:
+            status = folder.stat()
+            is_of_them = (folder / DIGEST_FILE).read_text(encoding="utf-8") == digest
+        except OSError:
+            continue
+        # Who can write the sources can have any code run, but nobody else.
+        if is_of_them and status.st_uid == owner and not status.st_mode & stat.S_IWOTH:
+            return folder
+    return None
+
+
+def _link_contents(installed: Path, folder: Path) -> None:
+    """Links to all installed files, once; numba puts what is newer in their place."""
+    record = folder / DIGEST_FILE
+    state = f"{installed} {(installed / DIGEST_FILE).stat().st_mtime_ns}"
+    with suppress(OSError):
+        if record.read_text(encoding="utf-8") == state:
+            return
+    for path in installed.glob("*/*.nb[ci]"):
+        link = folder / path.parent.name / path.name
+        link.parent.mkdir(exist_ok=True)
+        link.unlink(missing_ok=True)
+        with suppress(FileExistsError):  # another process does the same
+            link.symlink_to(path)
+    record.write_text(state, encoding="utf-8")
+
+
+@contextmanager
+def installing(prefix: Path) -> Iterator[Path]:
+    """The folder below an installation's prefix that numba is to fill, for all users of it.
+
+    It is used from the end of the block on, unless that is left by an exception.
+    """
+    folder = prefix / INSTALLED
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / DIGEST_FILE).unlink(missing_ok=True)
+    yield folder
+    files.write_whole(folder / DIGEST_FILE, compiled_digest())
 
 
 def _is_safely_made_later(folder: Path) -> bool:
@@ -98,6 +152,14 @@ def when_compiling(report: Callable[[], None]) -> Iterator[None]:
 
     with event.install_listener("numba:compile", Listener()):
         yield
+
+
+def compiling_is_logged() -> AbstractContextManager[None]:
+    """Within it one line in the log says that numba compiles something, and how long that takes."""
+    line = (
+        "compiling numerical code for this user, once per version: some minutes (make build does)"
+    )
+    return when_compiling(lambda: LOGGER.warning(line))
 
 
 def _remove_oldest(folder: Path) -> None:

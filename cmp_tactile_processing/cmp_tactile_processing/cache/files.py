@@ -25,10 +25,18 @@ SECONDS_BETWEEN_TRIES = 0.05
 
 
 def default_cache_dir() -> Path:
-    """$XDG_CACHE_HOME/cmp_tactile, or ~/.cache/cmp_tactile."""
+    """$XDG_CACHE_HOME/cmp_tactile, or ~/.cache/cmp_tactile.
+
+    A user without a home (`docker run --user 2000`) has a folder below that of temporary files.
+    """
     base = Path(os.environ.get("XDG_CACHE_HOME", ""))
     # The XDG specification says that a relative path is to be ignored.
-    return (base if base.is_absolute() else Path.home() / ".cache") / "cmp_tactile"
+    if not base.is_absolute():
+        try:
+            base = Path.home() / ".cache"
+        except RuntimeError:
+            base = Path(tempfile.gettempdir()) / f"cmp_tactile_{os.geteuid()}"
+    return base / "cmp_tactile"
 
 
 @contextlib.contextmanager

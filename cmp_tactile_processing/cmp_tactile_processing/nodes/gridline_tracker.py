@@ -14,6 +14,7 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.drawing.gridlines import draw_grid
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
@@ -88,6 +89,7 @@ class GridlineTracker(base_nodes.StageNode):
         self._prepare_overlay()
         self._health = GridHealth()
         self._topic = f"{self._view}/image_raw"
+        self._depth = BitDepth(self.resolve_topic_name(self._topic), self.get_logger().info)
         self.add_input(Image, self._topic, self._on_image, reliable=options.reliable_input)
         self._inspection = base_nodes.FrameService[NDArray[np.uint8]](
             self,
@@ -108,7 +110,7 @@ class GridlineTracker(base_nodes.StageNode):
         )
 
     def _on_image(self, msg: Image) -> None:
-        image = image_from_msg(msg, self._weights)
+        image = image_from_msg(msg, self._weights, self._depth)
         grid = self._tracker.track(image)
         header = header_at(msg.header.stamp, self._frame)
         self._grid_publisher.publish(grid, header)

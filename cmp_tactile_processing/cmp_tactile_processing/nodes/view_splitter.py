@@ -14,10 +14,11 @@ from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 from tf2_ros import StaticTransformBroadcaster
 
 from cmp_tactile_processing.errors import ParameterError
@@ -25,6 +26,7 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.messages import conversions, making
 from cmp_tactile_processing.ros.messages.making import encoding_of
@@ -39,6 +41,9 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 FARTHEST_M = 10.0
 MOST_RAD = 2 * math.pi
 ORIGIN = (0.0, 0.0, 0.0)
+TF_STATIC = "/tf_static"
+# Of two transforms, m and parts of a quaternion: as exactly as others may have rounded them.
+SAME_POSE = 1e-5
 # A second frame follows only where the first seems lost: its wrench is so many times later than the
 # last one was.  Worked at side by side, each of two frames would take as long as both.
 MOST_IN_FLIGHT, LATE = 2, 2.0
@@ -92,6 +97,54 @@ class Mounting(Parameters):
         return [
             conversions.ROS_MESSAGES.transform(header, making.gel_frame(sensor), origin, rotation)
         ]
+
+
+class FrameNameWatch:
+    """Warns once where a frame of this sensor has two parents, or two places in one.
+
+    As where two sensors of one name run, in namespaces of their own: tf has one tree for all.
+    """
+
+    def __init__(self, node: Node, sensor: SensorDescription, own: list[Any]) -> None:
+        """own: the static transforms that this node publishes."""
+        self._node = node
+        self._known = {transform.child_frame_id: transform for transform in own}
+        self._names, self._warned = set(making.sensor_frames(sensor)), set[str]()
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(TFMessage, TF_STATIC, self._take, latched)
+
+    def _take(self, message: TFMessage) -> None:
+        for found in message.transforms:
+            child = found.child_frame_id
+            if child not in self._names or child in self._warned:
+                continue
+            known = self._known.setdefault(child, found)
+            parents = known.header.frame_id, found.header.frame_id
+            if parents[0] != parents[1]:
+                where = f"two parents, {parents[0]} and {parents[1]}"
+            elif not _is_same_pose(known.transform, found.transform):
+                where = f"two places in {parents[0]}"
+            else:
+                continue
+            self._warned.add(child)
+            ends = self._node.get_publishers_info_by_topic(TF_STATIC)
+            names = sorted({f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends})
+            self._node.get_logger().warning(
+                f"frame {child} has {where}; {TF_STATIC} is published by {', '.join(names)}: "
+                "give each sensor a sensor_name of its own"
+            )
+
+
+def _is_same_pose(one: Any, other: Any) -> bool:
+    shift = _xyz(one.translation) - _xyz(other.translation)
+    p, q = (np.array([*_xyz(item.rotation), item.rotation.w]) for item in (one, other))
+    # Quaternions q and -q are one rotation.
+    turn = min(np.abs(p - q).max(), np.abs(p + q).max())
+    return bool(max(np.abs(shift).max(), turn) < SAME_POSE)
+
+
+def _xyz(vector: Any) -> NDArray[np.float64]:
+    return np.array([vector.x, vector.y, vector.z])
 
 
 @dataclass(frozen=True)
@@ -166,9 +219,10 @@ class ViewSplitter(StageNode):
     """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
 
     With `input_transport` compressed it takes `image_raw/compressed` (PNG or JPEG) in its place, as
-    a bag may have it that `ros2 bag play` plays.  Frames in colour, bgr8 or rgb8, stay so; those in
-    YUYV become grey unless `tracking.red`, `green` and `blue` of the sensor description ask for
-    other than their luminance.  With `frame_queue` newest, for a controller, it reads `wrench`, and
+    a bag may have it that `ros2 bag play` plays.  Frames in colour, such as bgr8 or rgba8, stay so;
+    those in YUV and Bayer become grey unless `tracking.red`, `green` and `blue` of the sensor
+    description ask for other than their luminance.  Pixels of 16 bits become 8, with a scale for
+    the bits that they use.  With `frame_queue` newest, for a controller, it reads `wrench`, and
     while a frame is on its way to one, only the newest frame waits: the latency does not grow where
     frames come quicker than they can be processed.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
@@ -176,7 +230,8 @@ class ViewSplitter(StageNode):
     frame for both views.  `<view>/image_raw` is in the view's own optical frame.
     `image_raw_throttle` has those of the frames that are split, for a viewer.  The static
     transforms from the gel frame to all optical frames are sent once, latched, and with
-    `parent_frame` that from the frame the sensor is mounted on to the gel frame.
+    `parent_frame` that from the frame the sensor is mounted on to the gel frame; a warning says
+    where another node gives one of these frames another parent or place.
     """
 
     default_name = "view_splitter"
@@ -191,6 +246,7 @@ class ViewSplitter(StageNode):
         topic, split = "image_raw", self._on_image
         if options.input_transport == "compressed":
             kind, topic, split = CompressedImage, "image_raw/compressed", self._on_compressed
+        self._depth = BitDepth(self.resolve_topic_name(topic), self.get_logger().info)
         newest = options.frame_queue == "newest"
         if newest:
             self._pacing = FramePacing(split)
@@ -216,6 +272,7 @@ class ViewSplitter(StageNode):
             transform.header.stamp = now
         # All in one message: a latched publisher keeps its last one alone.
         self._broadcaster.sendTransform(transforms)
+        FrameNameWatch(self, self.sensor, transforms)
 
     def _geometry(self) -> list[ViewGeometry]:
         return list(build_views(self.sensor).values())
@@ -230,10 +287,12 @@ class ViewSplitter(StageNode):
         self._run_guarded(topic, self._pacing.came_out, stamp_ns(msg.header.stamp))
 
     def _on_image(self, msg: Image) -> None:
-        self._split(image_from_msg(msg, self.sensor.tracking.grey_weights), msg.header)
+        weights = self.sensor.tracking.grey_weights
+        self._split(image_from_msg(msg, weights, self._depth), msg.header)
 
     def _on_compressed(self, msg: CompressedImage) -> None:
-        self._split(decode_compressed(msg.format, np.frombuffer(msg.data, np.uint8)), msg.header)
+        data = np.frombuffer(msg.data, np.uint8)
+        self._split(decode_compressed(msg.format, data, self._depth), msg.header)
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")

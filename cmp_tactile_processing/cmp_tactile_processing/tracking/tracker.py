@@ -29,7 +29,12 @@ from cmp_tactile_processing.tracking.detector import (
     draw_nominal,
     spoilt_pictures,
 )
-from cmp_tactile_processing.tracking.numbering.faulty_view import torn_rows
+from cmp_tactile_processing.tracking.numbering.torn_view import (
+    is_torn,
+    lattice_graph,
+    suspected_tears,
+    torn_rows,
+)
 from cmp_tactile_processing.tracking.numbering.whole_view import (
     GridNumbering,
     Numbering,
@@ -116,8 +121,8 @@ class GridTracker:
         image = self._image = self._prefilter.prepare(self._grey)
         last, self._last = self._last, None  # an error below must not repeat in each frame
         torn = torn_rows(image)
-        corners = None if torn else self._followed(image, last)
-        if corners is not None:
+        corners = self._followed(image, last)
+        if corners is not None and not self._is_torn(image, corners.position, torn):
             return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
         graph = self._detector.corner_graph(image)
         numbering = self._numbering.number(graph, image, last, torn)
@@ -178,6 +183,14 @@ class GridTracker:
         if self._markers.without_strays(corners)[1]:
             return None
         return corners if self._markers.is_bounded(image, corners.position) else None
+
+    def _is_torn(self, image: PreparedImage, corners: NDArray[np.float64], rows: list[int]) -> bool:
+        """Whether a followed grid jumps where `torn_rows` suspects a tear."""
+        if not rows:
+            return False
+        graph, side = lattice_graph(corners), self._nominal.side_px
+        tears = suspected_tears(graph, rows, image, side)
+        return any(is_torn(graph, tear, side) for tear in tears)
 
     def _grid(
         self,

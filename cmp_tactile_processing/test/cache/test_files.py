@@ -129,8 +129,19 @@ def test_folder_follows_the_xdg_specification(monkeypatch, tmp_path):
         assert default_cache_dir() == tmp_path / "home" / ".cache" / "cmp_tactile"
 
 
+def test_a_user_without_a_home_has_a_cache_folder_too(monkeypatch, tmp_path):
+    """`docker run --user 2000:0` (LMCache 4597): no entry in passwd, and no HOME."""
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.getuid", lambda: 543210)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert tmp_path in default_cache_dir().parents
+
+
 def test_importing_writes_nothing(tmp_path):
     code = "import cmp_tactile_processing, os; print(os.environ['NUMBA_CACHE_DIR'])"
-    used = output_of("-c", code, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR=None)
+    used = output_of(
+        "-c", code, XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR=None, AMENT_PREFIX_PATH=None
+    )
     assert used.startswith(str(tmp_path / "cmp_tactile" / "compiled"))
     assert not list(tmp_path.iterdir())

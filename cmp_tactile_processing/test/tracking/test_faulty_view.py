@@ -1,4 +1,13 @@
-"""Torn frames and a second pattern: what is numbered is right, and the fault says so."""
+"""Torn frames and a second pattern: what is numbered is right, and the fault says so.
+
+That whole frames are never called torn: test/test_whole_frames.py.
+
+Reports of the kind, tried here:
+jvdillon/p3-ir-camera 5 (half of a picture is the frame before): a knock in the middle of a frame;
+seen, as before.
+cirquit/trdrop 17 (tears are seen only where the frame is cut in two, not around a band): a band
+of another frame; seen.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +23,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid, draw_nominal
-from cmp_tactile_processing.tracking.numbering.faulty_view import cut_at, torn_rows
+from cmp_tactile_processing.tracking.numbering.torn_view import jumps_at, torn_rows
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # A corner is misnumbered within this share of a checker's side of another corner.
@@ -111,6 +120,22 @@ def test_the_larger_part_is_numbered_and_the_reason_says_why_the_other_is_not(
     assert "torn across" in grid.reason
 
 
+def test_a_band_of_another_frame_in_the_middle(trackers, photograph, nominal):
+    """Torn twice: rest above and below belong together, the band between does not."""
+    rest, knocked = photograph(), photograph(0.3, 1.8)
+    first, last = row_at(nominal, 0.4), row_at(nominal, 0.6)
+    upper, places = torn(rest, knocked, first)
+    image = np.concatenate([upper[:last], rest[0][last:]])
+    places[1][places[1][..., 1] >= last] = np.nan
+    below = rest[1].copy()
+    below[below[..., 1] < last] = np.nan
+    for tracker in trackers.values():
+        tracker.reset()
+        grid = tracker.track(image)
+        assert misnumbered(grid, np.stack([*places, below]), nominal.side_px) == 0
+        assert grid.fault in SAYS_SO
+
+
 @pytest.mark.parametrize("lost", [17, 36, 70])
 @pytest.mark.parametrize("share", [0.3, 0.6])
 def test_rows_that_are_lost(trackers, photograph, nominal, lost, share):
@@ -134,25 +159,34 @@ def test_no_good_frame_is_torn(sensor, stills, view_image):
             assert torn_rows(prefilter.prepare(np.vstack([image[:350], lower[350:]]))) == [350]
 
 
-@pytest.mark.parametrize(("shift", "torn"), [(0.0, False), (5.0, True)])
-def test_a_gridline_along_an_image_row_is_no_tear(nominal, shift, torn):
-    """Seen straight on, the checkers' edges change grey from one row to the next."""
+def lattice(shift=0.0, from_row=6):
+    """Checkers seen straight on, the lower ones shifted along the rows; their graph."""
     i, j = np.mgrid[:12, :12]
     index = np.pad(np.arange(i.size).reshape(i.shape), 1, constant_values=-1)
     neighbour = np.stack([index[1 + a : 13 + a, 1 + b : 13 + b] for a, b in STEPS], axis=-1)
-    position = np.stack([20.5 + 18 * j, 19.5 + 18 * i], axis=-1)
-    position[6:, :, 0] += shift
+    position = np.stack([20.5 + 18.0 * j, 19.5 + 18.0 * i], axis=-1)
+    position[from_row:, :, 0] += shift
     even, merged = ((i + j) % 2 == 0).ravel(), np.ones(i.size, bool)
-    graph = CornerGraph(position.reshape(-1, 2), merged, even, neighbour.reshape(-1, 4))
-    y, x = np.indices((260, 260))
-    row = 20 + 18 * 6
-    x = np.where(y >= row, x - int(shift), x)
-    image = np.where(((x - 3) // 18 + (y - 2) // 18) % 2 == 0, 40, 200).astype(np.uint8)
-    prepared = Prefilter(image.shape, 18.0).prepare(image)
-    assert row in torn_rows(prepared)
-    cut, tears = cut_at(graph, [row], prepared, nominal)
-    assert tears == ([row - 0.5] if torn else [])
-    assert (cut is graph) == (not torn)
+    return CornerGraph(position.reshape(-1, 2), merged, even, neighbour.reshape(-1, 4))
+
+
+@pytest.mark.parametrize(
+    ("shift", "torn"), [(0.0, False), (1.0, False), (5.0, True), (-9.0, True), (23.0, True)]
+)
+def test_gridlines_that_jump_across_a_row_are_torn_there(shift, torn):
+    """Seen straight on, the checkers' edges lie along the row in any case."""
+    assert jumps_at(lattice(shift), 20 + 18 * 6 - 0.5, 18.0) is torn
+
+
+@pytest.mark.parametrize("depth", [0.3, 0.6])
+def test_a_pressed_lattice_does_not_jump(depth):
+    """Large strain, here and there up to half a checker, is no jump of everything."""
+    graph = lattice()
+    away = (graph.position - graph.position.mean(axis=0)) / 18.0
+    push = depth * away * np.exp(-((np.linalg.norm(away, axis=1) / 2) ** 2))[:, None]
+    pressed = replace(graph, position=graph.position + 18.0 * push)
+    for row in np.arange(40.0, 200.0, 3.0):
+        assert not jumps_at(pressed, row, 18.0), row
 
 
 def test_a_thin_bar_along_rows_is_not_taken_for_a_tear(trackers, photograph, nominal):

@@ -241,8 +241,9 @@ LOGGER = logging.getLogger(__name__)
 FINEST_STEP_SHARE = 0.125
 # Share of the first step below which it is not shortened.
 LEAST_STEP_SHARE = 1 / 64
-# How far gap and slip may miss their conditions where no shorter step helps, m.
-LAST_RESORT = 5e-6
+# How far gap and slip may miss their conditions where no shorter step helps, m, and the share to
+# which a step is then shortened.
+LAST_RESORT, LAST_STEP_SHARE = 5e-6, 1 / 4096
 # A place that touches may be inside by this much, m.
 TOUCH_TOLERANCE = 1e-9
 MAX_TOUCH_STEPS = 1000
@@ -316,7 +317,8 @@ class ContactSimulation:
                 step /= 2
                 if step >= LEAST_STEP_SHARE * first:
                     continue
-                state = self._moved_at_last(state, begin.towards(pose, end))
+                ends = [min(1.0, share + length) for length in _last_steps(first)]
+                state, end = self._moved_at_last(state, (begin, pose), ends)
             share, step = end, min(first, 2 * step)
         return state
 
@@ -390,18 +392,28 @@ class ContactSimulation:
                 raise
         return self._press_from_above(touching, load, attempt + 1)
 
-    def _moved_at_last(self, state: ContactState, pose: Pose) -> ContactState:
-        """The state after a step that no shortening solves exactly, as nearly as is accepted."""
-        try:
-            reached = self._lenient_step(state, pose)
-        except solver.NotConvergedError as error:
-            raise self._unsolved(pose, error) from None
-        LOGGER.info(
-            "%s: a step was solved to no better than %.1g m",
-            self.indenter.name,
-            LAST_RESORT,
-        )
-        return reached
+    def _moved_at_last(
+        self, state: ContactState, way: tuple[Pose, Pose], ends: list[float]
+    ) -> tuple[ContactState, float]:
+        """The state after a step that is solved as nearly as is accepted, and its share of the way.
+
+        ends: shares of the way that are tried, in this order.
+        """
+        failures = []
+        for end in ends:
+            try:
+                reached = self._lenient_step(state, way[0].towards(way[1], end))
+            except solver.NotConvergedError as error:
+                failures.append(error)
+                continue
+            LOGGER.info(
+                "%s: a step was solved to no better than %.1g m",
+                self.indenter.name,
+                LAST_RESORT,
+            )
+            return reached, end
+        nearest = min(failures, key=lambda error: error.residual)
+        raise self._unsolved(way[0].towards(way[1], ends[0]), nearest) from None
 
     @property
     def _longest_step(self) -> float:
@@ -426,8 +438,20 @@ class ContactSimulation:
         x, y, z = 1e3 * pose.position
         return ContactError(
             f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
-            f"residual {error.residual:.3g} m, expected below {LAST_RESORT:.3g} m"
+            f"residual {error.residual:.3g} m, expected below {LAST_RESORT:.3g} m; change "
+            "contact_nodes, or indenter.friction a little"
         )
+
+
+def _last_steps(first: float) -> list[float]:
+    """Lengths of steps where the shortest was not solved: shorter ones, then longer ones.
+
+    Nodes that jump as they let go can be passed by a step beyond the jump.
+    """
+    shortest = LEAST_STEP_SHARE * first
+    shorter = int(np.log2(LEAST_STEP_SHARE / LAST_STEP_SHARE)) + 1
+    longer = int(np.log2(1 / LEAST_STEP_SHARE)) + 1
+    return [shortest / 2**n for n in range(shorter)] + [shortest * 2**n for n in range(1, longer)]
 
 
 def _between_nodes(elastomer: Elastomer) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_driver.bags.reader import StoredMessage, open_storage
+from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState

@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.throttle import throttled
@@ -96,6 +97,7 @@ class _Watched:
         # Small, and of every frame: for rate and latency.
         wrench = f"{sensor.namespace}/wrench"
         self._wrench = PolledTopic(wrench, WrenchStamped, "wrench", (wrench,))
+        self._depth = BitDepth(f"{sensor.namespace}/image_raw", node.get_logger().info)
         self._group = Polled()
         self._shown: tuple[str, int] | None = None
         self._image_s, self._imaged_ns = 0.0, -1
@@ -158,7 +160,7 @@ class _Watched:
         try:
             message = deserialize_message(data, topic.message_type)
             if topic.field == "frame":
-                return reading.image_from_msg(message)
+                return reading.image_from_msg(message, depth=self._depth)
             if topic.field == "force":
                 return reading.force_field_from_msg(message)
             if topic.field == "surface":

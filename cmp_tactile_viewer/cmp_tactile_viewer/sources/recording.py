@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.reader import (
-    STORAGE_SUFFIXES,
-    RecordedFrame,
-    TimeSpan,
-    open_storage,
-)
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import is_bag, open_recording
+from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, open_storage
+from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import ADVICE, single_flags
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -54,13 +52,15 @@ MOST_OPEN = 20
 class Frames(Protocol):
     """The snapshots of a recording, from anywhere in it.
 
-    length_s: from its beginning to its last message.
+    length_s: from its first frame to its last message.  problem: what of it is not as it should
+    be; empty for nothing.
     """
 
     length_s: float
+    problem: str
 
     def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
-        """Snapshots and their times since the beginning, s, from a time on."""
+        """Snapshots and their times since the first frame, s, from a time on."""
 
 
 class ProcessedFrames:
@@ -76,7 +76,7 @@ class ProcessedFrames:
         if first is None:
             msg = f"{path}: found no frame of {size[0]} x {size[1]} pixels"
             raise ViewerError(msg)
-        self._begin_ns = first.time_ns
+        self.problem = self._recording.gaps
         self.length_s = self._recording.duration
         self._sensor = sensor
 
@@ -88,7 +88,7 @@ class ProcessedFrames:
             shown = Snapshot(
                 frame.stamp_ns, frame.image, done.left, done.right, done.surface, done.force
             )
-            yield (frame.time_ns - self._begin_ns) * 1e-9, shown
+            yield frame.time_s, shown
 
     @cached_property
     def _pipeline(self) -> Pipeline:
@@ -112,39 +112,44 @@ class StoredResults:
         """Raises BagError for what is no bag, ViewerError for one of several sensors."""
         self._storage = open_storage(path)
         self._topics = _result_topics(path, self._storage.topics)
-        self._sensor, self.problem = sensor, ""
+        self._sensor = sensor
+        self._depth = BitDepth(str(path))
         self._placements = {name: view.placement for name, view in build_views(sensor).items()}
-        first_ns, last_ns = self._storage.times_ns
-        self._begin_ns, self.length_s = first_ns, (last_ns - first_ns) * 1e-9
+        places = self._storage.places(list(self._topics))
+        first = next((topic for topic, field in self._topics.items() if field == "frame"), "")
+        self._timeline = timeline(places, first)
+        self.length_s = self._timeline.duration
+        self.problem = self._storage.loss or self._timeline.gaps
 
     def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
         """As `Frames.read`."""
         store = simulation_typestore()
-        open_ones: dict[int, Snapshot] = {}
-        first_ns = self._begin_ns + round(start_s * 1e9)
-        for stored in self._storage.messages(list(self._topics), first_ns):
+        open_ones: dict[int, tuple[float, Snapshot]] = {}
+        line = self._timeline
+        part = line.part(TimeSpan(start=start_s))
+        places = line.places[part.start : part.stop]
+        for number, stored in zip(part, self._storage.read_all(places), strict=True):
+            if stored is None:
+                self.problem = self._storage.loss
+                continue
             field = self._topics[stored.topic]
-            kind = self._storage.topics[stored.topic]
             try:
-                message: Any = store.deserialize_cdr(stored.data, kind)
+                message: Any = store.deserialize_cdr(stored.data, stored.kind)
                 stamp_ns = reading.stamp_ns(message.header.stamp)
                 value = self._value(field, message)
             except (CmpTactileError, SerdeError, ValueError) as error:
                 self.problem = f"{stored.topic} at {stored.time_ns} ns: {error}"
                 continue
-            snapshot = open_ones.pop(stamp_ns, Snapshot(stamp_ns))
-            open_ones[stamp_ns] = replace(snapshot, **{field: value})
+            begun = line.times_s[number], Snapshot(stamp_ns)
+            time_s, snapshot = open_ones.pop(stamp_ns, begun)
+            open_ones[stamp_ns] = time_s, replace(snapshot, **{field: value})
             if len(open_ones) > MOST_OPEN:
-                yield self._timed(open_ones.pop(next(iter(open_ones))))
-        for snapshot in open_ones.values():
-            yield self._timed(snapshot)
-
-    def _timed(self, snapshot: Snapshot) -> tuple[float, Snapshot]:
-        return (snapshot.stamp_ns - self._begin_ns) * 1e-9, snapshot
+                yield open_ones.pop(next(iter(open_ones)))
+        yield from open_ones.values()
 
     def _value(self, field: str, message: Any) -> Any:
         if field == "frame":
-            return reading.image_from_msg(message)
+            return reading.image_from_msg(message, depth=self._depth)
         if field == "surface":
             return reading.surface_from_msg(message, self._sensor.pattern.shape)
         if field == "force":
@@ -289,7 +294,7 @@ class RecordingSource(PassiveSource):
 
     def _report_frame(self, snapshot: Snapshot) -> None:
         lines = list(snapshot_health(snapshot))
-        problem = getattr(self.frames, "problem", "")
+        problem = self.frames.problem if self.frames is not None else ""
         if problem:
             lines.append(HealthLine(Level.WARN, "recording:", problem))
         self._show_lines(lines or [HealthLine(Level.OK, "recording:", "all markers as expected")])

@@ -1,5 +1,6 @@
 """Boards: what may be asked for, in which order corners are counted, and where they are found."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -88,3 +89,59 @@ def test_one_line_of_corners_is_no_board(charuco):
     assert two_lines is not None
     assert set(two_lines.number // charuco.cols) == {0, 1}
     assert find_board(picture[: 60 * 3], charuco) is None
+
+
+LARGE = (1944, 2592)
+
+
+def _without_board(kind: str) -> np.ndarray:
+    rng = np.random.default_rng(3)
+    if kind == "noise":
+        return rng.integers(0, 256, LARGE, np.uint8)
+    return np.clip(rng.normal(2.0, 1.5, LARGE), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("kind", ["noise", "dark"])
+def test_large_images_without_a_board_have_none(kind, monkeypatch):
+    """OpenCV's older search takes minutes for them: it is only asked about a reduced image.
+
+    - opencv/opencv 23558 (26 x 16 corners in an almost black image: "running endlessly"), 24558
+      (its fast check passes the image on by chance, 15 minutes): 1 s, no board.
+    - ElvinC/gyroflow 116 (minutes for each frame without the board): as above.
+    - ros-perception/image_pipeline 589 (boards are lost in a reduced image): the newer search
+      still has the whole image, see the test of small squares.
+    """
+    sizes: list[int] = []
+    search = cv2.findChessboardCorners
+
+    def counted(image, *given, **more):
+        sizes.append(image.size)
+        return search(image, *given, **more)
+
+    monkeypatch.setattr(cv2, "findChessboardCorners", counted)
+    assert find_board(_without_board(kind), BoardTarget("chessboard", 26, 16, 0.01)) is None
+    assert max(sizes) <= 1000 * 1000
+
+
+@pytest.mark.parametrize(
+    ("square_px", "blur_px", "tolerance_px"), [(150, 15.0, 1.0), (150, 3.0, 0.2), (14, 1.0, 0.2)]
+)
+def test_boards_in_large_images_are_where_they_were_put(square_px, blur_px, tolerance_px):
+    """Blurred by 15 px only the older search finds it; squares of 14 px only the newer one."""
+    target = BoardTarget("chessboard", 7, 4, 1.6e-3)
+    H = np.array([[1.0, 0.15, 300.0], [-0.1, 0.95, 500.0], [1e-5, 2e-5, 1.0]])
+    size = LARGE[::-1]
+    sharp = cv2.warpPerspective(target.picture(square_px), H, size, borderValue=230)
+    noise = np.random.default_rng(4).normal(0, 2, LARGE)
+    image = 40 + 0.3 * cv2.GaussianBlur(sharp, (0, 0), blur_px).astype(float) + noise
+    found = find_board(np.clip(image, 0, 255).astype(np.uint8), target)
+    assert found is not None
+    i, j = np.divmod(found.number, target.cols)
+    # Between the pixels of its picture; symmetric under half a turn or not, corners are the same.
+    p = np.stack([(j + 1) * square_px - 0.5, (i + 1) * square_px - 0.5, np.ones(len(i))])
+    q = H @ p
+    expected = (q[:2] / q[2]).T
+    distance = np.linalg.norm(found.pixels[:, None] - expected[None], axis=-1).min(axis=1)
+    # Windows of corners near the border reach beyond the board where it is blurred.
+    assert len(found.number) >= 0.8 * target.count
+    assert distance.max() < tolerance_px

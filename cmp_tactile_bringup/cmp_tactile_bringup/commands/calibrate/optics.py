@@ -158,15 +158,21 @@ class Gel(Output, FrameInput):
 
 def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
-    from cmp_tactile_bringup.calibration.frames import read_images
-    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude
+    from cmp_tactile_bringup.calibration.frames import pairs_by_number, read_images
+    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude, warn
     from cmp_tactile_bringup.terminal.output import shown_count
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
 
     views = ("left", "right") if arguments.right else ("left",)
     files = CalibrationFiles.of_cameras(arguments.output, views)
     files.check_free(overwrite=arguments.overwrite)
-    images = {view: read_images(getattr(arguments, view)) for view in views}
+    chosen = {"left": arguments.left or []}
+    if arguments.right:
+        pairs, alone = pairs_by_number(chosen["left"], arguments.right)
+        chosen = {view: [pair[side] for pair in pairs] for side, view in enumerate(views)}
+        names = ", ".join(file.name for file in alone)
+        warn(f"{names}: found no image of the other camera, left out" if alone else "")
+    images = {view: read_images(files) for view, files in chosen.items()}
     with shown_count() as count:
         outcome = calibrate_cameras(images["left"], images.get("right"), target, on_progress=count)
     pictures = {view: items[0] for view, items in images.items()}

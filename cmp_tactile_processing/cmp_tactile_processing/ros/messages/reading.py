@@ -11,30 +11,18 @@ from enum import IntEnum
 from functools import cache
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing import measured
-from cmp_tactile_processing.errors import FrameError, GeometryError, found_text
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.split import LUMINANCE
+from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # A plain number: NumPy looks for long what an enumeration's member may be.
 MISSING = int(measured.Status.MISSING)
-CHANNELS = {
-    "mono8": 1,
-    "bgr8": 3,
-    "rgb8": 3,
-    "yuv422_yuy2": 2,
-    "yuyv": 2,
-    "8UC1": 1,
-    "8UC3": 3,
-}
-ENCODINGS = tuple(CHANNELS)
-"""What `decode_raw` takes, by the names of sensor_msgs/image_encodings.h."""
-MAX_SIDE = 16384
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -161,65 +149,27 @@ def _read_slip(msg: Any, owner: str) -> measured.SlipEstimate:
     return measured.SlipEstimate(measured.SlipState(msg.slip_state), **figures)
 
 
-def image_from_msg(msg: Any, weights: tuple[float, float, float] = LUMINANCE) -> NDArray[np.uint8]:
+def image_from_msg(
+    msg: Any,
+    weights: tuple[float, float, float] = LUMINANCE,
+    depth: BitDepth | None = None,
+) -> NDArray[np.uint8]:
     """Image of a message: grey (H, W) uint8, or BGR (H, W, 3) where it comes in colours.
 
-    weights: of red, green and blue in the grey value that is made of it.  YUYV is read as grey
-    where luminance is all that is asked of it, because that is what it holds at full resolution.
+    weights: of red, green and blue in the grey value that is made of it.  YUV and Bayer are read
+    as grey where luminance is all that is asked of them.  depth: of the topic; absent for an
+    image by itself.
     Raises FrameError, as decode_raw.
     """
-    data, size = np.frombuffer(msg.data, np.uint8), (msg.width, msg.height)
-    return decode_raw(size, msg.encoding, msg.step, data, luminance=weights == LUMINANCE)
-
-
-def decode_raw(
-    size: tuple[int, int],
-    encoding: str,
-    step: int,
-    data: NDArray[np.uint8],
-    *,
-    luminance: bool = False,
-) -> NDArray[np.uint8]:
-    """The image of a sensor_msgs/Image: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
-
-    size: width, height in px.  step: bytes per row.  data: (N,) uint8; not copied where it need
-    not be changed.  luminance: read YUYV as grey.
-    Raises FrameError naming the field, for an encoding that is not in ENCODINGS or a buffer that
-    does not fit size and step.
-    """
-    width, height = size
-    _check_raw(width, height, encoding, step, data)
-    channels = CHANNELS[encoding]
-    rows = data.reshape(height, step)[:, : width * channels]
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    if channels == 2 and luminance:
-        # Every second byte, as the camera measured it.
-        return np.ascontiguousarray(rows[:, ::2])
-    pixels = np.ascontiguousarray(rows).reshape(height, width, channels)
-    if encoding in ("bgr8", "8UC3"):
-        return pixels
-    if channels == 2 and width % 2:
-        msg = f"width: found {width} px, expected an even number for {encoding}"
-        raise FrameError(msg)
-    code = cv2.COLOR_RGB2BGR if encoding == "rgb8" else cv2.COLOR_YUV2BGR_YUY2
-    return np.asarray(cv2.cvtColor(pixels, code), np.uint8)
-
-
-def _check_raw(width: int, height: int, encoding: str, step: int, data: NDArray[np.uint8]) -> None:
-    if encoding not in CHANNELS:
-        msg = f"encoding: found {found_text(encoding)}, expected one of {', '.join(ENCODINGS)}"
-        raise FrameError(msg)
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
-        msg = f"width, height: found {width} x {height}, expected 1 to {MAX_SIDE}"
-        raise FrameError(msg)
-    least = width * CHANNELS[encoding]
-    if step < least:
-        msg = f"step: found {step} bytes, expected at least {least} for {encoding}"
-        raise FrameError(msg)
-    if data.size != height * step:
-        msg = f"data: found {data.size} bytes, expected {height * step} (height x step)"
-        raise FrameError(msg)
+    return decode_raw(
+        (msg.width, msg.height),
+        msg.encoding,
+        msg.step,
+        np.frombuffer(msg.data, np.uint8),
+        big_endian=bool(msg.is_bigendian),
+        luminance=weights == LUMINANCE,
+        depth=depth,
+    )
 
 
 def check_shape(found: measured.GridShape, shape: measured.GridShape) -> None:

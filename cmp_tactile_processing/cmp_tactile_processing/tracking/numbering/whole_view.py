@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,13 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
+    turn_of,
+)
+from cmp_tactile_processing.tracking.numbering.torn_view import (
     continues,
     cut_at,
-    turn_of,
+    is_torn,
+    suspected_tears,
 )
 
 # A component that is to be anchored by itself has this share of the corners at least.
@@ -49,6 +53,17 @@ BY_CHANCE = 0.5
 SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
 OTHER_PATTERN = 0.1
+# Checkers that differ by more than this from those of the pattern, in sides, are another one's.
+OTHER_STEP = 0.15
+# Faults of the description, which need more than a piece of the pattern; a piece has so many
+# corners.
+OF_THE_DESCRIPTION = {
+    GridFault.OTHER_SIZE,
+    GridFault.OTHER_COLOURS,
+    GridFault.MIRRORED,
+    GridFault.TURNED,
+}
+FEWEST_PIECE = 9
 # Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
 FEWEST_STRAYS = 6
 # Checkers without sharp edges, and with less contrast than this, may be light where they should be
@@ -92,7 +107,10 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
     """
     if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
         return numbering
-    reason = f"{missing} corners not seen, and {strays} that do not belong to the pattern"
+    reason = (
+        f"{missing} corners not seen, and {strays} that do not continue the others: another "
+        "pattern, or pieces of this one beside something that hides the rest"
+    )
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
 
 
@@ -151,29 +169,52 @@ class GridNumbering:
         torn: what `torn_rows` finds in the image.
 
         Corners are numbered by the gridlines that connect them, each connected set is anchored by
-        itself or by anchored ones; see `ComponentPlacement` and `joined`.  Where the
-        image is torn, each part is numbered by itself, and of parts that do not continue each other
-        only the largest is kept.
+        itself or by anchored ones; see `ComponentPlacement` and `joined`.  Where the gridlines jump
+        across a row, or are not complete and may do so, each part is numbered by itself; of parts
+        that do not continue each other only the largest is kept.
         """
-        graph, tears = cut_at(graph, torn or [], image, self._nominal)
+        tears = suspected_tears(graph, torn or [], image, self._nominal.side_px)
+        jumps = [tear for tear in tears if is_torn(graph, tear, self._nominal.side_px)]
+        if jumps:
+            parts = self._parts_of(graph, jumps, image, previous, proven=True)
+            graph = cut_at(graph, jumps, self._nominal.side_px)
+            return parts or self._whole(graph, image, previous)
+        whole = self._whole(graph, image, previous)
+        if not tears or whole.fault is GridFault.NONE:
+            return whole
+        return self._parts_of(graph, tears, image, previous, proven=False) or whole
+
+    def _whole(
+        self, graph: CornerGraph, image: PreparedImage, previous: NDArray[np.float64] | None
+    ) -> Numbering:
+        """A graph without regard to tears."""
+        components, reason = self._components(graph, image)
+        if components:
+            return self._numbered(components, image, previous)
+        if reason:
+            return self._missing(GridFault.NO_CONTRAST, reason)
+        return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
+
+    def _components(self, graph: CornerGraph, image: PreparedImage) -> tuple[list[Component], str]:
+        """Sets of connected corners, and why some of them are not to be believed."""
         steps = self._axes.near(graph.position)
         components = self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
-        if not components:
-            return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
-        components, blurred = _without_blurred(components, image)
-        if not components:
-            return self._missing(GridFault.NO_CONTRAST, blurred)
-        whole = self._parts_of(components, tears, image, previous) if tears else None
-        return whole or self._numbered(components, image, previous)
+        return _without_blurred(components, image) if components else ([], "")
 
     def _parts_of(
         self,
-        components: list[Component],
+        graph: CornerGraph,
         tears: list[float],
         image: PreparedImage,
         previous: NDArray[np.float64] | None,
+        *,
+        proven: bool,
     ) -> Numbering | None:
-        """The largest part of a torn image; None where its parts continue each other."""
+        """The largest part of an image that is cut at rows; None where its parts are one.
+
+        proven: gridlines jump there; without that, parts are one unless they contradict each other.
+        """
+        components, _ = self._components(cut_at(graph, tears, self._nominal.side_px), image)
         bounds = [-np.inf, *tears, np.inf]
         parts: list[list[Component]] = [[] for _ in bounds[1:]]
         for component in components:
@@ -184,26 +225,31 @@ class GridNumbering:
             if part
         ]
         found.sort(key=lambda part: -np.count_nonzero(np.isfinite(part.corners[..., 0])))
-        largest = found[0]
-        if len(found) == 1:
-            return largest
-        if self._belong_together([part.corners for part in found]):
+        if not found or len(found) == 1:
+            return found[0] if proven and found else None
+        if not (self._are_apart if proven else self._contradict)([one.corners for one in found]):
             return None
-        reason = "the image is torn across, and its parts do not belong together"
+        largest, reason = found[0], "the image is torn across, and its parts do not belong together"
         if not np.isfinite(largest.corners).any():
             return self._missing(GridFault.AMBIGUOUS, f"{reason}; {largest.reason}")
         return replace(largest, reason=reason, fault=GridFault.TWO_PATTERNS)
 
-    def _belong_together(self, parts: list[NDArray[np.float64]]) -> bool:
-        """Whether each part (rows, cols, 2) continues those that continue the first."""
+    def _are_apart(self, parts: list[NDArray[np.float64]]) -> bool:
+        """Whether a part (rows, cols, 2) is not seen to continue those that continue the first."""
         whole, left = parts[0], parts[1:]
         while left:
             near = next((p for p in left if continues(whole, p, self._nominal)), None)
             if near is None:
-                return False
+                return True
             whole = np.where(np.isnan(whole), near, whole)
             left = [part for part in left if part is not near]
-        return True
+        return False
+
+    def _contradict(self, parts: list[NDArray[np.float64]]) -> bool:
+        """Whether two of the parts are seen not to continue each other."""
+        return any(
+            continues(one, other, self._nominal) is False for one, other in combinations(parts, 2)
+        )
 
     def _numbered(
         self,
@@ -220,15 +266,27 @@ class GridNumbering:
                 continue
             refused = self._place(corners, components[index], anchor.shift, previous)
             if refused is not None:
-                return refused
+                return self._unplaced(components, refused)
             placed.append(index)
         if not placed:
-            return self._missing(anchors[0].fault, anchors[0].reason)
+            return self._unplaced(components, anchors[0])
         if not in_order(corners, self._nominal):
             return self._missing(GridFault.AMBIGUOUS, "gridlines are stretched or out of order")
         left = [component for index, component in enumerate(components) if index not in placed]
         confidence = self._confidence([anchors[index] for index in placed])
         return self._with_further(corners, left, confidence)
+
+    def _unplaced(self, components: list[Component], anchor: Anchor) -> Numbering:
+        """What is reported where no component has a place.
+
+        What is wrong with the description only a whole pattern shows: a piece of one, behind
+        something that hides the rest, may end anywhere, and has little shape.
+        """
+        pieces = sum(len(component.position) >= FEWEST_PIECE for component in components)
+        if anchor.fault not in OF_THE_DESCRIPTION or pieces < 2:
+            return self._missing(anchor.fault, anchor.reason)
+        reason = f"the pattern is seen in {pieces} pieces, none of which shows its own place"
+        return self._missing(GridFault.AMBIGUOUS, reason)
 
     def unbounded(self) -> Numbering:
         """What is reported where further corners lie beyond a border of what was numbered."""
@@ -275,7 +333,7 @@ class GridNumbering:
         component: Component,
         shift: NDArray[np.intp],
         previous: NDArray[np.float64] | None,
-    ) -> Numbering | None:
+    ) -> Anchor | None:
         """Add an anchored component to the corners; else what is reported instead of a guess."""
         number = component.number + shift
         inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
@@ -292,7 +350,7 @@ class GridNumbering:
             fault = GridFault.TWO_PATTERNS
             reason = "two patterns seen, each of which could be the sensor's"
         if fault is not GridFault.NONE:
-            return self._missing(fault, reason)
+            return Anchor(None, fault, reason)
         corners[number[:, 0], number[:, 1]] = position
         # Of a complete grid every square closes: where a corner lies off, the fit decides.
         if np.isnan(corners).any():
@@ -317,11 +375,28 @@ class GridNumbering:
                     break
         if np.isnan(corners).any():
             drop_loose_corners(corners, self._nominal.corners)
-        largest = max((len(component.position) for component in left), default=0)
-        return self._judged(corners, largest, confidence * (JOINED if joins else 1.0))
+        other = max((len(item.position) for item in left if self._is_other(item)), default=0)
+        return self._judged(corners, other, confidence * (JOINED if joins else 1.0))
+
+    def _is_other(self, component: Component) -> bool:
+        """Whether a component's checkers differ from those of the pattern where it lies.
+
+        Those that do not may be a piece of it that has no place of its own.
+        """
+        lattice, _ = component.lattice()
+        known = np.isfinite(lattice[..., 0])
+        off = []
+        for axis, nominal in enumerate(self._axes.near(lattice[known])):
+            steps = np.full_like(lattice, np.nan)
+            if lattice.shape[axis] > 1:
+                steps = np.gradient(lattice, axis=axis)
+            off.append(np.linalg.norm(steps[known] - nominal, axis=1))
+        distance = np.concatenate(off)
+        distance = distance[np.isfinite(distance)]
+        return len(distance) > 0 and bool(np.median(distance) > OTHER_STEP * self._nominal.side_px)
 
     def _judged(self, corners: NDArray[np.float64], other: int, confidence: float) -> Numbering:
-        """other: corners that are connected and fit nowhere."""
+        """other: corners that are connected and fit nowhere, as they are not the pattern's."""
         missing = int(np.isnan(corners[..., 0]).sum())
         if not missing:
             return Numbering(corners, "", GridFault.NONE, confidence)

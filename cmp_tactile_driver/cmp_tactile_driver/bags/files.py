@@ -1,0 +1,83 @@
+"""What a file of a bag gives, whatever its format."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Collection
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import zstandard
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+HEAD_BYTES = 12
+"""Of a message: what names the encoding, and the stamp of a header that it begins with."""
+
+
+class DamageError(Exception):
+    """Bytes that are no message, no file of its format, or are not there."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a message lies.
+
+    time_ns: when it was received.  stamp_ns: of its header, if its type begins with one; 0 where it
+    has none.  where: for the reading of its file, which is the `file`th of its bag.
+    """
+
+    topic: str
+    kind: str
+    time_ns: int
+    stamp_ns: int
+    where: Any
+    file: int = 0
+
+    def in_file(self, number: int) -> Place:
+        """The same in one of several files."""
+        return replace(self, file=number) if number else self
+
+
+class BagFile(Protocol):
+    """One file.
+
+    topics: message type by topic.  stated: how many messages of a topic the file itself says it
+    holds.  damage: why some of its bytes cannot be read; empty where all can.
+    """
+
+    topics: dict[str, str]
+    stated: dict[str, int]
+    damage: str
+
+    def places(self, topics: Collection[str]) -> list[Place]:
+        """Where the messages of some topics lie, in the order in which they were written."""
+
+    def opened(self) -> AbstractContextManager[Callable[[Any], bytes]]:
+        """Reads the CDR bytes at a place's `where`, DamageError where they are damaged."""
+
+
+def unpacked(data: bytes) -> bytes:
+    """A message that rosbag2 may have compressed by itself; DamageError where it cannot be."""
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    try:
+        return zstandard.ZstdDecompressor().decompress(data)
+    except zstandard.ZstdError as error:
+        raise DamageError(str(error)) from None
+
+
+def head_stamp_ns(head: bytes) -> int:
+    """The stamp in the first HEAD_BYTES of a message that begins with a header; 0 for none."""
+    if len(head) < HEAD_BYTES:
+        return 0
+    order = "<" if head[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", head, 4)
+    return max(0, int(seconds) * 10**9 + int(nanoseconds))
+
+
+def full_kind(name: str, encoding: str = "cdr") -> str:
+    """A message type as ROS 2 writes it, marked where its messages are not in CDR."""
+    package, _, short = name.replace("::", "/").partition("/")
+    kind = f"{package}/msg/{short}" if short and "/" not in short else f"{package}/{short}"
+    return kind if encoding == "cdr" else f"{kind} in {encoding or 'unknown encoding'}"

@@ -1,0 +1,234 @@
+"""One MCAP file, with or without chunks, index and end.
+
+Its records are gone through by their lengths: an index would only say where they are.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, Schema
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+
+from cmp_tactile_driver.bags.files import (
+    HEAD_BYTES,
+    ZSTD_MAGIC,
+    DamageError,
+    Place,
+    full_kind,
+    head_stamp_ns,
+    unpacked,
+)
+
+RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+CHUNK_HEAD = struct.Struct("<QQQI")
+TEXT_HEAD = struct.Struct("<I")
+LENGTH = struct.Struct("<Q")
+# One in use, and those that others overlap in time.
+KEPT_CHUNKS = 4
+MOST_SUMMARY_BYTES = 2**30
+
+
+class _Where(NamedTuple):
+    """A message's bytes, in the file or in a chunk that begins at `chunk`."""
+
+    chunk: int
+    begin: int
+    length: int
+
+
+class McapBagFile:
+    """As `files.BagFile`."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises DamageError where nothing of it can be read."""
+        self._path = path
+        self._kinds: dict[int, str] = {}
+        self._channels: dict[int, Channel] = {}
+        self.topics: dict[str, str] = {}
+        self.stated: dict[str, int] = {}
+        self.damage = ""
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                size = path.stat().st_size
+                raise DamageError("found no MCAP in it" if size else "the file is empty")
+        if not self._take_summary():
+            self.places(())
+            if self.damage and not self._channels:
+                raise DamageError(self.damage)
+
+    def places(self, topics: Collection[str]) -> list[Place]:
+        """As `files.BagFile`; what is damaged is passed over where its length is known."""
+        self.damage = ""
+        found: list[Place] = []
+        with self._path.open("rb") as file:
+            try:
+                for opcode, begin, length in self._top_records(file):
+                    if opcode == Opcode.CHUNK:
+                        found += self._places_in_chunk(file, begin, length, topics)
+                    else:
+                        found += self._take(file, (opcode, begin, length), topics)
+            except DamageError as error:
+                self.damage = str(error)
+        return found
+
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[_Where], bytes]]:
+        """As `files.BagFile`."""
+        with self._path.open("rb") as file:
+            chunk = lru_cache(KEPT_CHUNKS)(lambda begin: _chunk_records(file, begin))
+
+            def read(where: _Where) -> bytes:
+                if where.chunk:
+                    return unpacked(chunk(where.chunk)[where.begin : where.begin + where.length])
+                file.seek(where.begin)
+                return unpacked(file.read(where.length))
+
+            yield read
+
+    def _top_records(self, file: IO[bytes]) -> Iterator[tuple[int, int, int]]:
+        """Up to the end of the data."""
+        size = self._path.stat().st_size
+        for record in _records(file, len(MCAP0_MAGIC), size):
+            if record[0] in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            yield record
+        raise DamageError("the file has no end: its recorder did not close it")
+
+    def _places_in_chunk(
+        self, file: IO[bytes], begin: int, length: int, topics: Collection[str]
+    ) -> Iterator[Place]:
+        """Of a chunk's records, which are unpacked here only where they are compressed."""
+        try:
+            is_packed, first = _chunk_layout(file, begin)
+            stream: IO[bytes] = file
+            last = begin + length
+            if is_packed:
+                data = _chunk_records(file, begin)
+                stream, first, last = BytesIO(data), 0, len(data)
+            for opcode, at, size in _records(stream, first, last):
+                for place in self._take(stream, (opcode, at, size), topics):
+                    where = _Where(begin, place.where.begin - first, place.where.length)
+                    yield replace(place, where=where)
+        except DamageError as error:
+            self.damage = str(error)
+
+    def _take(
+        self, stream: IO[bytes], record: tuple[int, int, int], topics: Collection[str]
+    ) -> Iterator[Place]:
+        """Learn a schema or channel; give the place of a message of a topic that is wanted."""
+        opcode, begin, length = record
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            content = ReadDataStream(BytesIO(stream.read(length)))
+            if opcode == Opcode.SCHEMA:
+                self._add_schema(Schema.read(content))
+            else:
+                self._add_channel(Channel.read(content))
+        if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
+            return
+        head = stream.read(min(length, MESSAGE_HEAD.size + HEAD_BYTES))
+        number, _, received_ns, _ = MESSAGE_HEAD.unpack_from(head)
+        channel = self._channels.get(number)
+        if channel is None or channel.topic not in topics:
+            return
+        start = head[MESSAGE_HEAD.size :]
+        if start.startswith(ZSTD_MAGIC):
+            stream.seek(begin + MESSAGE_HEAD.size)
+            start = unpacked(stream.read(length - MESSAGE_HEAD.size))[:HEAD_BYTES]
+        where = _Where(0, begin + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size)
+        kind = self._kind(channel)
+        yield Place(channel.topic, kind, received_ns, head_stamp_ns(start), where)
+
+    def _take_summary(self) -> bool:
+        """Whether the file ends with a summary that names all channels."""
+        with self._path.open("rb") as file:
+            try:
+                limited = SeekingReader(file, record_size_limit=MOST_SUMMARY_BYTES)
+                summary = limited.get_summary()
+            except Exception:  # noqa: BLE001  damaged bytes raise anything
+                return False
+        statistics = summary.statistics if summary else None
+        if summary is None or statistics is None:
+            return False
+        if len(summary.channels) < statistics.channel_count:
+            return False
+        for schema in summary.schemas.values():
+            self._add_schema(schema)
+        for channel in summary.channels.values():
+            self._add_channel(channel)
+        counts: Counter[str] = Counter()
+        for number, count in statistics.channel_message_counts.items():
+            if number in self._channels:
+                counts[self._channels[number].topic] += count
+        # A writer may count messages without counting those of each channel.
+        if counts.total() == statistics.message_count:
+            self.stated = dict(counts)
+        return True
+
+    def _add_schema(self, schema: Schema) -> None:
+        self._kinds[schema.id] = schema.name
+
+    def _add_channel(self, channel: Channel) -> None:
+        self._channels[channel.id] = channel
+        self.topics.setdefault(channel.topic, self._kind(channel))
+
+    def _kind(self, channel: Channel) -> str:
+        return full_kind(self._kinds.get(channel.schema_id, ""), channel.message_encoding)
+
+
+def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, begin and length of the records between two places; DamageError where one is cut.
+
+    The stream stands where the record begins.
+    """
+    while begin < end:
+        stream.seek(begin)
+        head = stream.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            msg = f"a record is cut at byte {begin}"
+            raise DamageError(msg)
+        opcode, length = RECORD_HEAD.unpack(head)
+        begin += RECORD_HEAD.size
+        if begin + length > end:
+            msg = f"a record of {length} bytes at byte {begin} is cut"
+            raise DamageError(msg)
+        yield opcode, begin, length
+        begin += length
+
+
+def _chunk_layout(file: IO[bytes], begin: int) -> tuple[bool, int]:
+    """Whether a chunk is compressed, and where its records begin."""
+    at = begin + CHUNK_HEAD.size
+    file.seek(at)
+    name_length = TEXT_HEAD.unpack(file.read(TEXT_HEAD.size))[0]
+    return name_length > 0, at + TEXT_HEAD.size + name_length + LENGTH.size
+
+
+def _chunk_records(file: IO[bytes], begin: int) -> bytes:
+    """The records of a chunk, unpacked; DamageError where they are not what its checksum says."""
+    file.seek(begin)
+    try:
+        chunk = Chunk.read(ReadDataStream(file))
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        data = stream.read(length)
+    except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+        msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
+        raise DamageError(msg) from None
+    if len(data) != chunk.uncompressed_size:
+        sizes = f"found {len(data)} bytes, it states {chunk.uncompressed_size}"
+        msg = f"the chunk at byte {begin}: {sizes}"
+        raise DamageError(msg)
+    return data

@@ -1,0 +1,224 @@
+"""The messages of a ROS 2 bag, as whoever wrote it left them: whole, without index, or damaged.
+
+Files are taken as they are.  metadata.yaml only says which files belong to the bag, and how many
+messages they should hold where they do not say so themselves.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path, PurePath
+from typing import Any
+
+import yaml
+import zstandard
+
+from cmp_tactile_driver.bags.files import BagFile, DamageError, Place
+from cmp_tactile_driver.bags.mcap_file import McapBagFile
+from cmp_tactile_driver.bags.sqlite_file import SqliteBagFile
+from cmp_tactile_driver.errors import BagError
+
+FORMATS: dict[str, type[McapBagFile] | type[SqliteBagFile]] = {
+    ".mcap": McapBagFile,
+    ".db3": SqliteBagFile,
+}
+STORAGE_SUFFIXES = tuple(FORMATS)
+PACKED_SUFFIX = ".zstd"
+
+
+@dataclass(frozen=True)
+class StoredMessage:
+    """One message as it was recorded: its type, when it was received, ns, and its CDR bytes."""
+
+    topic: str
+    kind: str
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class _Metadata:
+    """What metadata.yaml says: names of the files, and numbers of messages by topic."""
+
+    files: tuple[str, ...] = ()
+    counts: dict[str, int] = field(default_factory=dict)
+
+
+class BagStorage:
+    """A bag to read.
+
+    topics: message type by topic.  loss: what of the topics that were asked for cannot be read, or
+    is not there though the bag states it; empty for a whole bag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """path: a folder, or one .mcap or .db3 file.
+
+        Raises BagError for a path that is absent or no bag, and for a bag of which nothing is left.
+        """
+        self._path = path
+        self._metadata = _read_metadata(path)
+        self._unpacked: tempfile.TemporaryDirectory[str] | None = None
+        self.loss = ""
+        paths, self._missing = self._listed_files()
+        self._files, faults = self._open(paths)
+        if not self._files:
+            raise BagError(self._nothing_left(paths, faults))
+        self._faults = faults
+        self.topics: dict[str, str] = {}
+        for file in self._files:
+            self.topics = {**file.topics, **self.topics}
+
+    def places(self, topics: Collection[str]) -> list[Place]:
+        """Where the messages of some topics lie, in the order in which they were received."""
+        found = [
+            place.in_file(number)
+            for number, file in enumerate(self._files)
+            for place in file.places(topics)
+        ]
+        # Those of one moment stay in the order in which they were written.
+        found.sort(key=lambda place: place.time_ns)
+        self.loss = "; ".join(self._losses(topics, Counter(place.topic for place in found)))
+        return found
+
+    def read_all(self, places: Sequence[Place]) -> Iterator[StoredMessage | None]:
+        """The messages at some places; None for one whose bytes are damaged, see `loss`."""
+        failed = 0
+        with ExitStack() as stack:
+            opened = [stack.enter_context(file.opened()) for file in self._files]
+            for place in places:
+                try:
+                    data = opened[place.file](place.where)
+                except DamageError as error:
+                    failed += 1
+                    count = len(places) - failed
+                    self.loss = _damage(self._path, error, count, len(places))
+                    yield None
+                    continue
+                yield StoredMessage(place.topic, place.kind, place.time_ns, data)
+
+    def read(self, places: Sequence[Place]) -> Iterator[StoredMessage]:
+        """Those of `read_all` that are whole."""
+        return (item for item in self.read_all(places) if item is not None)
+
+    def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
+        """The messages of some topics in the order in which they were received."""
+        return self.read(self.places(topics))
+
+    def count(self, topic: str) -> int | None:
+        """How many messages of a topic the bag states; None where it does not."""
+        stated = [file.stated.get(topic) for file in self._files if topic in file.topics]
+        known = [count for count in stated if count is not None]
+        if known and len(known) == len(stated):
+            return sum(known)
+        return self._metadata.counts.get(topic)
+
+    def _losses(self, topics: Collection[str], found: Counter[str]) -> Iterator[str]:
+        yield from self._faults
+        yield from self._missing
+        reason = next((file.damage for file in self._files if file.damage), "")
+        stated_counts = {topic: self.count(topic) for topic in topics if topic in self.topics}
+        if reason:
+            counts = [count for count in stated_counts.values() if count is not None]
+            known = sum(counts) if len(counts) == len(stated_counts) else None
+            yield _damage(self._path, reason, found.total(), known)
+            return
+        for topic, stated in stated_counts.items():
+            if stated is not None and stated != found[topic]:
+                found_count = f"found {found[topic]} messages, the bag states {stated}"
+                yield f"{self._path}: {topic}: {found_count}"
+
+    def _listed_files(self) -> tuple[list[Path], list[str]]:
+        """The files of the bag, and a line for each that metadata.yaml lists in vain."""
+        if self._path.is_file():
+            return [self._path], []
+        listed = [self._path / name for name in self._metadata.files]
+        there = [path for path in listed if path.is_file()]
+        if not there:
+            return bag_files(self._path), []
+        missing = [path.name for path in listed if not path.is_file()]
+        text = (
+            f"{self._path}: found no file %s, which metadata.yaml lists: its messages are missing"
+        )
+        return there, [text % name for name in missing]
+
+    def _open(self, paths: Sequence[Path]) -> tuple[list[BagFile], list[str]]:
+        files: list[BagFile] = []
+        faults = []
+        for path in paths:
+            try:
+                files.append(self._open_file(path))
+            except DamageError as error:  # noqa: PERF203  each file by itself
+                faults.append(f"{path}: damaged, no message can be read: {error}")
+        return files, faults
+
+    def _open_file(self, path: Path) -> BagFile:
+        unpacked = self._unpack(path) if path.suffix == PACKED_SUFFIX else path
+        return FORMATS[unpacked.suffix](unpacked)
+
+    def _unpack(self, path: Path) -> Path:
+        """A file that rosbag2 compressed as a whole, unpacked for as long as the bag is read."""
+        self._unpacked = self._unpacked or tempfile.TemporaryDirectory(prefix="cmp_tactile_bag_")
+        target = Path(self._unpacked.name) / path.stem
+        with path.open("rb") as source, target.open("wb") as out:
+            try:
+                zstandard.ZstdDecompressor().copy_stream(source, out)
+            except zstandard.ZstdError as error:
+                raise DamageError(str(error)) from None
+        return target
+
+    def _nothing_left(self, paths: Sequence[Path], faults: Sequence[str]) -> str:
+        if not paths:
+            kinds = " or ".join(STORAGE_SUFFIXES)
+            return f"{self._path}: not a readable ROS 2 bag: found no {kinds} file in it"
+        return "; ".join(faults)
+
+
+def open_storage(path: Path) -> BagStorage:
+    """Open a bag: a folder, or one .mcap or .db3 file.  Raises BagError as `BagStorage`."""
+    if not path.exists():
+        msg = f"{path}: found no such file or folder, expected a ROS 2 bag"
+        raise BagError(msg)
+    if path.is_file() and path.suffix not in STORAGE_SUFFIXES:
+        msg = f"{path}: found a {path.suffix or 'nameless'} file, expected a folder, .mcap or .db3"
+        raise BagError(msg)
+    return BagStorage(path)
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """The storage files in a folder, in the order in which a recorder numbers them."""
+    files = [
+        file
+        for file in folder.iterdir()
+        if Path(file.name.removesuffix(PACKED_SUFFIX)).suffix in STORAGE_SUFFIXES
+        and not file.name.startswith(".")
+        and file.is_file()
+    ]
+    return sorted(files, key=lambda file: (len(file.name), file.name))
+
+
+def _read_metadata(path: Path) -> _Metadata:
+    """Of a bag's folder; nothing where the file is absent or makes no sense."""
+    try:
+        text = (path / "metadata.yaml").read_text(encoding="utf-8")
+        top: Any = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        names = tuple(PurePath(name).name for name in top["relative_file_paths"])
+        counts: dict[str, int] = {}
+        for item in top["topics_with_message_count"]:
+            name = item["topic_metadata"]["name"]
+            counts[name] = counts.get(name, 0) + int(item["message_count"])
+    except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError):
+        return _Metadata()
+    return _Metadata(names, counts)
+
+
+def _damage(path: Path, reason: object, count: int, expected: int | None) -> str:
+    if expected is None:
+        left = f"{count} messages can be read, any after them are lost"
+    else:
+        left = f"{count} of {expected} messages read, the rest is lost"
+    return f"{path}: damaged ({reason}); {left}"

@@ -1,0 +1,153 @@
+"""The time of a recording: seconds from its first frame, by the stamps of its messages.
+
+When a message was received only gives its place among those without a stamp.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from statistics import median
+
+from cmp_tactile_driver.bags.files import Place
+
+NS_PER_S = 10**9
+LONGEST_GAP_S = 60.0
+"""A longer time between two messages is a jump of the clock or a pause: nobody waits for it."""
+# A clock that was set back stays so; a message that came late is one of a few.
+FEW = 6
+SURELY_SET_BACK_S = 1.0
+DEFAULT_STEP_S = 1 / 30
+
+
+@dataclass(frozen=True)
+class TimeSpan:
+    """A part of a recording, in s from its first frame: from `start` on, before `end`."""
+
+    start: float = 0.0
+    end: float = math.inf
+
+    def __contains__(self, time_s: float) -> bool:
+        return self.start <= time_s < self.end
+
+
+WHOLE = TimeSpan()
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Messages in order.
+
+    times_s (n,): rising, 0 at the first frame and for what came before it.  stamps_ns (n,): of the
+    message; when it was received where it has none.  gaps: what was skipped, in one line; empty for
+    nothing.
+    """
+
+    places: tuple[Place, ...] = ()
+    times_s: tuple[float, ...] = ()
+    stamps_ns: tuple[int, ...] = ()
+    gaps: str = ""
+
+    @property
+    def duration(self) -> float:
+        """Time of the last message, s."""
+        return self.times_s[-1] if self.times_s else 0.0
+
+    def part(self, span: TimeSpan) -> range:
+        """The numbers of the messages in a part of the recording."""
+        first = bisect_left(self.times_s, span.start)
+        return range(first, max(first, bisect_left(self.times_s, span.end)))
+
+
+def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
+    """Put messages in order, given as they were received; time 0 is the first of `first_topic`."""
+    if not places:
+        return Timeline()
+    stamps = _filled_stamps(places)
+    ordered: list[int] = []
+    begins = []
+    for part in _between_restarts(places, stamps):
+        begins.append(len(ordered))
+        ordered += sorted(part, key=lambda number: stamps[number])
+    steps = [(stamps[b] - stamps[a]) / NS_PER_S for a, b in pairwise(ordered)]
+    usual = [step for step in steps if 0 < step <= LONGEST_GAP_S]
+    step_s = median(usual) if usual else DEFAULT_STEP_S
+    restarts = {begin - 1 for begin in begins[1:]}
+    skipped = [number in restarts or step > LONGEST_GAP_S for number, step in enumerate(steps)]
+    passed = [step_s if skip else step for step, skip in zip(steps, skipped, strict=True)]
+    times = list(accumulate(passed, initial=0.0))
+    first = next((k for k, n in enumerate(ordered) if places[n].topic == first_topic), 0)
+    return Timeline(
+        tuple(places[number] for number in ordered),
+        tuple(max(0.0, time - times[first]) for time in times),
+        tuple(places[number].stamp_ns or places[number].time_ns for number in ordered),
+        _gaps_text([step for step, skip in zip(steps, skipped, strict=True) if skip], places),
+    )
+
+
+def _filled_stamps(places: Sequence[Place]) -> list[int]:
+    """Stamps; for a message without one, its neighbour's and the time between their receipts."""
+    stamped = [number for number, place in enumerate(places) if place.stamp_ns]
+    if not stamped:
+        return [place.time_ns for place in places]
+    stamps = [place.stamp_ns for place in places]
+    for number, place in enumerate(places):
+        if place.stamp_ns:
+            continue
+        at = bisect_left(stamped, number)
+        after = stamped[at] if at < len(stamped) else None
+        if at == 0:
+            near = places[stamped[0]]
+            stamps[number] = near.stamp_ns - (near.time_ns - place.time_ns)
+            continue
+        near = places[stamped[at - 1]]
+        stamps[number] = near.stamp_ns + place.time_ns - near.time_ns
+        if after is not None:
+            # Between its neighbours, whatever the receipts say.
+            stamps[number] = min(stamps[number], max(near.stamp_ns, places[after].stamp_ns))
+    return stamps
+
+
+def _between_restarts(places: Sequence[Place], stamps: Sequence[int]) -> list[range]:
+    """Parts in which the clock of the stamps runs on; it was set back between them.
+
+    Where it was, stamps stay behind the receipts by as much.  A message that came late is alone
+    behind, and belongs before those that came sooner.
+    """
+    delays = [place.time_ns - stamp for place, stamp in zip(places, stamps, strict=True)]
+    least_after = _least_until_jump(delays)
+    parts = []
+    begin, newest = 0, stamps[0]
+    for number, stamp in enumerate(stamps):
+        fall = newest - stamp
+        if fall > 0 and (len(stamps) - number >= FEW or fall >= SURELY_SET_BACK_S * NS_PER_S):
+            before = median(delays[max(begin, number - FEW) : number])
+            if least_after[number] >= before + fall / 2:
+                parts.append(range(begin, number))
+                begin, newest = number, stamp
+        newest = max(newest, stamp)
+    return [*parts, range(begin, len(stamps))]
+
+
+def _least_until_jump(delays: Sequence[int]) -> list[int]:
+    """The least of each delay and those after it, up to where the clock was set forward."""
+    least = list(delays)
+    for number in range(len(delays) - 2, -1, -1):
+        if delays[number] - delays[number + 1] <= LONGEST_GAP_S * NS_PER_S:
+            least[number] = min(least[number], least[number + 1])
+    return least
+
+
+def _gaps_text(gaps: Sequence[float], places: Sequence[Place]) -> str:
+    """One line on times that are skipped, or on receipts that are no guide to the time."""
+    if gaps:
+        longest = max(gaps, key=abs)
+        return f"jumps of the stamps skipped: {len(gaps)}, the largest of {longest:.6g} s"
+    receipts = [place.time_ns for place in places]
+    longest = max((b - a for a, b in pairwise(receipts)), default=0)
+    if longest <= LONGEST_GAP_S * NS_PER_S:
+        return ""
+    return f"a gap of {longest / NS_PER_S:.6g} s between the times of receipt skipped"

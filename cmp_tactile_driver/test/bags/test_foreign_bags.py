@@ -1,0 +1,312 @@
+"""Bags as other programs write them are read whole, in order of their stamps, and nothing is said.
+
+Public reports, tried on this reader (report: trial: result):
+- ros2/rosbag2 2058, ros2/rosbag2_storage_mcap 61: no index, receipts out of order: whole, in order
+- foxglove/mcap 683: the header's profile is empty: read
+- ros2/rosbag2 1276: some receipts at time 0: times by stamps, one line
+- ros2/rosbag2 1572: /tf_static was received before the frames: time 0 is the first frame
+- ros2/rosbag2 395, 901: SQLite without metadata.yaml, with its log left over: whole
+- ros2/rosbag2 990: files compressed as a whole, no metadata.yaml: whole
+- ros2/rosbag2 1623: messages compressed one by one in a .db3 file: read
+- ros2/rosbag2 1089: SQLite of Eloquent, whose topics have no QoS: read
+- ros2/rosbag2 2040: chunks without a message index: read
+- ros2/rosbag2 2173: messages received at one moment: in the order in which they were written
+- facontidavide/cloudini 29: other QoS in metadata.yaml than in the file: read
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
+
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.storage import open_storage
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
+MS = 1_000_000
+HOUR_NS = 3600 * 10**9
+
+
+def write_mcap(path: Path, rows: Sequence[tuple[int, Any]], **options: Any) -> Path:
+    """An MCAP file of images: (receipt ns, message), in this order.
+
+    options: profile, definition, and those of mcap's writer.
+    """
+    profile, definition = options.pop("profile", "ros2"), options.pop("definition", b"")
+    chunking = {"compression": CompressionType.NONE, "chunk_size": 10_000, **options}
+    with path.open("wb") as file:
+        writer = Writer(file, **chunking)
+        writer.start(profile, "other")
+        schema = writer.register_schema(IMAGE, "ros2msg", definition)
+        channels = [writer.register_channel(TOPIC, "cdr", schema) for _ in range(2)]
+        for number, (received_ns, message) in enumerate(rows):
+            data = bytes(STORE.serialize_cdr(message, IMAGE))
+            # As a merge of two recordings has it, the topic has two channels.
+            writer.add_message(channels[number % 2], received_ns, data, received_ns)
+        writer.finish()
+    return path
+
+
+UNINDEXED = {"use_chunking": False, "index_types": IndexType.NONE}
+
+
+def _rows(bags: Any, frames: Sequence[Any]) -> list[tuple[int, Any]]:
+    times = bags.stamps(len(frames))
+    return [(t + MS, bags.image(f, t)) for f, t in zip(frames, times, strict=True)]
+
+
+def _check_whole(reader: BagReader, bags: Any, frames: Sequence[Any]) -> None:
+    found = list(reader.frames())
+    assert [frame.stamp_ns for frame in found] == bags.stamps(len(frames))
+    assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
+    times = [0.05 * number for number in range(len(frames))]
+    assert [frame.time_s for frame in found] == pytest.approx(times)
+    assert reader.duration == pytest.approx(times[-1])
+    assert reader.health.problem == ""
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        UNINDEXED,
+        {"compression": CompressionType.ZSTD, "index_types": IndexType.NONE},
+        {"compression": CompressionType.LZ4, "use_statistics": False},
+        {"repeat_channels": False, "repeat_schemas": False},
+        {**UNINDEXED, "use_statistics": False, "use_summary_offsets": False},
+        {"profile": ""},
+        {"profile": "px4", "definition": b"not a definition"},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("late_ms", [2, 700])
+def test_whatever_the_writer_chose(tmp_path, bags, frames, options, late_ms):
+    rows = _rows(bags, frames)
+    for number in (3, 4, 8):
+        rows[number] = rows[number][0] + late_ms * MS, rows[number][1]
+    rows[1], rows[2] = rows[2], rows[1]
+    reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows, **options))
+    _check_whole(reader, bags, frames)
+    assert reader.gaps == ""
+
+
+def _change_metadata(bag: Path, change: Any) -> None:
+    path = bag / "metadata.yaml"
+    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    change(content["rosbag2_bagfile_information"])
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+
+
+def _other_qos(information: Any) -> None:
+    information["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"] = [
+        {"history": 1, "depth": 3, "reliability": 2, "durability": 2}
+    ]
+
+
+def _other_counts(information: Any) -> None:
+    information["topics_with_message_count"][0]["message_count"] = 3
+    information["message_count"] = 3
+    information["duration"]["nanoseconds"] = 0
+
+
+def _other_names(information: Any) -> None:
+    information["relative_file_paths"] = ["before_it_was_renamed_0.mcap"]
+
+
+@pytest.mark.parametrize("change", [_other_qos, _other_counts, _other_names, None, "broken"])
+def test_metadata_that_differs_from_the_files(tmp_path, bags, frames, change):
+    times = bags.stamps(len(frames))
+    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
+    bag = bags.write(tmp_path / "bag", {TOPIC: messages})
+    if change is None:
+        (bag / "metadata.yaml").unlink()
+    elif change == "broken":
+        (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: [", encoding="utf-8")
+    else:
+        _change_metadata(bag, change)
+    # macOS leaves such beside every file on a foreign disk.
+    (bag / "._bag.mcap").write_bytes(b"\0\5\x16\7")
+    _check_whole(BagReader(bag), bags, frames)
+
+
+def test_a_count_that_does_not_fit_is_named_in_words_of_its_own(tmp_path, bags, frames):
+    times = bags.stamps(len(frames))
+    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
+    bag = bags.write(tmp_path / "bag", {TOPIC: messages}, StoragePlugin.SQLITE3)
+    with sqlite3.connect(bag / "bag.db3") as connection:
+        connection.execute("DELETE FROM messages WHERE id > 10")
+    reader = BagReader(bag)
+    assert len(list(reader.frames())) == 10
+    assert f"{TOPIC}: found 10 messages, the bag states 12" in reader.health.problem
+    assert "damaged" not in reader.health.problem
+
+
+def test_a_missing_file_of_a_split_recording_is_named(tmp_path, bags, frames):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    rows = _rows(bags, frames)
+    for number in range(3):
+        write_mcap(bag / f"bag_{number}.mcap", rows[4 * number : 4 * number + 4])
+    _check_whole(BagReader(bag), bags, frames)
+    names = [f"bag_{number}.mcap" for number in range(3)]
+    text = {"relative_file_paths": names, "topics_with_message_count": []}
+    content = yaml.safe_dump({"rosbag2_bagfile_information": text})
+    (bag / "metadata.yaml").write_text(content, encoding="utf-8")
+    (bag / "bag_1.mcap").unlink()
+    reader = BagReader(bag)
+    assert len(list(reader.frames())) == 8
+    assert "found no file bag_1.mcap, which metadata.yaml lists" in reader.health.problem
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_zstd_of_files_and_of_messages(tmp_path, bags, frames, mode, storage):
+    bag = tmp_path / "bag"
+    writer = RosbagsWriter(bag, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection(TOPIC, IMAGE, typestore=STORE)
+        for received_ns, message in _rows(bags, frames):
+            writer.write(connection, received_ns, STORE.serialize_cdr(message, IMAGE))
+    _check_whole(BagReader(bag), bags, frames)
+    (bag / "metadata.yaml").unlink()
+    _check_whole(BagReader(bag), bags, frames)
+
+
+@pytest.mark.parametrize("writable", [True, False])
+def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, bags, frames, writable):
+    """A recorder that was killed leaves its last messages there."""
+    times = bags.stamps(len(frames))
+    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
+    first = bags.write(tmp_path / "first", {TOPIC: messages[:6]}, StoragePlugin.SQLITE3)
+    file = first / "first.db3"
+    connection = sqlite3.connect(file)
+    connection.execute("PRAGMA journal_mode=WAL")
+    for time_ns, message in zip(times[6:], messages[6:], strict=True):
+        data = bytes(STORE.serialize_cdr(message, IMAGE))
+        row = 1, time_ns, data
+        connection.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", row)
+    connection.commit()
+    bag = tmp_path / "killed"
+    bag.mkdir()
+    for suffix in ("", "-wal"):
+        shutil.copy(f"{file}{suffix}", bag / f"killed_0.db3{suffix}")
+    connection.close()
+    bag.chmod(0o755 if writable else 0o555)
+    _check_whole(BagReader(bag), bags, frames)
+
+
+def test_sqlite_of_eloquent_knows_no_qos(tmp_path, bags, frames):
+    with sqlite3.connect(tmp_path / "bag.db3") as connection:
+        connection.executescript(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
+            " serialization_format TEXT NOT NULL);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,"
+            " timestamp INTEGER NOT NULL, data BLOB NOT NULL);"
+            f"INSERT INTO topics VALUES(1, '{TOPIC}', '{IMAGE}', 'cdr');"
+        )
+        for received_ns, message in _rows(bags, frames):
+            data = bytes(STORE.serialize_cdr(message, IMAGE))
+            connection.execute("INSERT INTO messages VALUES(NULL, 1, ?, ?)", (received_ns, data))
+    _check_whole(BagReader(tmp_path / "bag.db3"), bags, frames)
+
+
+def test_receipts_of_one_moment_leave_the_order_as_it_was_written(tmp_path, bags, frames):
+    rows = [(7, bags.image(frame, 0)) for frame in frames]
+    found = list(BagReader(write_mcap(tmp_path / "bag.mcap", rows, **UNINDEXED)).frames())
+    assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
+
+
+def test_receipts_with_a_gap_do_not_move_the_frames(tmp_path, bags, frames):
+    rows = [(n if n < 5 else t, m) for n, (t, m) in enumerate(_rows(bags, frames))]
+    reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
+    _check_whole(reader, bags, frames)
+    assert "gap of 1.7e+09 s between the times of receipt" in reader.gaps
+
+
+@pytest.mark.parametrize("offset_ns", [-HOUR_NS, HOUR_NS])
+def test_stamps_of_another_clock_give_the_time(tmp_path, bags, frames, offset_ns):
+    rows = [(time_ns + offset_ns, message) for time_ns, message in _rows(bags, frames)]
+    reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
+    _check_whole(reader, bags, frames)
+    assert reader.gaps == ""
+
+
+def _times_of(path: Path) -> tuple[list[int], list[float], str]:
+    reader = BagReader(path)
+    found = list(reader.frames())
+    return [item.stamp_ns for item in found], [item.time_s for item in found], reader.gaps
+
+
+def test_a_jump_of_the_stamps_is_skipped_and_said_once(tmp_path, bags, frames):
+    stamps = [t + (n > 5) * HOUR_NS for n, t in enumerate(bags.stamps(len(frames)))]
+    rows = [(t, bags.image(f, t)) for f, t in zip(frames, stamps, strict=True)]
+    found, times, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
+    assert found == stamps
+    assert times == pytest.approx([0.05 * number for number in range(len(frames))])
+    assert "skipped: 1" in gaps
+    assert "3600.05 s" in gaps
+
+
+@pytest.mark.parametrize("back_s", [0.3, 100.0])
+def test_a_clock_that_was_set_back_begins_anew_after_what_was_before(
+    tmp_path, bags, frames, back_s
+):
+    times = bags.stamps(len(frames))
+    stamps = [t - (n > 5) * round(back_s * 10**9) for n, t in enumerate(times)]
+    rows = [(t, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
+    found, seconds, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
+    assert found == stamps
+    assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
+    assert gaps
+
+
+def test_a_clock_that_was_set_back_and_later_forward(tmp_path, bags, frames):
+    times = bags.stamps(len(frames))
+    moved = (0,) * 4 + (-10 * 10**9,) * 4 + (HOUR_NS,) * 4
+    stamps = [t + move for t, move in zip(times, moved, strict=True)]
+    rows = [(t, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
+    found, seconds, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
+    assert found == stamps
+    assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
+    assert "skipped: 2" in gaps
+
+
+def test_stamps_that_are_zero_leave_a_frame_where_it_was_received(tmp_path, bags, frames):
+    times = bags.stamps(len(frames))
+    for zeros in ((0, 4, 5, 11), range(len(frames))):
+        stamps = [0 if number in zeros else t for number, t in enumerate(times)]
+        rows = [(t + MS, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
+        found, seconds, _ = _times_of(write_mcap(tmp_path / f"{len(zeros)}.mcap", rows))
+        assert found == stamps
+        assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
+
+
+def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path, bags, frames):
+    times = bags.stamps(len(frames))
+    info = [bags.camera_info(frames[0], times[0] - 10**9)]
+    images = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
+    reader = BagReader(bags.write(tmp_path / "bag", {"/rig/camera_info": info, TOPIC: images}))
+    assert [item.time_s for item in reader.messages()][:3] == pytest.approx([0, 0, 0.05])
+
+
+def test_messages_in_another_encoding_are_named(tmp_path):
+    with (tmp_path / "bag.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1", "other")
+        schema = writer.register_schema("sensor_msgs/Image", "ros1msg", b"")
+        writer.register_channel(TOPIC, "ros1", schema)
+        writer.finish()
+    assert open_storage(tmp_path / "bag.mcap").topics == {TOPIC: f"{IMAGE} in ros1"}

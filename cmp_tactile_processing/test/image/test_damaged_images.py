@@ -1,0 +1,144 @@
+"""No picture passes of which libjpeg, libpng or libtiff know that a part is missing.
+
+Public reports, each tried here:
+- huggingface/lerobot 1487 (frames half grey, "premature end of data segment"): FrameError.
+- opencv/opencv 6468, 17862 (imread gives a picture, the warning is on stderr only): FrameError.
+- opencv/opencv 26488 (what is missing is filled from the picture before): FrameError.
+- opencv/opencv 20531, 21373 ("1 extraneous bytes before marker 0xdb", Logitech C270): between two
+  segments of the header, harmless: read, and damage behind it is found all the same.
+- libjpeg-turbo/libjpeg-turbo 157, libavg/libavg 782 ("2 extraneous bytes before marker 0xd6", in
+  the pixels, a Logitech camera): FrameError, as such a restart interval was not decoded whole.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.image.compressed import decode_compressed, decode_image, decode_jpeg
+
+# Beyond it a pixel is not that of the picture; JPEG of quality 90 changes noise by less.
+WRONG = 40
+
+
+@pytest.fixture(scope="module")
+def picture() -> np.ndarray:
+    noise = np.random.default_rng(1).integers(0, 256, (240, 320), np.uint8)
+    return cv2.GaussianBlur(noise, (0, 0), 2)
+
+
+def _jpeg(image: np.ndarray, *options: int) -> bytes:
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90, *options])[1].tobytes()
+
+
+def _decode(content: bytes) -> np.ndarray:
+    return decode_image(np.frombuffer(content, np.uint8), "a.jpg")
+
+
+KINDS = {
+    "grey": (),
+    "progressive": (cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+    "restarts": (cv2.IMWRITE_JPEG_RST_INTERVAL, 4),
+}
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "colour"])
+def test_whole_pictures_are_read_as_opencv_reads_them(picture, kind):
+    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
+    content = _jpeg(image, *KINDS.get(kind, ()))
+    expected = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(_decode(content), expected)
+    # A camera's buffer is longer than the picture.
+    np.testing.assert_array_equal(_decode(content + bytes(500)), expected)
+    grey = decode_jpeg(content, "data", grey=True)
+    assert (
+        np.abs(
+            grey.astype(int) - cv2.cvtColor(expected, cv2.COLOR_BGR2GRAY)
+            if kind == "colour"
+            else grey.astype(int) - expected
+        ).max()
+        <= 1
+    )
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "colour"])
+@pytest.mark.parametrize("missing", [40, 400, 2000])
+def test_a_jpeg_with_a_part_missing_is_refused(picture, kind, missing):
+    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
+    content = _jpeg(image, *KINDS.get(kind, ()))
+    for at in (0.2, 0.5, 0.8):
+        begin = int(at * len(content))
+        with pytest.raises(FrameError, match=r"a\.jpg: found a damaged JPEG"):
+            _decode(content[:begin] + content[begin + missing :])
+    for length in (0.3, 0.7, 0.99):
+        with pytest.raises(FrameError, match=r"a\.jpg: found a damaged JPEG"):
+            _decode(content[: int(length * len(content))])
+
+
+def test_most_jpegs_with_a_wrong_byte_are_refused_or_hardly_changed(picture):
+    """libjpeg cannot know of a byte that makes other valid pixels of the same number."""
+    content = _jpeg(picture)
+    rng = np.random.default_rng(2)
+    expected = _decode(content).astype(int)
+    begin, refused, wrong = content.index(b"\xff\xda") + 20, 0, 0
+    for at in rng.integers(begin, len(content) - 10, 200):
+        damaged = bytearray(content)
+        damaged[at] ^= int(rng.integers(1, 256))
+        try:
+            found = _decode(bytes(damaged))
+        except FrameError:
+            refused += 1
+        else:
+            wrong += np.mean(np.abs(found - expected) > WRONG) > 0.02
+    assert refused > wrong
+
+
+def test_bytes_between_the_segments_of_a_header_are_passed_over(picture):
+    content = _jpeg(picture)
+    expected = _decode(content)
+    for filler in (b"\x00", b"abc", b"\xff\xff\xff"):
+        filled = content[:2] + filler + content[2:]
+        tables = filled.index(b"\xff\xdb")
+        filled = filled[:tables] + filler + filled[tables:]
+        np.testing.assert_array_equal(_decode(filled), expected)
+        with pytest.raises(FrameError, match="damaged"):
+            _decode(filled[:2000] + filled[2600:])
+
+
+def test_no_memory_is_taken_for_a_size_that_is_none(picture):
+    content = bytearray(_jpeg(picture))
+    at = content.index(b"\xff\xc0") + 5
+    content[at : at + 4] = b"\xff\xdc\xff\xdc"
+    with pytest.raises(FrameError, match="found 65500 x 65500 px"):
+        _decode(bytes(content))
+
+
+def test_cmyk_is_read(picture):
+    from io import BytesIO
+
+    from PIL import Image
+
+    stream = BytesIO()
+    Image.fromarray(picture).convert("CMYK").save(stream, "JPEG", quality=95)
+    found = cv2.cvtColor(_decode(stream.getvalue()), cv2.COLOR_BGR2GRAY)
+    assert np.abs(found.astype(int) - picture).mean() < 8
+    content = stream.getvalue()
+    with pytest.raises(FrameError, match="damaged"):
+        _decode(content[:4000] + content[5000:])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff", ".bmp", ".webp"])
+def test_other_files_that_are_cut_off_are_refused(picture, suffix):
+    content = cv2.imencode(suffix, picture)[1].tobytes()
+    for cut in (content[: len(content) // 2], content[:3000] + content[5000:]):
+        with pytest.raises(FrameError, match="no readable image"):
+            decode_image(np.frombuffer(cut, np.uint8), "a file")
+
+
+def test_a_png_with_a_wrong_checksum_is_refused(picture):
+    content = bytearray(cv2.imencode(".png", picture)[1].tobytes())
+    content[len(content) // 2] ^= 1
+    with pytest.raises(FrameError, match="no readable image"):
+        decode_compressed("mono8; png compressed ", np.frombuffer(bytes(content), np.uint8))

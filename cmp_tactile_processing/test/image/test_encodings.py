@@ -1,0 +1,225 @@
+"""What other makes of cameras send is read: mosaics, YUV, alpha, 16 bits a pixel.
+
+Public reports, each tried here:
+- ethz-asl/okvis_ros 20 (mono16 of the TUM dataset read as bytes): read, scaled by the bits used.
+- ethz-asl/hand_eye_calibration 72 (10 bits in 16 become black): 10 bits reach from 0 to 255.
+- ros-perception/vision_opencv 175, image_pipeline 314 (8UC1 and 16UC1 of RealSense): read.
+- leggedrobotics/darknet_ros 336 (bgra8, rgba8, mono16 refused): read.
+- voxel51/fiftyone 7961 (12 bits in 16, scaled by 65535, are black; by the maximum, they flicker):
+  one scale for a stream, which never becomes smaller again.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.image.compressed import decode_compressed, decode_image
+from cmp_tactile_processing.image.raw import ENCODINGS, BitDepth, decode_raw
+
+WIDTH, HEIGHT = 16, 12
+RED, GREEN, BLUE = 210, 120, 40
+# OpenCV's weights of red, green and blue (ITU-R BT.601).
+LUMINANCE = 0.299 * RED + 0.587 * GREEN + 0.114 * BLUE
+# Limited-range YUV, both ways, in grey levels.
+YUV_TOLERANCE = 3
+# Of 16 bits to 8, with a factor in single precision, in grey levels.
+ROUNDING = 0.501
+
+
+def _packed(encoding: str) -> np.ndarray:
+    """Rows of one colour, (HEIGHT, samples), as the names of the encodings say."""
+    channels = {"r": RED, "g": GREEN, "b": BLUE, "a": 7}
+    order = encoding.rstrip("0123456789") if encoding[0] in "rb" else "bgra"[: int(encoding[-1])]
+    pixel = [channels[letter] for letter in order]
+    deep = "16" in encoding
+    # 16 bits of which 12 are used.
+    values = np.array(pixel) * (16 if deep else 1) + (15 if deep else 0)
+    return np.tile(values, (HEIGHT, WIDTH)).astype("<u2" if deep else np.uint8)
+
+
+def _mosaic(order: str) -> np.ndarray:
+    channels = {"r": RED, "g": GREEN, "b": BLUE}
+    cell = np.array([channels[letter] for letter in order]).reshape(2, 2)
+    return np.tile(cell, (HEIGHT // 2, WIDTH // 2)).astype(np.uint8)
+
+
+def _decode(rows: np.ndarray, encoding: str, **options) -> np.ndarray:
+    rows = np.ascontiguousarray(rows)
+    data = rows.view(np.uint8).ravel()
+    step = options.pop("step", rows[0].nbytes)
+    return decode_raw((WIDTH, HEIGHT), encoding, step, data, **options)
+
+
+@pytest.mark.parametrize(
+    "encoding",
+    [f"{kind}{bits}" for kind in ("bgr", "rgb", "bgra", "rgba") for bits in (8, 16)]
+    + ["8UC3", "8UC4", "16UC3", "16UC4"],
+)
+def test_the_order_of_the_channels(encoding):
+    found = _decode(_packed(encoding), encoding)
+    assert found.shape == (HEIGHT, WIDTH, 3)
+    # 12 bits to 8 are rounded.
+    assert np.abs(found.astype(int) - (BLUE, GREEN, RED)).max() <= 1
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("order", ["rggb", "bggr", "gbrg", "grbg"])
+def test_mosaics(order, bits):
+    mosaic = _mosaic(order)
+    rows = mosaic if bits == 8 else mosaic.astype("<u2") * 16 + 15
+    colour = _decode(rows, f"bayer_{order}{bits}")
+    assert np.abs(colour.astype(int) - (BLUE, GREEN, RED)).max() <= 1
+    grey = _decode(rows, f"bayer_{order}{bits}", luminance=True)
+    assert grey.shape == (HEIGHT, WIDTH)
+    assert np.abs(grey - LUMINANCE).max() <= 1.5
+
+
+def _yuv() -> tuple[np.ndarray, int, int]:
+    """Random luminance in limited range; chroma of one colour."""
+    luma = np.random.default_rng(4).integers(16, 236, (HEIGHT, WIDTH), np.uint8)
+    return luma, 90, 170
+
+
+def _yuv_rows(encoding: str) -> np.ndarray:
+    luma, u, v = _yuv()
+    if encoding in ("yuyv", "yuv422_yuy2", "uyvy", "yuv422"):
+        chroma = np.tile(np.array([u, v], np.uint8), (HEIGHT, WIDTH // 2))
+        pair = (luma, chroma) if encoding.startswith(("yuyv", "yuv422_")) else (chroma, luma)
+        return np.stack(pair, axis=-1).reshape(HEIGHT, -1)
+    pair = (v, u) if encoding == "nv21" else (u, v)
+    lines = 2 * HEIGHT if encoding == "nv24" else HEIGHT // 2
+    chroma = np.tile(np.array(pair, np.uint8), (lines, WIDTH // 2))
+    return np.concatenate([luma, chroma])
+
+
+@pytest.mark.parametrize(
+    "encoding", ["yuyv", "yuv422_yuy2", "uyvy", "yuv422", "nv12", "nv21", "nv24"]
+)
+def test_yuv(encoding):
+    luma, u, v = _yuv()
+    rows = _yuv_rows(encoding)
+    np.testing.assert_array_equal(_decode(rows, encoding, luminance=True), luma)
+    # ITU-R BT.601, limited range.
+    bright = 1.164 * (luma.astype(float) - 16)
+    bgr = np.stack(
+        [
+            bright + 2.018 * (u - 128),
+            bright - 0.813 * (v - 128) - 0.391 * (u - 128),
+            bright + 1.596 * (v - 128),
+        ],
+        axis=-1,
+    )
+    found = _decode(rows, encoding)
+    assert np.abs(found - np.clip(bgr, 0, 255)).max() <= YUV_TOLERANCE
+
+
+def test_planes_with_padded_rows_and_with_the_step_of_all_planes():
+    luma, _, _ = _yuv()
+    rows = _yuv_rows("nv12")
+    padded = np.pad(rows, ((0, 0), (0, 5)))
+    np.testing.assert_array_equal(_decode(padded, "nv12"), _decode(rows, "nv12"))
+    found = _decode(rows, "nv12", step=2 * WIDTH, luminance=True)
+    np.testing.assert_array_equal(found, luma)
+
+
+def test_every_encoding_takes_padded_rows_and_a_longer_buffer():
+    rng = np.random.default_rng(5)
+    for encoding, layout in ENCODINGS.items():
+        lines, least = round(HEIGHT * layout.planes), WIDTH * layout.pixel_bytes
+        rows = rng.integers(0, 256, (lines, least), np.uint8)
+        expected = _decode(rows, encoding)
+        data = np.append(np.pad(rows, ((0, 0), (0, 3))).ravel(), np.zeros(99, np.uint8))
+        found = decode_raw((WIDTH, HEIGHT), encoding, least + 3, data)
+        np.testing.assert_array_equal(found, expected, err_msg=encoding)
+
+
+@pytest.mark.parametrize("encoding", ["mono16", "16UC1"])
+@pytest.mark.parametrize("big_endian", [False, True])
+def test_full_16_bits_are_scaled_as_cv_bridge_does(encoding, big_endian):
+    deep = np.random.default_rng(6).integers(0, 65536, (HEIGHT, WIDTH), np.uint16)
+    sent = deep.astype(">u2" if big_endian else "<u2")
+    found = _decode(sent, encoding, big_endian=big_endian)
+    assert np.abs(found - deep / 257).max() <= ROUNDING
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_the_scale_is_that_of_the_bits_that_are_used(bits):
+    ramp = np.linspace(0, 2**bits - 1, WIDTH * HEIGHT).round().astype(np.uint16)
+    found = _decode(ramp.reshape(HEIGHT, WIDTH), "mono16").ravel()
+    assert np.abs(found - ramp * (255 / (2**bits - 1))).max() <= ROUNDING
+
+
+def test_the_scale_stays_where_frames_are_darker_and_is_said_once():
+    said: list[str] = []
+    depth = BitDepth("/cam/image_raw", said.append)
+    for largest in (4000, 900, 30, 4095, 2100):
+        frame = np.full((HEIGHT, WIDTH), largest, np.uint16)
+        found = _decode(frame, "mono16", depth=depth)
+        assert np.abs(found - largest * (255 / 4095)).max() <= ROUNDING
+    assert len(said) == 1
+    assert "/cam/image_raw" in said[0]
+    assert "12 of 16 bits" in said[0]
+
+
+def test_what_is_ahead_sets_the_scale_of_a_dark_beginning():
+    depth = BitDepth(say=lambda _: None, look_ahead=lambda: 12)
+    dark = np.full((HEIGHT, WIDTH), 300, np.uint16)
+    assert np.abs(_decode(dark, "mono16", depth=depth) - 300 * 255 / 4095).max() <= ROUNDING
+    assert depth.bits == 12
+
+
+def test_brighter_than_the_beginning_is_not_cut_off_and_said():
+    said: list[str] = []
+    depth = BitDepth(say=said.append)
+    for largest, bits in ((900, 10), (3000, 12), (900, 12)):
+        frame = np.full((HEIGHT, WIDTH), largest, np.uint16)
+        found = _decode(frame, "mono16", depth=depth)
+        assert np.abs(found - largest * (255 / (2**bits - 1))).max() <= ROUNDING
+    assert len(said) == 2
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+def test_files_of_16_bits(suffix):
+    deep = np.random.default_rng(8).integers(0, 4096, (HEIGHT, WIDTH), np.uint16)
+    content = cv2.imencode(suffix, deep)[1].ravel()
+    assert np.abs(decode_image(content, "a file") - deep * (255 / 4095)).max() <= ROUNDING
+    alpha = np.dstack([deep, deep, deep, np.full_like(deep, 65535)])
+    content = cv2.imencode(suffix, alpha)[1].ravel()
+    assert decode_image(content, "a file").shape == (HEIGHT, WIDTH, 3)
+
+
+def _encoded(suffix: str, image: np.ndarray) -> np.ndarray:
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 100] if suffix == ".jpg" else []
+    return cv2.imencode(suffix, image, quality)[1].ravel()
+
+
+@pytest.mark.parametrize(
+    "text", ["rgb8; jpeg compressed bgr8", "rgba8; jpeg compressed bgr8", "bgr8; jpeg", "jpeg"]
+)
+def test_compressed_colours(text):
+    bgr = np.tile(np.array([BLUE, GREEN, RED], np.uint8), (HEIGHT, WIDTH, 1))
+    found = decode_compressed(text, _encoded(".jpg", bgr))
+    assert np.abs(found.astype(int) - bgr).max() <= YUV_TOLERANCE
+    swapped = np.ascontiguousarray(bgr[..., ::-1])
+    found = decode_compressed("rgb8; png compressed rgb8", _encoded(".png", swapped))
+    np.testing.assert_array_equal(found, bgr)
+
+
+def test_compressed_16_bits_and_mosaics():
+    deep = np.random.default_rng(9).integers(0, 4096, (HEIGHT, WIDTH), np.uint16)
+    png = _encoded(".png", deep)
+    for text in ("16UC1; png compressed ", "mono16; png compressed mono16"):
+        found = decode_compressed(text, png, BitDepth(say=lambda _: None))
+        assert np.abs(found - deep * (255 / 4095)).max() <= ROUNDING
+    mosaic = _encoded(".png", _mosaic("grbg"))
+    found = decode_compressed("bayer_grbg8; png compressed ", mosaic)
+    assert np.abs(found.astype(int) - (BLUE, GREEN, RED)).max() <= 1
+
+
+@pytest.mark.parametrize("encoding", ["32FC1", "16SC1", "theora", "MONO8", ""])
+def test_what_is_no_image_is_refused(encoding):
+    with pytest.raises(FrameError, match=r"encoding: found .*expected mono8"):
+        decode_raw((WIDTH, HEIGHT), encoding, 64, np.zeros(9999, np.uint8))
