@@ -75,15 +75,14 @@ class HealthLine:
 class Action:
     """A button: `run` does it and returns what to say; it raises CmpTactileError in plain words.
 
-    state: of what goes on until the button is pressed again, what the page says of it; "" while
-    nothing does.  None for what is done at once.  end_label: what ends it.
+    state: of what goes on until the button is pressed again, what the button says meanwhile; ""
+    while nothing does.  None for what is done at once.
     """
 
     label: str
     hint: str
     run: Callable[[], str]
     state: Callable[[], str] | None = None
-    end_label: str = ""
 
 
 @dataclass(frozen=True)

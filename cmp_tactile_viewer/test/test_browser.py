@@ -151,7 +151,7 @@ def test_texts_from_topics_are_shown_as_they_are(source, serve, opened):
 
 def test_the_slider_seeks_and_the_end_is_said(grasp_bag, sensor, serve, opened):
     recording = open_source(grasp_bag, sensor)
-    recording.playback.playing = False
+    recording.playback.playing = recording.playback.loop = False
     tab = opened(serve(recording))
     tab.sees("paused")
     slider = tab.tab.locator(".mantine-Slider-thumb").first

@@ -129,13 +129,12 @@ class RecordingButton:
         return self._begin() if self._recorder is None else self.close()
 
     def state(self) -> str:
-        """What is being recorded, "" while nothing is."""
+        """What the button says while it records, else ""."""
         recorder = self._recorder
         if recorder is None:
             return ""
         progress = recorder.progress
-        length_s = 0.0 if progress is None else progress.duration_s
-        return f"recording, {length_s:.0f} s, into {recorder.bag}"
+        return f"end recording, {0.0 if progress is None else progress.duration_s:.0f} s"
 
     def _begin(self) -> str:
         time_of_day = datetime.now().astimezone().strftime("%Y_%m_%d-%H_%M_%S")

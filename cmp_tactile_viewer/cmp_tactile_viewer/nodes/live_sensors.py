@@ -226,7 +226,6 @@ class LiveSensors:
                     "Begin a recording, or end it",
                     self._recordings[item.name].press,
                     self._recordings[item.name].state,
-                    "end recording",
                 ),
             )
             for item in self._watched

@@ -13,16 +13,18 @@ PHONE, SMALL = "36em", "1150px"
 # Width of a panel beside the scene of a small window, px, and share of the scene above panels, %.
 SMALL_PANEL_PX, SCENE_PERCENT, PHONE_SCENE_PERCENT = 285, 52, 42
 HEALTH_EM = 6.5
-# A page that has heard nothing for so long has lost its server.  It hears something twice a second.
-SILENT_S = 5.0
+# A page hears a beat each BEAT_S; one that has heard none for SILENT_S has lost its server.
+BEAT_S, SILENT_S = 1.0, 5.0
 LOST = "connection lost"
 
 # Plots are canvases, too.
 _SCENE = "[data-dock-root] > div:has(canvas[data-engine])"
 _REGION = "[data-dock-region={side}]"
 _COLUMN = "[data-dock-region={side}] > div > div:has([data-dock-column])"
-# In these windows panels have their place: what would move or resize them is hidden.
+# In small windows panels have their place, and the gel all the rest: what would move panels or
+# stand before the gel is hidden.
 _HANDLES = "[data-dock-region-handle], [data-dock-region-resize]"
+_NOTES = ".mantine-Notifications-root"
 _SHADOW = "[data-dock-root] > div:not(:has(*))"
 _SHEET = "#root .mantine-Paper-root:has(> div > .mantine-ScrollArea-root)"
 
@@ -47,6 +49,7 @@ _ON_A_PHONE = (
     f"{_SCENE} {{ inset: 0 0 {100 - PHONE_SCENE_PERCENT}% 0 !important }}"
     f"{_SHEET} {{ width: 100% !important; max-height: {100 - PHONE_SCENE_PERCENT}% !important }}"
     f"{_SHEET} .mantine-ScrollArea-content > div {{ width: 100% !important }}"
+    f"{_SHEET} .mantine-ScrollArea-viewport {{ overflow-x: hidden !important }}"
     # Images and plots come before the controls: they are one line until they are opened.
     f"{_SHEET} .mantine-ScrollArea-content > div > div:has(> div > .mantine-Tabs-root)"
     " { display: flex; flex-direction: column }"
@@ -54,28 +57,29 @@ _ON_A_PHONE = (
     " { order: -1 }"
 )
 STYLE = f"""<style>
+@media (max-width: {SMALL}) {{ {_NOTES} {{ display: none !important }} }}
 @media (min-width: {PHONE}) and (max-width: {SMALL}) {{
   {_HANDLES}, {_SHADOW} {{ display: none !important }}
 }}
 @media (min-width: {PHONE}) and (max-width: {SMALL}) and (min-aspect-ratio: 1/1) {{ {_BESIDE} }}
 @media (min-width: {PHONE}) and (max-width: {SMALL}) and (max-aspect-ratio: 1/1) {{ {_BELOW} }}
 @media (max-width: {PHONE}) {{ {_ON_A_PHONE} }}
-.cmp-health {{ height: {HEALTH_EM}em; overflow-y: auto; position: relative }}
-.cmp-known {{ animation: cmp-hide 0s {SILENT_S}s forwards }}
+.cmp-health {{ height: {HEALTH_EM}em; overflow-y: auto }}
 .cmp-lost {{ animation: cmp-show 0s {SILENT_S}s forwards; visibility: hidden; position: absolute;
-  inset: 0; color: #b00020; font-weight: bold }}
-@keyframes cmp-hide {{ to {{ visibility: hidden }} }}
+  left: 0; right: 0; bottom: 0; height: {HEALTH_EM + 1}em; padding: 0.5em; font-weight: bold;
+  color: #d00000; background: var(--mantine-color-body) }}
 @keyframes cmp-show {{ to {{ visibility: visible }} }}
 </style>"""
 
 
-def health_box(lines: str, beat: int) -> str:
-    """HTML of the list of health in a box of fixed height.
+def health_box(lines: str) -> str:
+    """HTML of the list of health in a box of fixed height."""
+    return f'<div class="cmp-health">{lines}</div>'
 
-    beat: changes with each call; the browser shows LOST where no other has come for SILENT_S.
-    """
+
+def beat_html(beat: int) -> str:
+    """HTML to stand below the health box: covers it by LOST where no other beat comes in time."""
     return (
-        f'<div class="cmp-health" data-beat="{beat}"><div class="cmp-known">{lines}</div>'
-        f'<div class="cmp-lost" role="alert">&#10007; {LOST}: the page is tried again and again'
-        "</div></div>"
+        f'<div data-beat="{beat}" style="position: relative"><div class="cmp-lost" role="alert">'
+        f"&#10007; {LOST}: the page looks for its server</div></div>"
     )

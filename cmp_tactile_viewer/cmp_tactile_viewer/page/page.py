@@ -16,10 +16,12 @@ from cmp_tactile_viewer.page.aim import Aim, framed_points
 from cmp_tactile_viewer.page.gel import LEAST_RANGE, Gel
 from cmp_tactile_viewer.page.indenter import DraggedIndenter
 from cmp_tactile_viewer.page.layout import (
+    BEAT_S,
     LEFT_OF_SEVERAL_PX,
     LEFT_PX,
     PANEL_PX,
     STYLE,
+    beat_html,
     health_box,
 )
 from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPanel, health_html
@@ -34,8 +36,6 @@ PLOT_LENGTHS = ("5", "20", "60")
 NO_IMAGE = np.zeros((48, 64, 3), np.uint8)
 # Height of the plot of forces: of one sensor, and of each of several.
 PLOT_PX, PLOT_OF_SEVERAL_PX = 160, 110
-# Of the sign of life that browsers get while nothing changes.
-BEAT_S = 1.0
 JPEG_QUALITY = 80
 # Share of the period that has to lie between two pictures.
 MOST_HASTE = 0.5
@@ -91,7 +91,6 @@ class Page:
         self._changed = False
         self._image, self._slow = _Cadence(1 / IMAGE_HZ), _Cadence(1 / SLOW_HZ)
         self._health: list[HealthLine] = []
-        self._health_shown: list[HealthLine] | None = None
         self._beat, self._beat_s = 0, 0.0
         self._viewers = 0
         self._aims: dict[int, Aim] = {}
@@ -171,7 +170,8 @@ class Page:
             with gui.add_folder("recording"):
                 self._playback = PlaybackPanel(gui, source.playback, self._wake.set)
         with gui.add_folder("health"):
-            self._health_list = gui.add_html(health_box(health_html([]), 0))
+            self._health_list = gui.add_html(health_box(health_html([])))
+            self._alive = gui.add_html(beat_html(0))
         self._controls: list[ControlPanel] = []
         if not access.read_only:
             self._add_controls()
@@ -287,9 +287,9 @@ class Page:
                     if shown.imaged is not shown.pictured or changed:
                         self._draw_image(shown)
             if self._slow.has_turn(now_s) or changed:
-                self._draw_slow(changed)
+                self._draw_slow(now_s, changed)
 
-    def _draw_slow(self, changed: bool) -> None:
+    def _draw_slow(self, now_s: float, changed: bool) -> None:
         self._panel.show_range(max(shown.gel.range.top for shown in self._sensors.values()))
         hold, back_s = self._hold.value, self._back.value
         for shown in self._sensors.values():
@@ -300,10 +300,13 @@ class Page:
             self._playback.show()
         for panel in self._controls:
             panel.show()
-        now_s = time.monotonic()
-        if self._health is not self._health_shown or now_s - self._beat_s >= BEAT_S:
-            self._health_shown, self._beat_s, self._beat = self._health, now_s, self._beat + 1
-            self._health_list.content = health_box(health_html(self._health), self._beat)
+        health = health_box(health_html(self._health))
+        # A list that is not set anew stays where it is scrolled to.
+        if health != self._health_list.content:
+            self._health_list.content = health
+        if now_s - self._beat_s >= BEAT_S:
+            self._beat_s, self._beat = now_s, self._beat + 1
+            self._alive.content = beat_html(self._beat)
 
     def _draw_image(self, shown: _Shown) -> None:
         snapshot, (views, gridlines) = shown.imaged, self._panel.image

@@ -26,7 +26,7 @@ TIME_STEP_S = 0.01
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 BUTTONS_IN_ROW = 3
 # An answer has its place before it comes, so that what is below stays where it is.
-ANSWER = '<div style="min-height:3em">{}</div>'
+ANSWER = '<div style="height:3.6em;overflow-y:auto">{}</div>'
 SMALL = "font-size:0.85em;line-height:1.35;padding:0 0.6em"
 
 
@@ -186,7 +186,7 @@ class ControlPanel:
 
 
 class _LastingButton:
-    """A button of what goes on until it is pressed again; red, with words, while it does."""
+    """A button of what goes on until it is pressed again: red while it does, and says so."""
 
     def __init__(
         self,
@@ -197,21 +197,13 @@ class _LastingButton:
         self._action = action
         self._button = gui.add_button(action.label, hint=action.hint)
         self._button.on_click(partial(press, action.label, action.run))
-        self._text = gui.add_html("", visible=False)
-        self._shown = ""
 
     def show(self) -> None:
         """Show whether it goes on."""
         state = self._action.state() if self._action.state is not None else ""
-        if state == self._shown:
-            return
-        self._shown = state
-        self._button.label = self._action.end_label if state else self._action.label
-        self._button.color = "red" if state else None
-        self._text.content = (
-            f'<div style="{SMALL};color:{SIGNS[Level.ERROR][1]}">&#9679; {html.escape(state)}</div>'
-        )
-        self._text.visible = bool(state)
+        label = state or self._action.label
+        if label != self._button.label:
+            self._button.label, self._button.color = label, "red" if state else None
 
 
 class PlaybackPanel:
