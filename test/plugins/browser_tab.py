@@ -64,6 +64,13 @@ SEEN_POINTS = """() => {
   return points;
 }"""
 
+PIXEL = """place => {
+  const {left, top, width, height} =
+    document.querySelector('canvas[data-engine]').getBoundingClientRect();
+  const {x, y} = window.camera.position.clone().fromArray(place)
+    .applyMatrix4(window.gels()[0].matrixWorld).project(window.camera);
+  return [left + width * (1 + x) / 2, top + height * (1 - y) / 2];
+}"""
 ON_TOP = """element => {
   const {x, y, width, height} = element.getBoundingClientRect();
   return element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
@@ -96,6 +103,11 @@ class Tab:
     def gel_points(self) -> Any:
         """Of each point of the gels: place in the window, px, and 1 if it is on top; (n, 3)."""
         return np.array(self.tab.evaluate(SEEN_POINTS)).reshape(-1, 3)
+
+    def pixel(self, *place_mm: float) -> tuple[float, float]:
+        """Where a place in the first gel's frame is in the window, px."""
+        x, y = self.tab.evaluate(PIXEL, place_mm)
+        return x, y
 
     def is_on_top(self, text: str) -> bool:
         """Whether a text is seen, and nothing covers it."""

@@ -240,7 +240,8 @@ class PlaybackPanel:
     def _seek(self, event: viser.GuiEvent[Any]) -> None:
         # The page moves the slider, too.
         if event.client is not None:
-            self._playback.seek_s = float(self._time.value)
+            # The slider's last step lies behind the last frame.
+            self._playback.seek_s = min(float(self._time.value), self._playback.length_s)
             self._wake()
 
     def _toggle(self) -> None:
