@@ -86,7 +86,7 @@ class Tab:
         self.console: list[str] = []
         self.requests: list[str] = []
         self.tab.on("console", self._said)
-        self.tab.on("pageerror", lambda error: self.console.append(str(error)))
+        self.tab.on("pageerror", lambda error: self.console.append(f"{error}: {error.stack}"))
         self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.on("websocket", lambda socket: self.requests.append(socket.url))
         self.tab.add_init_script(SHOW_SCENES)
@@ -94,7 +94,7 @@ class Tab:
 
     def _said(self, message: Any) -> None:
         if message.type == "error":
-            self.console.append(message.text)
+            self.console.append(f"{message.text} ({message.location})")
 
     def meshes(self) -> tuple[int, float]:
         points, highest = self.tab.evaluate(MESHES)
