@@ -16,12 +16,10 @@ window.scenes = [];
 window.__THREE_DEVTOOLS__ = new EventTarget();
 window.__THREE_DEVTOOLS__.addEventListener('observe', event => {
   const seen = event.detail;
-  if (seen.isScene) window.scenes.push(seen);
-  if (!seen.render) return;
-  const render = seen.render.bind(seen);
-  seen.render = (scene, camera) => {
+  if (!seen.isScene) return;
+  window.scenes.push(seen);
+  seen.onBeforeRender = (renderer, scene, camera) => {
     if (camera.isPerspectiveCamera) window.camera = camera;
-    render(scene, camera);
   };
 });
 // Meshes of a gel that are seen.
