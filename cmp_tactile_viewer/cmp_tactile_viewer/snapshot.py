@@ -73,11 +73,16 @@ class HealthLine:
 
 @dataclass(frozen=True)
 class Action:
-    """A button: `run` does it and returns what to say; it raises CmpTactileError in plain words."""
+    """A button: `run` does it and returns what to say; it raises CmpTactileError in plain words.
+
+    state: of what goes on until the button is pressed again, what the button says meanwhile; ""
+    while nothing does.  None for what is done at once.
+    """
 
     label: str
     hint: str
     run: Callable[[], str]
+    state: Callable[[], str] | None = None
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ class Playback:
     """Where a recording is, and what was asked of it; the page writes, the source obeys.
 
     length_s: 0 until it is known.  position_s: of the frame on show.  seek_s: where to go, None
-    when there.  steps: frames to go on while it is paused.
+    when there.  steps: frames to go on while it is paused.  loop: begin again at the end.
     """
 
     length_s: float
@@ -130,6 +135,7 @@ class Playback:
     seek_s: float | None = None
     steps: int = 0
     ended: bool = False
+    loop: bool = False
 
     @property
     def is_sought(self) -> bool:

@@ -78,12 +78,12 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture
-def opened(chromium: Any) -> Iterator[Callable[[Page], Tab]]:
+def opened(chromium: Any) -> Iterator[Callable[..., Tab]]:
     """Opens pages, each in a tab, until the test ends."""
     tabs: list[Tab] = []
 
-    def open_(page: Page) -> Tab:
-        tabs.append(Tab(chromium, page))
+    def open_(page: Page, size: Any = None) -> Tab:
+        tabs.append(Tab(chromium, page, size))
         return tabs[-1]
 
     yield open_

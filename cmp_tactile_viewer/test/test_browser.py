@@ -115,23 +115,26 @@ def test_a_page_to_read_has_no_buttons(controlled, serve, opened):
     assert tab.tab.get_by_text(BUTTON, exact=True).count() == 0
 
 
-def test_the_mouse_drags_the_indenter(controlled, serve, opened):
+def test_the_mouse_drags_the_indenter(controlled, serve, opened, snapshots):
     """Along the axis of the handle that is under the mouse, from where the indenter is."""
     page = serve(controlled)
-    page.show("thumb", Snapshot(1))
+    page.show("thumb", snapshots[0])
     tab = opened(page)
-    tab.sees("Force, N")
+    tab.wait(lambda: tab.meshes()[0] > 0, "the surface")
+    tab.tab.wait_for_timeout(500)
+    # Along the upright axis, 4 mm long, of the indenter that stands 2 mm above the middle.
+    along = [tab.pixel(0.0, 0.0, 2.0 + share * 4.0) for share in (0.7, 0.5, 0.9, 0.3)]
     mouse = tab.tab.mouse
 
     def drag() -> bool:
-        # The upright axis stands 60 px above the middle of the scene.
-        for x in (635, 630, 640):
-            mouse.move(x, 300)
+        for x, y in along:
+            mouse.move(x, y)
             mouse.down()
-            mouse.move(x, 340, steps=2)
+            mouse.move(x, y + 40, steps=2)
             mouse.up()
             if controlled.moves:
                 return True
+            tab.tab.get_by_text("fit", exact=True).click()
         return False
 
     tab.wait(drag, "a move of the indenter")
@@ -151,7 +154,7 @@ def test_texts_from_topics_are_shown_as_they_are(source, serve, opened):
 
 def test_the_slider_seeks_and_the_end_is_said(grasp_bag, sensor, serve, opened):
     recording = open_source(grasp_bag, sensor)
-    recording.playback.playing = False
+    recording.playback.playing = recording.playback.loop = False
     tab = opened(serve(recording))
     tab.sees("paused")
     slider = tab.tab.locator(".mantine-Slider-thumb").first

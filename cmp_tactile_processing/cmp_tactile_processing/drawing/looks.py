@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,8 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.force.advice import SLIP_WORDS
 from cmp_tactile_processing.measured import Contact, SlipState
 
+# Digits after the point of forces, N.
+LEAST_DIGITS, MOST_DIGITS = 2, 4
 MESH_ALPHA = 0.85
 DISPLACEMENT_COLOUR = (1.0, 1.0, 1.0, 1.0)
 FORCE_COLOUR = (1.0, 0.25, 0.1, 1.0)
@@ -39,14 +43,24 @@ def depth_colours(shares: NDArray[np.float64]) -> NDArray[np.float32]:
     return DEPTH_PALETTE[np.rint(last * np.clip(shares, 0.0, 1.0)).astype(np.intp)]
 
 
+def with_deviation(value: float, variance: float) -> str:
+    """A value, and its standard deviation with one digit that is not 0 where it is known."""
+    deviation = math.sqrt(variance) if variance > 0 else 0.0
+    digits = LEAST_DIGITS
+    while digits < MOST_DIGITS and float(f"{deviation:.{digits}f}") == 0.0:
+        digits += 1
+    if float(f"{deviation:.{digits}f}") == 0.0:
+        return f"{value:.{LEAST_DIGITS}f}"
+    return f"{value:.{digits}f} +/- {deviation:.{digits}f}"
+
+
 def contact_lines(contact: Contact) -> list[str]:
     """What is written at a contact: normal force and its deviation, area and slip state.
 
     ASCII: RViz has no other letters.
     """
-    variance = contact.covariance[2, 2]
-    spread = f" +/- {np.sqrt(variance):.2f}" if variance >= 0 else ""
-    lines = [f"Fz {contact.wrench[2]:.2f}{spread} N", f"{contact.area * 1e6:.1f} mm^2"]
+    force = with_deviation(float(contact.wrench[2]), float(contact.covariance[2, 2]))
+    lines = [f"Fz {force} N", f"{contact.area * 1e6:.1f} mm^2"]
     if contact.at_border:
         lines[-1] += ", at the border"
     if contact.slip.state not in (SlipState.UNKNOWN, SlipState.NO_CONTACT):

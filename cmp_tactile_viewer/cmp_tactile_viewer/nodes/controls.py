@@ -128,6 +128,14 @@ class RecordingButton:
         """Begin, or end; what to say.  Raises CmpTactileError where it cannot be written."""
         return self._begin() if self._recorder is None else self.close()
 
+    def state(self) -> str:
+        """What the button says while it records, else ""."""
+        recorder = self._recorder
+        if recorder is None:
+            return ""
+        progress = recorder.progress
+        return f"end recording, {0.0 if progress is None else progress.duration_s:.0f} s"
+
     def _begin(self) -> str:
         time_of_day = datetime.now().astimezone().strftime("%Y_%m_%d-%H_%M_%S")
         bag = Path.cwd() / f"{self._sensor.shown.name}_{time_of_day}"
@@ -146,7 +154,7 @@ class RecordingButton:
             parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
         )
         executor.add_node(self._recorder)
-        return f"recording into {bag}; press again to end"
+        return f"into {bag}"
 
     def close(self) -> str:
         """End a recording, if there is one."""

@@ -221,7 +221,12 @@ class LiveSensors:
                     for label, service, hint, view in TRIGGERS
                     if not view or view in item.views
                 ),
-                Action("record", "Begin a recording, or end it", self._recordings[item.name].press),
+                Action(
+                    "record",
+                    "Begin a recording, or end it",
+                    self._recordings[item.name].press,
+                    self._recordings[item.name].state,
+                ),
             )
             for item in self._watched
         }

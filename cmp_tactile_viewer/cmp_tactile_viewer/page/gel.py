@@ -172,7 +172,7 @@ class _DrawnContact:
         self._error = scene.add_icosphere(
             f"{name}/error", radius=1.0, color=colour, opacity=0.35, cast_shadow=False
         )
-        self._text = scene.add_label(f"{name}/text", "")
+        self._text = scene.add_label(f"{name}/text", "", anchor="bottom-center")
         self._parts = (
             self._outline, self._moment, self._centre, self._resultant, self._error, self._text
         )  # fmt: skip
@@ -199,7 +199,7 @@ class _DrawnContact:
             self._resultant.points = arrow[None].astype(np.float32)
             self._resultant.colors = np.array(colour, np.uint8)
             self._text.position = arrow[0] + (0.0, 0.0, 1.0)
-            self._text.text = "  ".join(contact_lines(contact))
+            self._text.text = "\n".join(contact_lines(contact))
         error = forces.error_ellipsoid(contact, gain)
         self._error.visible = error is not None
         if error is not None:

@@ -12,24 +12,30 @@ import numpy as np
 import viser
 
 from cmp_tactile_viewer.page import camera_image
+from cmp_tactile_viewer.page.aim import Aim, framed_points
 from cmp_tactile_viewer.page.gel import LEAST_RANGE, Gel
 from cmp_tactile_viewer.page.indenter import DraggedIndenter
+from cmp_tactile_viewer.page.layout import (
+    BEAT_S,
+    LEFT_OF_SEVERAL_PX,
+    LEFT_PX,
+    PANEL_PX,
+    STYLE,
+    beat_html,
+    health_box,
+)
 from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPanel, health_html
 from cmp_tactile_viewer.page.plots import Plots
 from cmp_tactile_viewer.page.server import Access, PageServer
 from cmp_tactile_viewer.scene.history import History
-from cmp_tactile_viewer.scene.surface_mesh import MM
 from cmp_tactile_viewer.snapshot import HealthLine, ShownSensor, Snapshot, Source
 
 # Pictures of the scene a second, of the camera, and of plots, clocks and health, which are read.
 RATE_HZ, IMAGE_HZ, SLOW_HZ = 30.0, 10.0, 5.0
 PLOT_LENGTHS = ("5", "20", "60")
-# Share of the width between two gels that is looked at from as near as one gel is.
-FILLED = 0.65
 NO_IMAGE = np.zeros((48, 64, 3), np.uint8)
-# Widths of the panels, and heights of a plot: of one sensor, and of each of several.
-PANEL_PX, LEFT_PX, LEFT_OF_SEVERAL_PX = 330, 400, 310
-PLOT_PX, PLOT_OF_SEVERAL_PX = 160, 100
+# Height of the plot of forces: of one sensor, and of each of several.
+PLOT_PX, PLOT_OF_SEVERAL_PX = 160, 110
 JPEG_QUALITY = 80
 # Share of the period that has to lie between two pictures.
 MOST_HASTE = 0.5
@@ -85,13 +91,14 @@ class Page:
         self._changed = False
         self._image, self._slow = _Cadence(1 / IMAGE_HZ), _Cadence(1 / SLOW_HZ)
         self._health: list[HealthLine] = []
-        self._health_shown: list[HealthLine] | None = None
+        self._beat, self._beat_s = 0, 0.0
         self._viewers = 0
+        self._aims: dict[int, Aim] = {}
         self._guard = threading.Lock()
         self.pictures = 0
         self._build(access)
         self._server.on_client_connect(self._come)
-        self._server.on_client_disconnect(lambda _: self._leave())
+        self._server.on_client_disconnect(self._leave)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
         self._thread.start()
 
@@ -154,7 +161,8 @@ class Page:
             sensor.name: self._add_sensor(sensor, number == 0)
             for number, sensor in enumerate(source.sensors)
         }
-        self._aim_first()
+        self._framed = framed_points(source.sensors)
+        gui.add_html(STYLE)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
         self._playback: PlaybackPanel | None = None
@@ -162,7 +170,9 @@ class Page:
             with gui.add_folder("recording"):
                 self._playback = PlaybackPanel(gui, source.playback, self._wake.set)
         with gui.add_folder("health"):
-            self._health_list = gui.add_html(health_html([]))
+            self._health_list = gui.add_html(health_box(health_html([])))
+            self._alive = gui.add_html(beat_html(0))
+        self._controls: list[ControlPanel] = []
         if not access.read_only:
             self._add_controls()
         with gui.add_folder("show"):
@@ -179,15 +189,20 @@ class Page:
         gui = self._server.gui
         for name, actions in self._source.actions().items():
             with gui.add_folder(name):
-                ControlPanel(gui, actions, partial(self._source.settings, name))
+                panel = ControlPanel(gui, actions, partial(self._source.settings, name))
+            self._controls.append(panel)
 
     def _add_sensor(self, sensor: ShownSensor, first: bool) -> _Shown:
         gui, several = self._server.gui, len(self._source.sensors) > 1
         gel = Gel(self._server.scene, sensor)
         panel = gui.add_panel()
-        with panel.add_tab(sensor.name):
+        with panel.add_tab(f"{sensor.name}: view"):
             image = gui.add_image(NO_IMAGE, format="jpeg", jpeg_quality=JPEG_QUALITY)
-            plots = Plots(gui, PLOT_OF_SEVERAL_PX if several else PLOT_PX)
+            plots = Plots(
+                gui,
+                PLOT_OF_SEVERAL_PX if several else PLOT_PX,
+                is_live=self._source.playback is None,
+            )
         if first:
             panel.dock_left()
             panel.set_width(LEFT_OF_SEVERAL_PX if several else LEFT_PX)
@@ -205,34 +220,14 @@ class Page:
         )
         return _Shown(gel, image, plots, indenter)
 
-    def _extent(self) -> tuple[Any, float]:
-        """Middle of all gels (3,) and how far they reach from it, mm."""
-        places = np.array([sensor.position for sensor in self._source.sensors]) * MM
-        middle = (places.min(axis=0) + places.max(axis=0)) / 2
-        pattern = self._source.sensors[0].description.pattern
-        size = MM * pattern.pitch * max(pattern.shape.rows, pattern.shape.cols)
-        apart = float(np.linalg.norm(places - middle, axis=1).max())
-        return middle, max(size / 2, FILLED * (apart + size / 2))
-
-    def _place(self, preset: str) -> tuple[Any, Any]:
-        """Where a camera looks, and from where (3,), mm; at several gels from beside their line."""
-        middle, reach = self._extent()
-        directions = {"fit": (0.9, -2.0, 1.6), "top": (0.0, -1e-3, 2.7), "side": (0.0, -2.7, 0.15)}
-        x, y, z = directions[preset]
-        first, last = (np.array(self._source.sensors[k].position) for k in (0, -1))
-        line = float(np.arctan2(*(last - first)[1::-1])) if len(self._source.sensors) > 1 else 0.0
-        turned = x * np.cos(line) - y * np.sin(line), x * np.sin(line) + y * np.cos(line), z
-        return middle, middle + reach * np.array(turned)
-
-    def _aim_first(self) -> None:
-        camera = self._server.initial_camera
-        camera.look_at, camera.position = self._place("fit")
-
     def _aim(self, preset: str, client: viser.ClientHandle | None) -> None:
-        if client is not None:
-            client.camera.look_at, client.camera.position = self._place(preset)
+        """Turn the camera of the browser that asks for it."""
+        aim = None if client is None else self._aims.get(client.client_id)
+        if aim is not None:
+            aim.take(preset)
 
-    def _come(self, _client: object) -> None:
+    def _come(self, client: viser.ClientHandle) -> None:
+        self._aims[client.client_id] = Aim(client, self._framed)
         with self._guard:
             self._viewers += 1
             first = self._viewers == 1
@@ -240,7 +235,8 @@ class Page:
             self._source.start(self)
         self._look_changed()
 
-    def _leave(self) -> None:
+    def _leave(self, client: viser.ClientHandle) -> None:
+        self._aims.pop(client.client_id, None)
         with self._guard:
             self._viewers -= 1
             last = self._viewers == 0
@@ -256,7 +252,8 @@ class Page:
         while True:
             # What is drawn seldom is drawn once more where nothing follows.
             due = [item.due_s for item in (self._image, self._slow) if item.due_s is not None]
-            self._wake.wait(max(0.0, min(due) - time.monotonic()) if due else None)
+            wait_s = max(0.0, min(due) - time.monotonic()) if due else BEAT_S
+            self._wake.wait(wait_s if self._viewers else None)
             self._wake.clear()
             if self._ended:
                 return
@@ -290,9 +287,9 @@ class Page:
                     if shown.imaged is not shown.pictured or changed:
                         self._draw_image(shown)
             if self._slow.has_turn(now_s) or changed:
-                self._draw_slow(changed)
+                self._draw_slow(now_s, changed)
 
-    def _draw_slow(self, changed: bool) -> None:
+    def _draw_slow(self, now_s: float, changed: bool) -> None:
         self._panel.show_range(max(shown.gel.range.top for shown in self._sensors.values()))
         hold, back_s = self._hold.value, self._back.value
         for shown in self._sensors.values():
@@ -301,9 +298,15 @@ class Page:
                     shown.plots.draw(shown.history, float(self._length.value), back_s)
         if self._playback is not None:
             self._playback.show()
-        if self._health is not self._health_shown:
-            self._health_shown = self._health
-            self._health_list.content = health_html(self._health)
+        for panel in self._controls:
+            panel.show()
+        health = health_box(health_html(self._health))
+        # A list that is not set anew stays where it is scrolled to.
+        if health != self._health_list.content:
+            self._health_list.content = health
+        if now_s - self._beat_s >= BEAT_S:
+            self._beat_s, self._beat = now_s, self._beat + 1
+            self._alive.content = beat_html(self._beat)
 
     def _draw_image(self, shown: _Shown) -> None:
         snapshot, (views, gridlines) = shown.imaged, self._panel.image

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import viser
 
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_viewer.page.aim import PRESETS
 from cmp_tactile_viewer.page.gel import ARROWS, COLOURS, UNITS, Look
 from cmp_tactile_viewer.scene import surface_mesh
 from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, Playback, Setting
@@ -20,9 +22,11 @@ SIGNS = {
     Level.WARN: ("!", "#a05a00"),
     Level.ERROR: ("&#10007;", "#b00020"),
 }
+TIME_STEP_S = 0.01
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
-CAMERAS = ("fit", "top", "side")
 BUTTONS_IN_ROW = 3
+# An answer has its place before it comes, so that what is below stays where it is.
+ANSWER = '<div style="height:3.6em;overflow-y:auto">{}</div>'
 SMALL = "font-size:0.85em;line-height:1.35;padding:0 0.6em"
 
 
@@ -33,7 +37,7 @@ class ShowPanel:
         self, gui: viser.GuiApi, views: Sequence[str], aim: Callable[[str, Any], None]
     ) -> None:
         """aim: called with the name of a camera preset and the client that asked for it."""
-        buttons = gui.add_button_group("camera", CAMERAS)
+        buttons = gui.add_button_group("camera", PRESETS)
         buttons.on_click(lambda event: aim(event.target.value, event.client))
         self._colour = gui.add_dropdown("colour", COLOURS, hint="What the surface's colour shows")
         self._legend = gui.add_html("")
@@ -116,15 +120,24 @@ class ControlPanel:
         settings: Callable[[], Sequence[Setting]],
     ) -> None:
         self._gui, self._settings = gui, settings
-        known = (*actions, Action("parameters", "Those that may change now", self._show_settings))
+        at_once = [action for action in actions if action.state is None]
+        known = (*at_once, Action("parameters", "Those that may change now", self._show_settings))
         for first in range(0, len(known), BUTTONS_IN_ROW):
             row = {action.label: action for action in known[first : first + BUTTONS_IN_ROW]}
             hint = "; ".join(f"{action.label}: {action.hint}" for action in row.values())
             group = gui.add_button_group("", tuple(row), hint=hint)
             group.on_click(partial(self._pressed, row))
-        self._answer = gui.add_html("")
+        self._lasting = [
+            _LastingButton(gui, action, self._press) for action in actions if action.state
+        ]
+        self._answer = gui.add_html(ANSWER.format(""))
         self._folder = gui.add_folder("parameters", visible=False)
         self._handles: list[Any] = []
+
+    def show(self) -> None:
+        """Show what goes on."""
+        for button in self._lasting:
+            button.show()
 
     def _pressed(self, row: Mapping[str, Action], event: viser.GuiEvent[Any]) -> None:
         action = row[event.target.value]
@@ -169,7 +182,28 @@ class ControlPanel:
             self._say(Level.ERROR, label, str(error))
 
     def _say(self, level: Level, label: str, text: str) -> None:
-        self._answer.content = health_html([HealthLine(level, f"{label}:", text)])
+        self._answer.content = ANSWER.format(health_html([HealthLine(level, f"{label}:", text)]))
+
+
+class _LastingButton:
+    """A button of what goes on until it is pressed again: red while it does, and says so."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        action: Action,
+        press: Callable[[str, Callable[[], str], object], None],
+    ) -> None:
+        self._action = action
+        self._button = gui.add_button(action.label, hint=action.hint)
+        self._button.on_click(partial(press, action.label, action.run))
+
+    def show(self) -> None:
+        """Show whether it goes on."""
+        state = self._action.state() if self._action.state is not None else ""
+        label = state or self._action.label
+        if label != self._button.label:
+            self._button.label, self._button.color = label, "red" if state else None
 
 
 class PlaybackPanel:
@@ -177,8 +211,8 @@ class PlaybackPanel:
 
     def __init__(self, gui: viser.GuiApi, playback: Playback, wake: Callable[[], None]) -> None:
         self._playback, self._wake = playback, wake
-        end = max(playback.length_s, 1e-3)
-        self._time: Any = gui.add_slider("time, s", 0.0, end, max(end / 2000, 1e-3), 0.0)
+        end = max(math.ceil(playback.length_s / TIME_STEP_S) * TIME_STEP_S, TIME_STEP_S)
+        self._time: Any = gui.add_slider("time, s", 0.0, round(end, 2), TIME_STEP_S, 0.0)
         self._time.on_update(self._seek)
         self._play = gui.add_button("pause")
         self._play.on_click(lambda _: self._toggle())
@@ -186,14 +220,16 @@ class PlaybackPanel:
         steps.on_click(lambda event: self._step(-1 if event.target.value == "one back" else 1))
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
         self._speed.on_update(lambda _: setattr(playback, "speed", float(self._speed.value)))
+        self._loop = gui.add_checkbox("loop", playback.loop, hint="Begin again at the end")
+        self._loop.on_update(lambda _: setattr(playback, "loop", self._loop.value))
         self._state = gui.add_html("")
 
     def show(self) -> None:
         """Show where the recording is."""
         playback = self._playback
         if playback.seek_s is None:
-            self._time.value = round(min(playback.position_s, self._time.max), 3)
-        running = playback.playing and not playback.ended
+            self._time.value = round(min(playback.position_s, self._time.max), 2)
+        running = playback.playing
         self._play.label = "pause" if running else "play"
         state = "at the end" if playback.ended else "playing" if running else "paused"
         self._state.content = (
@@ -204,7 +240,8 @@ class PlaybackPanel:
     def _seek(self, event: viser.GuiEvent[Any]) -> None:
         # The page moves the slider, too.
         if event.client is not None:
-            self._playback.seek_s = float(self._time.value)
+            # The slider's last step lies behind the last frame.
+            self._playback.seek_s = min(float(self._time.value), self._playback.length_s)
             self._wake()
 
     def _toggle(self) -> None:

@@ -1,4 +1,4 @@
-"""Plots of the last seconds of one sensor: forces with error bands, slip, latency and rate."""
+"""Plots of the last seconds of one sensor: forces with error bands, slip, latency, rate."""
 
 from __future__ import annotations
 
@@ -20,12 +20,16 @@ FORCES: tuple[tuple[str, str, str, RGB, Dash], ...] = (
     ("fy", "std_y", "Fy", (230, 159, 0), (8, 4)),
     ("fz", "std_z", "Fz", (0, 158, 115), (2, 2)),
 )
-REST: tuple[tuple[str, float, str, RGB, Dash], ...] = (
-    ("slip_ratio", 100.0, "slip ratio, %", (213, 94, 0), (8, 4)),
-    ("latency_ms", 1.0, "latency, ms", (204, 121, 167), ()),
-    ("rate_hz", 1.0, "rate, Hz", (90, 90, 90), (2, 2)),
+# One quantity a plot; latency means something for a sensor that runs.
+QUANTITIES: tuple[tuple[str, float, str, RGB, bool], ...] = (
+    ("slip_ratio", 100.0, "Slip ratio, %", (213, 94, 0), False),
+    ("latency_ms", 1.0, "Latency, ms", (204, 121, 167), True),
+    ("rate_hz", 1.0, "Rate, Hz", (90, 90, 90), False),
 )
+# Height of a plot of one quantity, by that of the forces.
+LOW = 0.55
 CONTACT_COLOUR = (86, 180, 233)
+TIME_AXIS_PX, TICK_SPACE_PX = 30, 24
 PADDING_PX = (10, 14, 0, 0)
 BANDS_SIGMA = 2.0
 LEGEND_STYLE = "font-size:0.8em;display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em"
@@ -40,9 +44,9 @@ Columns = tuple[NDArray[np.float64], ...]
 
 
 class Plots:
-    """Two plots that show a window of a history."""
+    """Forces, and one plot for each other quantity, of a window of a history."""
 
-    def __init__(self, gui: viser.GuiApi, height_px: int) -> None:
+    def __init__(self, gui: viser.GuiApi, height_px: int, *, is_live: bool) -> None:
         empty = History().window(1.0)
         lines = [_line(label, colour, dash) for _, _, label, colour, dash in FORCES]
         limits = [uplot.Series(label=f"{label} {end}", width=0) for label in "xyz" for end in "+-"]
@@ -56,30 +60,38 @@ class Plots:
             bands=_bands(),
             **_common(height_px),
         )
-        gui.add_html(_legend("", REST))
-        self._rest = gui.add_uplot(
-            _rest_data(empty),
-            series=(
-                uplot.Series(label="s"),
-                *(_line(label, colour, dash) for _, _, label, colour, dash in REST),
-            ),
-            **_common(height_px),
-        )
+        self._others = []
+        for name, factor, label, colour, only_live in QUANTITIES:
+            if is_live or not only_live:
+                gui.add_html(_legend(label, ()))
+                plot = gui.add_uplot(
+                    (empty["time_s"], empty[name]),
+                    series=(uplot.Series(label="s"), _line(label, colour, ())),
+                    **_common(round(LOW * height_px)),
+                )
+                self._others.append((plot, name, factor))
 
     def draw(self, history: History, length_s: float, back_s: float) -> None:
         """Show the part of a history that `History.window` gives."""
         window = history.window(length_s, back_s)
-        for plot, data in ((self._forces, _force_data(window)), (self._rest, _rest_data(window))):
-            values = data[1:-1] if plot is self._forces else data[1:]
-            plot.scales = _scales(_times(data[0]), _ends(np.concatenate(values)))
-            plot.data = data
+        times = _times(window["time_s"])
+        data = _force_data(window)
+        self._forces.scales = _scales(times, _ends(np.concatenate(data[1:-1])))
+        self._forces.data = data
+        for plot, name, factor in self._others:
+            values = factor * window[name]
+            plot.scales = _scales(times, _ends(values))
+            plot.data = (window["time_s"], values)
 
 
 def _common(height_px: int) -> dict[str, Any]:
     grid = uplot.Axis_Grid(stroke="#dddddd", width=1)
     return {
         "scales": _scales((0.0, 1.0), (0.0, 1.0)),
-        "axes": (uplot.Axis(grid=grid), uplot.Axis(grid=grid, scale="y", size=46)),
+        "axes": (
+            uplot.Axis(grid=grid, size=TIME_AXIS_PX),
+            uplot.Axis(grid=grid, scale="y", size=46, space=TICK_SPACE_PX),
+        ),
         "height": height_px,
         "padding": PADDING_PX,
         "legend": uplot.Legend(show=False),
@@ -142,7 +154,3 @@ def _force_data(window: Window) -> Columns:
         limits += [window[name] + half, window[name] - half]
     lines = (window[name] for name, *_ in FORCES)
     return (window["time_s"], *lines, *limits, window["contact"])
-
-
-def _rest_data(window: Window) -> Columns:
-    return (window["time_s"], *(factor * window[name] for name, factor, *_ in REST))

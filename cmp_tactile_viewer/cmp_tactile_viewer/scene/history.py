@@ -36,13 +36,15 @@ class History:
         return float(times[-1] - times[0]) if len(times) > 1 else 0.0
 
     def add(self, snapshot: Snapshot) -> None:
-        """Take a snapshot in; time that runs back begins a new history."""
-        if self._begin_ns is None:
-            self._begin_ns = snapshot.stamp_ns
+        """Take a snapshot in; one that is not later than the last begins a new history.
+
+        Times count from the earliest snapshot ever seen, also after a recording is gone back in.
+        """
+        if self._begin_ns is None or snapshot.stamp_ns < self._begin_ns:
+            self._count, self._begin_ns = 0, snapshot.stamp_ns
         time_s = (snapshot.stamp_ns - self._begin_ns) * 1e-9
         if self._count and time_s <= self._ordered()[-1, 0]:
-            self.clear()
-            self._begin_ns, time_s = snapshot.stamp_ns, 0.0
+            self._count = 0
         row = np.full(len(FIGURES), np.nan)
         row[0] = time_s
         row[9] = 1e3 * snapshot.latency_s

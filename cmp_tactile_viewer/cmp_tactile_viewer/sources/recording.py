@@ -43,6 +43,8 @@ SURFACE, FORCE_FIELD, GRID = (
 # Looks into the recording so far before a place, to find the frame before it; then farther.
 BACK_S = 0.5
 DEFAULT_RATE_HZ = 30.0
+# Recordings up to this length begin again at their end, as long as nobody says otherwise.
+LOOPED_S = 10.0
 # Messages of one frame come within so many others.
 MOST_OPEN = 20
 
@@ -264,8 +266,11 @@ class RecordingSource(PassiveSource):
             playback.position_s = time_s
             audience.show(self.sensors[0].name, snapshot)
             self._report_frame(snapshot)
-        playback.ended = True
-        self._report(Level.OK, "the recording has ended")
+        if playback.loop and playback.playing and not self._ended.is_set():
+            playback.seek_s = 0.0
+            return
+        # A place that is asked for from now on is shown, not played from.
+        playback.ended, playback.playing = True, False
         while not self._ended.is_set() and not playback.is_sought:
             if playback.steps < 0:
                 self._step_back(playback)
@@ -353,4 +358,6 @@ def open_source(
     """
     frames = open_frames(path, sensor, topic)
     shown = ShownSensor(name or sensor.ros_name, sensor)
-    return RecordingSource((shown,), Playback(frames.length_s), frames)
+    return RecordingSource(
+        (shown,), Playback(frames.length_s, loop=frames.length_s <= LOOPED_S), frames
+    )

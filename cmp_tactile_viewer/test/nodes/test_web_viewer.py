@@ -284,7 +284,7 @@ def test_parameters_of_a_sensor_that_does_not_run(rig):
 def test_a_recording_has_what_came_while_it_ran(rig, ros, snapshots, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     press = rig.action["record"]
-    assert rig.do(press).startswith(f"recording into {tmp_path}/thumb_")
+    assert rig.do(press).startswith(f"into {tmp_path}/thumb_")
     publisher = ros.publisher(Image, "image_raw")
     frame = snapshots[0].frame
     for number in range(3):

@@ -47,6 +47,12 @@ def test_time_that_runs_back_begins_again():
     assert np.isnan(window["fx"]).all()
 
 
+def test_the_axis_of_time_stays_where_a_recording_is_gone_back_in():
+    history = filled(20)
+    history.add(Snapshot(5 + 7 * STEP_NS))
+    assert history.window(10.0)["time_s"] == pytest.approx([0.07])
+
+
 def test_contact_is_marked_and_what_is_not_known_is_nan():
     history = History()
     history.add(Snapshot(1, force=made_field(1, 1, contacts=(made_contact([0]),))))

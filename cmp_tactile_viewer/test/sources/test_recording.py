@@ -51,7 +51,7 @@ def playing(sensor):
 
     def play(path, **state):
         source = open_source(path, sensor)
-        source.playback.speed = 1000.0
+        source.playback.speed, source.playback.loop = 1000.0, False
         for name, value in state.items():
             setattr(source.playback, name, value)
         sources.append(source)
@@ -68,7 +68,6 @@ def test_frames_are_processed_when_they_are_shown(grasp_bag, playing, snapshots)
     source, looker = playing(grasp_bag)
     wait_until(lambda: source.playback.ended, "the end of the recording")
     assert len(looker.snapshots) == FRAMES
-    assert looker.lines[0].text == "the recording has ended"
     for found, expected in zip(looker.snapshots, snapshots, strict=False):
         assert found.stamp_ns == expected.stamp_ns
         assert found.frame is not None
@@ -108,11 +107,26 @@ def test_a_paused_recording_shows_the_frame_that_is_sought_and_steps_both_ways(r
     assert playback.position_s == pytest.approx(10 / RATE_HZ, abs=1e-3)
 
 
-def test_it_plays_again_from_the_end(results, playing):
+def test_a_place_that_is_sought_after_the_end_is_shown_and_not_played_from(results, playing):
     source, looker = playing(results)
-    wait_until(lambda: source.playback.ended, "the end of the results")
-    source.playback.seek_s = 0.0
-    wait_until(lambda: len(looker.snapshots) == 2 * FRAMES, "all frames again")
+    playback = source.playback
+    wait_until(lambda: playback.ended, "the end of the results")
+    playback.seek_s = 10 / RATE_HZ - 1e-3
+    wait_until(lambda: len(looker.snapshots) == FRAMES + 1, "the frame that was sought")
+    assert playback.position_s == pytest.approx(10 / RATE_HZ, abs=1e-3)
+    assert not playback.playing
+    playback.seek_s, playback.playing = 0.0, True
+    wait_until(lambda: len(looker.snapshots) == 2 * FRAMES + 1, "all frames again")
+
+
+def test_a_short_recording_begins_again_at_its_end(results, sensor, playing):
+    source = open_source(results, sensor)
+    source.close()
+    assert source.playback.loop
+    _, looker = playing(results, loop=True)
+    wait_until(lambda: len(looker.snapshots) > 2 * FRAMES, "the third time")
+    stamps = [item.stamp_ns for item in looker.snapshots]
+    assert stamps[FRAMES : 2 * FRAMES] == stamps[:FRAMES]
 
 
 def test_nothing_is_read_while_nobody_looks(results, sensor, monkeypatch):

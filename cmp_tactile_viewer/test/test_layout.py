@@ -1,0 +1,192 @@
+"""Where things lie in windows of four sizes, in a real browser, and that they stay there.
+
+SCREENSHOTS=FOLDER keeps a picture of each window.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cmp_tactile_viewer.page.aim import PRESETS
+from cmp_tactile_viewer.page.layout import LOST
+from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, PassiveSource, ShownSensor
+
+# A screen on a desk, a robot's panel, a tablet, a phone; and the gel's least width in them, px.
+WINDOWS = {(1400, 860): 350, (1024, 600): 300, (820, 1180): 350, (390, 844): 230}
+windows = pytest.mark.parametrize("window", WINDOWS, ids=lambda size: f"{size[0]}x{size[1]}")
+LONG = "the gel was not still, and what was measured is that of another place than the one meant; "
+
+
+class Recorded(PassiveSource):
+    """A source with a button for what lasts."""
+
+    def __init__(self, sensors):
+        super().__init__(sensors)
+        self.state = ""
+
+    def actions(self):
+        return {
+            self.sensors[0].name: (
+                Action("zero", "now is rest", lambda: 3 * LONG),
+                Action("record", "on and off", self._press, lambda: self.state),
+            )
+        }
+
+    def _press(self):
+        self.state = "" if self.state else "end recording, 7 s"
+        return "done"
+
+
+@pytest.fixture
+def recorded(sensor):
+    return Recorded((ShownSensor("thumb", sensor),))
+
+
+def size_of(window):
+    return dict(zip(("width", "height"), window, strict=True))
+
+
+def keep_picture(tab, name):
+    folder = os.environ.get("SCREENSHOTS")
+    if folder:
+        tab.tab.screenshot(path=str(Path(folder) / f"{name}.png"))
+
+
+def is_whole(tab, least_px):
+    """Whether all of the gel is seen, and larger than that."""
+    points = tab.gel_points()
+    return len(points) and points[:, 2].all() and np.ptp(points[:, 0]) > least_px
+
+
+@windows
+def test_the_gel_is_seen_whole_beside_the_panels(recorded, serve, opened, snapshots, window):
+    page = serve(recorded)
+    tab = opened(page, size_of(window))
+    for number in range(30):
+        page.show("thumb", replace(snapshots[-1], stamp_ns=snapshots[-1].stamp_ns + number * 10**7))
+        tab.tab.wait_for_timeout(20)
+    try:
+        tab.wait(lambda: is_whole(tab, WINDOWS[window]), "a whole gel")
+    finally:
+        keep_picture(tab, f"{window[0]}x{window[1]}")
+
+
+@windows
+def test_image_plots_health_and_buttons_can_be_reached(recorded, serve, opened, snapshots, window):
+    page = serve(recorded)
+    page.show("thumb", snapshots[-1])
+    page.show_health([HealthLine(Level.WARN, "/thumb/camera", "no frames")])
+    tab = opened(page, size_of(window))
+    tab.sees("no frames")
+    keep_picture(tab, f"panels_{window[0]}x{window[1]}")
+    if window[0] < 500:
+        tab.tab.get_by_text("thumb: view").click()
+        tab.tab.wait_for_timeout(500)
+        keep_picture(tab, f"panels_open_{window[0]}x{window[1]}")
+    for text in ("Force, N", "Slip ratio, %", "record", "hold"):
+        element = tab.tab.get_by_text(text, exact=True).first
+        element.scroll_into_view_if_needed()
+        box = element.bounding_box()
+        # The browser scrolls by whole pixels.
+        for low, length, limit in (("x", "width", window[0]), ("y", "height", window[1])):
+            assert box[low] >= -1
+            assert box[low] + box[length] <= limit + 1
+        element.hover(trial=True)
+    assert tab.tab.get_by_text("thumb: view").count() == 1
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_camera_button_frames_the_gel(source, serve, opened, snapshots, preset):
+    """However the camera was turned before."""
+    page = serve(source)
+    page.show("thumb", snapshots[-1])
+    tab = opened(page)
+    tab.wait(lambda: is_whole(tab, 200), "a whole gel")
+    before = tab.gel_points()
+    mouse = tab.tab.mouse
+    mouse.move(600, 300)
+    mouse.wheel(0, -3000)
+    mouse.down(button="right")
+    mouse.move(800, 200, steps=3)
+    mouse.up(button="right")
+    tab.wait(lambda: not is_whole(tab, 200), "a gel that is cut off")
+    tab.tab.get_by_text(preset, exact=True).click()
+    tab.wait(lambda: is_whole(tab, 200), "a whole gel")
+    tab.tab.wait_for_timeout(300)
+    points = tab.gel_points()[:, :2]
+    keep_picture(tab, preset)
+    width, height = np.ptp(points, axis=0)
+    expected = {"top": height > 0.5 * width, "side": height < 0.3 * width}
+    assert expected.get(preset, np.abs(points - before[:, :2]).max() < 3.0)
+
+
+def test_two_gels_are_framed_together(sensor, serve, opened, snapshots):
+    fingers = [
+        ShownSensor(name, sensor, (x, 0.0, 0.0)) for name, x in (("left", -0.02), ("right", 0.02))
+    ]
+    page = serve(PassiveSource(tuple(fingers)))
+    for finger in fingers:
+        page.show(finger.name, snapshots[-1])
+    tab = opened(page, {"width": 1400, "height": 860})
+    one = 10**3
+    tab.wait(lambda: len(tab.gel_points()) > one and is_whole(tab, 350), "two whole gels")
+    keep_picture(tab, "two_fingers")
+
+
+def test_a_window_that_is_turned_shows_the_gel_whole(source, serve, opened, snapshots):
+    page = serve(source)
+    page.show("thumb", snapshots[-1])
+    tab = opened(page, {"width": 820, "height": 1180})
+    tab.wait(lambda: is_whole(tab, 300), "a whole gel")
+    tab.tab.set_viewport_size({"width": 1180, "height": 820})
+    tab.wait(lambda: is_whole(tab, 300), "a whole gel in the turned window")
+
+
+def test_buttons_stay_where_they_are_whatever_is_said(recorded, serve, opened):
+    page = serve(recorded)
+    tab = opened(page)
+    tab.sees("nothing to report yet")
+    button = tab.tab.get_by_text("zero", exact=True)
+    folder = tab.tab.get_by_text("show", exact=True)
+    place, below = button.bounding_box(), folder.bounding_box()
+    page.show_health([HealthLine(Level.ERROR, f"/thumb/{k}", LONG) for k in range(9)])
+    tab.sees("/thumb/8")
+    assert button.bounding_box() == place
+    button.click()
+    tab.sees(LONG[:40])
+    tab.tab.wait_for_timeout(300)
+    assert button.bounding_box() == place
+    assert folder.bounding_box() == below
+
+
+def test_a_recording_that_goes_on_is_seen(recorded, serve, opened):
+    tab = opened(serve(recorded))
+    tab.tab.get_by_text("record", exact=True).click()
+    tab.sees("end recording, 7 s")
+    keep_picture(tab, "recording")
+    tab.tab.get_by_text("end recording").click()
+    tab.tab.get_by_text("end recording").wait_for(state="hidden")
+    assert recorded.state == ""
+
+
+def test_a_page_without_its_server_says_so_and_one_with_it_does_not(
+    source, serve, opened, snapshots
+):
+    page = serve(source)
+    page.show("thumb", snapshots[-1])
+    page.show_health([HealthLine(Level.OK, "/thumb/camera", "all is well")])
+    tab = opened(page)
+    tab.sees("all is well")
+    # Longer than the page is silent without a server.
+    tab.tab.wait_for_timeout(6000)
+    assert tab.is_on_top("all is well")
+    assert not tab.tab.get_by_text(LOST).is_visible()
+    page.close()
+    tab.sees(LOST)
+    tab.wait(lambda: not tab.is_on_top("all is well"), "the health to be covered")
+    keep_picture(tab, "lost")
