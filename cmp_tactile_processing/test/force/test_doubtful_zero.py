@@ -1,6 +1,13 @@
 """A reference that was taken under load is reported until one is taken of a gel that is free.
 
 The truth of every case is hidden from the stage: it sees displacement from the reference alone.
+
+UniversalRobots/Universal_Robots_ROS_Driver 512, zeroed at each start whatever touches: a lift-off
+from it is flagged.
+flexivrobotics/flexiv_tdk 31, a start in contact is meant: it is taken, and named until it is over.
+DinoMini00/KineDex_code 3, readings do not return to zero: the force without contact is flagged.
+sensel/sensel-api 5, the force of what stays on it decays as the baseline follows: no reference is
+taken in contact, see TestKeeping.test_contact_is_no_drift_and_never_zeroed.
 """
 
 from __future__ import annotations

@@ -143,6 +143,7 @@ def test_a_flag_is_reported_with_advice_and_warned_of_where_it_spoils_the_force(
         ForceFlag.NOT_CONVERGED,
         ForceFlag.POOR_FIT,
         ForceFlag.IMPLAUSIBLE,
+        ForceFlag.ZERO_DOUBTFUL,
     }
     assert level == (DiagnosticStatus.WARN if flag in warned else DiagnosticStatus.OK)
     assert (flag in WARNED_OF) == (flag in warned)
