@@ -63,10 +63,12 @@ SEEN_POINTS = """() => {
 }"""
 
 PIXEL = """place => {
+  const gel = window.gels()[0];
+  if (!gel || !window.camera) return null;
   const {left, top, width, height} =
     document.querySelector('canvas[data-engine]').getBoundingClientRect();
   const {x, y} = window.camera.position.clone().fromArray(place)
-    .applyMatrix4(window.gels()[0].matrixWorld).project(window.camera);
+    .applyMatrix4(gel.matrixWorld).project(window.camera);
   return [left + width * (1 + x) / 2, top + height * (1 - y) / 2];
 }"""
 ON_TOP = """element => {
@@ -103,8 +105,16 @@ class Tab:
         return np.array(self.tab.evaluate(SEEN_POINTS)).reshape(-1, 3)
 
     def pixel(self, *place_mm: float) -> tuple[float, float]:
-        """Where a place in the first gel's frame is in the window, px."""
-        x, y = self.tab.evaluate(PIXEL, place_mm)
+        """Where a place in the first gel's frame is in the window, px, once that is drawn."""
+        places: list[tuple[float, float]] = []
+
+        def found() -> bool:
+            place = self.tab.evaluate(PIXEL, place_mm)
+            places.extend([place] if place else [])
+            return bool(places)
+
+        self.wait(found, "the first gel")
+        x, y = places[0]
         return x, y
 
     def is_on_top(self, text: str) -> bool:
