@@ -215,6 +215,7 @@ class RecordingSource(PassiveSource):
         assert self.playback is not None  # noqa: S101  `open_source` gives one
         self._player = threading.Thread(target=self._play, name="recording", daemon=True)
         self._looked_at, self._ended = threading.Event(), threading.Event()
+        self._guard = threading.Lock()
         self._player.start()
 
     def start(self, audience: Audience) -> None:
@@ -224,12 +225,16 @@ class RecordingSource(PassiveSource):
 
     def pause(self) -> None:
         """Stand still until somebody looks again."""
-        self._looked_at.clear()
+        with self._guard:
+            # The last browser may leave while the page is closed, which must not wait for another.
+            if not self._ended.is_set():
+                self._looked_at.clear()
 
     def close(self) -> None:
         """End."""
-        self._ended.set()
-        self._looked_at.set()
+        with self._guard:
+            self._ended.set()
+            self._looked_at.set()
         self._player.join()
 
     def _play(self) -> None:

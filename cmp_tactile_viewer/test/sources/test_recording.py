@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import cv2
@@ -135,6 +136,28 @@ def test_nothing_is_read_while_nobody_looks(results, sensor, monkeypatch):
     source = open_source(results, sensor)
     source.close()
     assert not read
+
+
+def test_it_ends_although_the_last_browser_leaves_while_it_does(results, playing, monkeypatch):
+    """The source waited for another browser then, and the page for the source, without end."""
+    reading, left = threading.Event(), threading.Event()
+    read = StoredResults.read
+
+    def read_slowly(self, start_s):
+        reading.set()
+        assert left.wait(30.0)
+        yield from read(self, start_s)
+
+    monkeypatch.setattr(StoredResults, "read", read_slowly)
+    source, _ = playing(results)
+    assert reading.wait(30.0)
+    closing = threading.Thread(target=source.close, daemon=True)
+    closing.start()
+    wait_until(lambda: source._ended.is_set(), "the end")
+    source.pause()
+    left.set()
+    closing.join(30.0)
+    assert not closing.is_alive()
 
 
 def test_the_pace_is_that_of_the_recording(monkeypatch):
