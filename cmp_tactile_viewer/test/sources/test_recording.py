@@ -153,7 +153,7 @@ def test_it_ends_although_the_last_browser_leaves_while_it_does(results, playing
     assert reading.wait(30.0)
     closing = threading.Thread(target=source.close, daemon=True)
     closing.start()
-    wait_until(lambda: source._ended.is_set(), "the end")
+    closing.join(0.3)  # until it waits for the player
     source.pause()
     left.set()
     closing.join(30.0)
