@@ -133,6 +133,24 @@ def test_what_is_half_installed_of_other_sources_or_writable_by_all_is_not_used(
     assert call(tmp_path / "three", installed) == "compiled"
 
 
+def test_what_was_compiled_from_other_sources_is_removed_before(tmp_path, monkeypatch):
+    """A caller in an unchanged file would keep the old code of the function that has changed."""
+    for digest, left in (("one", 0), ("one", 1), ("other", 0)):
+        monkeypatch.setattr(
+            "cmp_tactile_processing.cache.compiled.compiled_digest", lambda d=digest: d
+        )
+        with installing(tmp_path) as folder:
+            assert len(list(folder.iterdir())) == left
+            (folder / "kernel.nbi").touch()
+    digests = iter(("other", "edited meanwhile"))
+    monkeypatch.setattr(
+        "cmp_tactile_processing.cache.compiled.compiled_digest", lambda: next(digests)
+    )
+    with installing(tmp_path):
+        pass
+    assert not (tmp_path / INSTALLED / DIGEST_FILE).exists()
+
+
 def test_a_part_that_fails_leaves_nothing_installed(tmp_path):
     with pytest.raises(OSError, match="disk"), installing(tmp_path):
         raise OSError("disk")

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from cmp_tactile_processing.cache.compiled import installing, when_compiling
@@ -77,11 +79,16 @@ def main(arguments: Sequence[str]) -> int:
 
 def _install(sensor: str, prefix: Path) -> int:
     """Compile all parts side by side for the packages below this prefix; the exit code."""
+    command = python_command("cmp_tactile_processing.prepare", sensor, "--only")
+    # By an exception, which ends the other processes, too.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
-        with installing(prefix) as folder:
-            command = python_command("cmp_tactile_processing.prepare", sensor, "--only")
+        with installing(prefix) as folder, ExitStack() as stack:
             env = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-            processes = [subprocess.Popen([*command, part], env=env) for part in PARTS]
+            processes = []
+            for part in PARTS:
+                processes.append(subprocess.Popen([*command, part], env=env))
+                stack.callback(processes[-1].terminate)
             codes = [process.wait() for process in processes]
             if any(codes):
                 msg = f"{prefix}: nothing is installed, as a part could not be compiled"

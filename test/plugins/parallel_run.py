@@ -93,7 +93,7 @@ class Turns:
 def pytest_configure(config: pytest.Config) -> None:
     """Keep the tests' ROS graph to this machine and apart from that of other runs and workers."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    first = int(os.environ.get("ROS_DOMAIN_ID", os.getpid()))
+    first = int(os.environ.get("ROS_DOMAIN_ID") or os.getpid())
     domain, claim = claim_domain(first)
     config.add_cleanup(claim.close)
     os.environ["ROS_DOMAIN_ID"] = str(domain)

@@ -133,10 +133,14 @@ class McapBagFile:
         opcode, begin, length = record
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             content = ReadDataStream(BytesIO(stream.read(length)))
-            if opcode == Opcode.SCHEMA:
-                self._add_schema(Schema.read(content))
-            else:
-                self._add_channel(Channel.read(content))
+            try:
+                if opcode == Opcode.SCHEMA:
+                    self._add_schema(Schema.read(content))
+                else:
+                    self._add_channel(Channel.read(content))
+            except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+                msg = f"the record at byte {begin} is no schema or channel: {error}"
+                raise DamageError(msg) from None
         if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
             return
         head = stream.read(min(length, MESSAGE_HEAD.size + HEAD_BYTES))
@@ -201,6 +205,9 @@ def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int
             msg = f"a record is cut at byte {begin}"
             raise DamageError(msg)
         opcode, length = RECORD_HEAD.unpack(head)
+        if not opcode:
+            msg = f"found no record at byte {begin}"
+            raise DamageError(msg)
         begin += RECORD_HEAD.size
         if begin + length > end:
             msg = f"a record of {length} bytes at byte {begin} is cut"
@@ -213,7 +220,11 @@ def _chunk_layout(file: IO[bytes], begin: int) -> tuple[bool, int]:
     """Whether a chunk is compressed, and where its records begin."""
     at = begin + CHUNK_HEAD.size
     file.seek(at)
-    name_length = TEXT_HEAD.unpack(file.read(TEXT_HEAD.size))[0]
+    head = file.read(TEXT_HEAD.size)
+    if len(head) < TEXT_HEAD.size:
+        msg = f"the chunk at byte {begin} is cut"
+        raise DamageError(msg)
+    name_length = TEXT_HEAD.unpack(head)[0]
     return name_length > 0, at + TEXT_HEAD.size + name_length + LENGTH.size
 
 

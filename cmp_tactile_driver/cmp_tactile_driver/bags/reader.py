@@ -121,7 +121,8 @@ def _numbers(values: NDArray[np.float64]) -> str:
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 # What rosbags raises for bytes that are no message of their type.
-BAD_MESSAGE = (SerdeError, ValueError, IndexError, OverflowError)
+# KeyError where a damaged schema names a type that nobody knows.
+BAD_MESSAGE = (SerdeError, ValueError, LookupError, OverflowError)
 
 
 class BagReader:

@@ -354,7 +354,8 @@ class CameraControls:
             if control is None or control.kind is ControlKind.BUTTON or self.obstacle(name):
                 continue
             found = self.value(name)
-            if control.kind is ControlKind.INTEGER:
+            # With other firmware a menu may have become a number.
+            if control.kind is ControlKind.INTEGER and not isinstance(wanted, str):
                 nearest = min(max(int(wanted), control.low), control.high)
                 is_kept = abs(int(found) - nearest) < max(control.step, 1)
             else:

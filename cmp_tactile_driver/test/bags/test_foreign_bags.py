@@ -34,6 +34,7 @@ from cmp_tactile_driver.bags.files import Place
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
+from cmp_tactile_driver.errors import BagError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
@@ -322,3 +323,31 @@ def test_a_part_that_begins_at_a_frame_has_that_frame():
     for number, stamp in enumerate(stamps):
         start = (stamp - stamps[0]) / 1e9
         assert line.part(TimeSpan(start, start + 0.1))[0] == number
+
+
+@pytest.mark.parametrize("options", [{}, UNINDEXED, {"compression": CompressionType.ZSTD}], ids=str)
+def test_whatever_byte_is_damaged_is_reported(tmp_path, bags, frames, options):
+    rows = _rows(bags, frames)
+    whole = write_mcap(tmp_path / "bag.mcap", rows, **options).read_bytes()
+    rng = np.random.default_rng(1)
+    places = [*range(8, 120), *rng.integers(8, len(whole), 100)]
+    read = 0
+    for at in places:
+        damaged = bytearray(whole)
+        damaged[at] ^= 0xFF
+        (tmp_path / "damaged.mcap").write_bytes(damaged)
+        try:
+            reader = BagReader(tmp_path / "damaged.mcap")
+            read += len(list(reader.messages()))
+        except BagError:
+            pass
+    assert read > 0.5 * len(frames) * 100
+
+
+def test_zeros_after_a_power_cut_are_passed_over(tmp_path, bags, frames):
+    path = write_mcap(tmp_path / "bag.mcap", _rows(bags, frames), **UNINDEXED)
+    end = path.read_bytes().rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")  # DataEnd
+    path.write_bytes(path.read_bytes()[:end] + bytes(100_000))
+    reader = BagReader(path)
+    assert len(list(reader.frames())) == len(frames)
+    assert "found no record at byte" in reader.health.problem

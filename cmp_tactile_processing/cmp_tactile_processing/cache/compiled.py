@@ -73,10 +73,12 @@ def use_cache_of_these_sources() -> None:
         # Foreign is what was found without an error of the system.
         if installed is None or error.errno is None:
             LOGGER.warning("%s: %s: compiled functions are not kept", folder, error)
-        folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        with suppress(OSError):  # numba says so itself where it cannot write
+            folder = Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
     if installed is not None:
-        _link_contents(installed, folder)
+        with suppress(OSError):
+            _link_contents(installed, folder)
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(folder)
@@ -118,13 +120,18 @@ def _link_contents(installed: Path, folder: Path) -> None:
 def installing(prefix: Path) -> Iterator[Path]:
     """The folder below an installation's prefix that numba is to fill, for all users of it.
 
-    It is used from the end of the block on, unless that is left by an exception.
+    It is used from the end of the block on, unless that is left by an exception or the sources
+    have changed meanwhile.  What was compiled from others before is removed.
     """
-    folder = prefix / INSTALLED
+    folder, digest = prefix / INSTALLED, compiled_digest()
+    record = folder / DIGEST_FILE
+    if not record.exists() or record.read_text(encoding="utf-8") != digest:
+        shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / DIGEST_FILE).unlink(missing_ok=True)
+    record.unlink(missing_ok=True)
     yield folder
-    files.write_whole(folder / DIGEST_FILE, compiled_digest())
+    if compiled_digest() == digest:
+        files.write_whole(record, digest)
 
 
 def _is_safely_made_later(folder: Path) -> bool:

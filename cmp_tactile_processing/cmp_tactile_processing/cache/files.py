@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import hashlib
 import logging
 import math
@@ -35,8 +36,24 @@ def default_cache_dir() -> Path:
         try:
             base = Path.home() / ".cache"
         except RuntimeError:
-            base = Path(tempfile.gettempdir()) / f"cmp_tactile_{os.geteuid()}"
+            base = folder_without_home()
     return base / "cmp_tactile"
+
+
+@functools.cache
+def folder_without_home() -> Path:
+    """A folder of this user's among temporary files, where others may have made one of its name."""
+    base = Path(tempfile.gettempdir()) / f"cmp_tactile_{os.geteuid()}"
+    try:
+        with contextlib.suppress(FileExistsError):
+            base.mkdir(0o700)
+        status = base.lstat()
+        is_own = status.st_uid == os.geteuid() and not status.st_mode & 0o022
+        if stat.S_ISDIR(status.st_mode) and is_own:
+            return base
+        return Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
+    except OSError:
+        return base  # who writes there reports it
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -15,6 +16,7 @@ from cmp_tactile_processing.cache.files import (
     default_cache_dir,
     digest,
     files_digest,
+    folder_without_home,
     locked,
     own_contents,
     write_whole,
@@ -135,7 +137,18 @@ def test_a_user_without_a_home_has_a_cache_folder_too(monkeypatch, tmp_path):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("os.getuid", lambda: 543210)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert tmp_path in default_cache_dir().parents
+    for planted in (False, True):
+        folder_without_home.cache_clear()
+        if planted:
+            # Another user made a link of that name, to be able to change what this one keeps.
+            (tmp_path / f"cmp_tactile_{os.geteuid()}").rmdir()
+            (tmp_path / f"cmp_tactile_{os.geteuid()}").symlink_to(tmp_path / "theirs")
+            (tmp_path / "theirs").mkdir()
+        folder = default_cache_dir()
+        assert tmp_path in folder.parents
+        assert not folder.parent.is_symlink()
+        assert folder.parent.stat().st_mode & 0o777 == 0o700
+    folder_without_home.cache_clear()
 
 
 def test_importing_writes_nothing(tmp_path):

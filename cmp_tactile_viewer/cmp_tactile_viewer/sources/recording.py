@@ -258,6 +258,7 @@ class RecordingSource(PassiveSource):
         playback.seek_s, playback.ended = None, False
         clock = _Clock()
         sought = True
+        shown = 0
         for time_s, snapshot in frames.read(start_s):
             if not sought and not self._may_go_on(playback):
                 return
@@ -269,9 +270,14 @@ class RecordingSource(PassiveSource):
                 return
             sought = False
             playback.position_s = time_s
+            shown += 1
             audience.show(self.sensors[0].name, snapshot)
             self._report_frame(snapshot)
-        if playback.loop and playback.playing and not self._ended.is_set():
+        if not shown:
+            self._report(Level.WARN, frames.problem or f"no frame from {start_s:.2f} s on")
+        # One picture, or none, would be read again without a pause.
+        loops = shown > 1 or (shown == 1 and start_s > 0.0)
+        if loops and playback.loop and playback.playing and not self._ended.is_set():
             playback.seek_s = 0.0
             return
         # A place that is asked for from now on is shown, not played from.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from typing import Any
 
@@ -136,6 +137,19 @@ def test_nothing_is_read_while_nobody_looks(results, sensor, monkeypatch):
     source = open_source(results, sensor)
     source.close()
     assert not read
+
+
+@pytest.mark.parametrize("frames", [0, 1])
+def test_a_recording_of_one_picture_or_none_stands_still(results, playing, monkeypatch, frames):
+    """A loop would read it again and again without a pause."""
+    read = StoredResults.read
+    monkeypatch.setattr(
+        StoredResults, "read", lambda self, start_s: itertools.islice(read(self, start_s), frames)
+    )
+    source, looker = playing(results, loop=True)
+    wait_until(lambda: source.playback.ended, "the end")
+    assert len(looker.snapshots) == frames
+    assert ("no frame from 0.00 s on" in str(looker.lines)) == (not frames)
 
 
 def test_it_ends_although_the_last_browser_leaves_while_it_does(results, playing, monkeypatch):
