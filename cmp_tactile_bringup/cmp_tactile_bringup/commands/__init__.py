@@ -32,6 +32,8 @@ SUBCOMMANDS = {
     "gripper": ("graphs.Gripper", "run the sensors of two fingers"),
     "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
     "process": ("process.Process", "process recordings without ROS"),
+    "zero": ("call.Zero", "count the force of a sensor that runs from now on"),
+    "call": ("call.Call", "call a service of nodes that run, such as a replay's pause"),
     "record": ("record.Record", "record a sensor that runs"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),

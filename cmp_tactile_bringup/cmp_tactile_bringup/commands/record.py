@@ -98,18 +98,15 @@ class Record(Command):
 
 def _recorder(arguments: Record, context: Any) -> Any:
     """The node, in the namespace of the sensor."""
-    from rclpy.node import Node
     from rclpy.parameter import Parameter
 
     from cmp_tactile_bringup.graphs.running import RunningSensorError, find_sensor
     from cmp_tactile_driver.nodes.recorder import Recorder
     from cmp_tactile_driver.sources.parameters import RecorderParameters
+    from cmp_tactile_processing.ros.process import Listener
 
-    searcher = Node("record_search", context=context, use_global_arguments=False)
-    try:
-        sensor = find_sensor(searcher, arguments.namespace)
-    finally:
-        searcher.destroy_node()
+    with Listener("record_search") as search:
+        sensor = find_sensor(search.node, arguments.namespace)
     description = arguments.sensor or sensor.description
     if not description:
         msg = f"{sensor.namespace}: the nodes do not report their description, expected --sensor"

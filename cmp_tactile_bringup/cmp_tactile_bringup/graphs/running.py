@@ -7,14 +7,13 @@ import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TextIO, TypeVar
+from typing import TextIO
 
-from rclpy.executors import SingleThreadedExecutor
+from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
-from rclpy.parameter_client import AsyncParameterClient
 
 from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_msgs.msg import ForceField
@@ -22,6 +21,7 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.ros.process import Listener
+from cmp_tactile_processing.ros.services import ServiceError, answer_of, settled
 
 RECONSTRUCTOR = "ForceReconstructor"
 
@@ -33,11 +33,9 @@ FRAMES_OF_RATE = 40
 CLEAR_LINE = "\x1b[K"
 
 SPLITTER = "view_splitter"
+# The service that sets displacement and force to zero, below a sensor's namespace.
+ZERO = "stereo_triangulator/set_reference"
 SEARCH_TIME_S = 5.0
-ANSWER_TIME_S = 5.0
-POLL_S = 0.05
-
-T = TypeVar("T")
 
 
 class RunningLine(Listener):
@@ -129,46 +127,38 @@ class RunningSensor:
 
 
 def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
-    """The sensor of a namespace, or the only one that runs.  node: with which it is looked for.
+    """The sensor of a namespace, or of one of its topics, or the only one that runs.
 
-    Waits some seconds for it.  Raises RunningSensorError where there is none, or several.
+    node: with which it is looked for; it is spun by another thread.  Waits some seconds.  Raises
+    RunningSensorError where there is none, or several.
     """
-    executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    try:
-        wanted = f"/{namespace.strip('/')}" if namespace else ""
-        spaces = _polled(executor, SEARCH_TIME_S, lambda: _namespaces(node, wanted))
-        if not spaces:
-            where = f"in {wanted}" if wanted else "in any namespace"
-            msg = f"found no {SPLITTER} {where}, expected a sensor that runs (ROS_DOMAIN_ID?)"
-            raise RunningSensorError(msg)
-        if len(spaces) > 1:
-            msg = f"found several sensors, name one by --namespace: {', '.join(spaces)}"
-            raise RunningSensorError(msg)
-        return _described(node, executor, spaces[0])
-    finally:
-        executor.shutdown()
+    wanted = f"/{namespace.strip('/')}" if namespace else ""
+    spaces = settled(lambda: _namespaces(node, wanted), SEARCH_TIME_S)
+    if not spaces:
+        where = f"in {wanted}" if wanted else "in any namespace"
+        there = ", ".join(_namespaces(node, "")) or "a sensor that runs (ROS_DOMAIN_ID?)"
+        msg = f"found no {SPLITTER} {where}, expected {there}"
+        raise RunningSensorError(msg)
+    if len(spaces) > 1:
+        msg = f"found several sensors, name the namespace of one: {', '.join(spaces)}"
+        raise RunningSensorError(msg)
+    return _described(node, spaces[0])
 
 
 def _namespaces(node: Node, wanted: str) -> list[str]:
+    """Those of all sensors, or that in which what is wanted lies."""
     found = {space for name, space in node.get_node_names_and_namespaces() if name == SPLITTER}
-    return sorted(space for space in found if wanted in ("", space))
+    if not wanted:
+        return sorted(found)
+    around = [space for space in found if space == wanted or wanted.startswith(f"{space}/")]
+    return sorted(around, key=len)[-1:]
 
 
-def _described(node: Node, executor: SingleThreadedExecutor, namespace: str) -> RunningSensor:
-    client = AsyncParameterClient(node, f"{namespace.rstrip('/')}/{SPLITTER}")
-    if not _polled(executor, ANSWER_TIME_S, client.services_are_ready):
+def _described(node: Node, namespace: str) -> RunningSensor:
+    request = GetParameters.Request(names=["sensor_description", "sensor_name"])
+    service = f"{namespace.rstrip('/')}/{SPLITTER}/get_parameters"
+    try:
+        answer = answer_of(node, GetParameters, service, request, service_s=SEARCH_TIME_S)
+    except ServiceError:
         return RunningSensor(namespace)
-    future = client.get_parameters(["sensor_description", "sensor_name"])
-    _polled(executor, ANSWER_TIME_S, future.done)
-    answer = future.result() if future.done() else None
-    values = [value.string_value for value in answer.values] if answer is not None else []
-    return RunningSensor(namespace, *values)
-
-
-def _polled(executor: SingleThreadedExecutor, timeout_s: float, ask: Callable[[], T]) -> T:
-    """What `ask` returns once that is not empty, or when the time is up."""
-    end = time.monotonic() + timeout_s
-    while not (answer := ask()) and time.monotonic() < end:
-        executor.spin_once(timeout_sec=POLL_S)
-    return answer
+    return RunningSensor(namespace, *(value.string_value for value in answer.values))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -16,6 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from cmp_tactile_driver.nodes.recorder import Recorder
+from cmp_tactile_processing.ros.services import answer_of
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import Setting, ShownSensor
 
@@ -34,39 +34,15 @@ class RunningSensor:
     shown: ShownSensor
 
 
-SERVICE_S, ANSWER_S = 1.0, 30.0
-POLL_S = 0.02
 STAGES = ("stereo_triangulator", "force_reconstructor")
 # Those of ROS itself, and of the diagnostics' thresholds, are many, and seldom wanted.
 LEFT_OUT = ("qos_overrides.", "diagnostics.", "use_sim_time", "start_type_description_service")
 
 
-def answer_of(node: Node, kind: Any, service: str, request: Any) -> Any:
-    """The answer of a service, for a thread that does not spin the node.
-
-    Raises ViewerError where the service is not there, or does not answer.
-    """
-    client = node.create_client(kind, service)
-    try:
-        if not client.wait_for_service(SERVICE_S):
-            msg = f"{service}: found no such service; is the sensor running?"
-            raise ViewerError(msg)
-        future = client.call_async(request)
-        end = time.monotonic() + ANSWER_S
-        while not future.done():
-            if time.monotonic() > end:
-                msg = f"{service}: no answer within {ANSWER_S:g} s"
-                raise ViewerError(msg)
-            time.sleep(POLL_S)
-        return future.result()
-    finally:
-        node.destroy_client(client)
-
-
 def node_settings(node: Node, namespace: str, views: Iterable[str]) -> tuple[Setting, ...]:
     """The parameters of a sensor's stages that may change while they run.
 
-    Raises ViewerError where one does not answer.
+    Raises ServiceError where one does not answer.
     """
     names = (*(f"{view}_gridline_tracker" for view in views), *STAGES)
     # The first that does not answer ends it: the others would be as late.

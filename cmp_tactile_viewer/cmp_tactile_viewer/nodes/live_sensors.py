@@ -23,12 +23,12 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.making import gel_frame
+from cmp_tactile_processing.ros.services import answer_of
 from cmp_tactile_processing.ros.throttle import throttled
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes.controls import (
     RecordingButton,
     RunningSensor,
-    answer_of,
     node_settings,
 )
 from cmp_tactile_viewer.nodes.polled_topic import Polled, PolledTopic
@@ -232,7 +232,7 @@ class LiveSensors:
         }
 
     def settings(self, sensor: str) -> tuple[Setting, ...]:
-        """Parameters of the sensor's nodes; ViewerError where none answers."""
+        """Parameters of the sensor's nodes; ServiceError where none answers."""
         item = next(item for item in self._watched if item.name == sensor)
         return node_settings(self._node, item.sensor.namespace, item.views)
 

@@ -28,6 +28,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
     image_to_msg,
     surface_to_msg,
 )
+from cmp_tactile_processing.ros.services import ServiceError
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes import controls
 from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
@@ -255,7 +256,7 @@ def test_zero_calls_the_service_and_says_its_answer(rig, ros):
 
 def test_a_service_that_is_not_there_is_named(rig, ros):
     failed = rig.do(rig.action["inspect left print"])
-    assert isinstance(failed, ViewerError)
+    assert isinstance(failed, ServiceError)
     name = f"{ros.namespace}/left_gridline_tracker/inspect_print"
     assert str(failed) == f"{name}: found no such service; is the sensor running?"
 

@@ -1,0 +1,200 @@
+"""Calls services of nodes that run, by names and values that people type."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from importlib import import_module
+from typing import Any, TypeVar
+
+import yaml
+from rcl_interfaces.msg import Parameter, ParameterType
+from rcl_interfaces.srv import GetParameterTypes, ListParameters, SetParameters
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.parameter import get_parameter_value
+
+from cmp_tactile_processing.errors import CmpTactileError, found_text
+from cmp_tactile_processing.sensor.yaml_section import did_you_mean
+
+SERVICE_S, ANSWER_S = 1.0, 30.0
+# Nodes come one after another: what was found is all once nothing new came for the second of these.
+SEARCH_S, SETTLED_S = 5.0, 0.5
+POLL_S = 0.02
+SET_PARAMETERS = "/set_parameters"
+# Types that every node has, and names of parameters that are seldom wanted.
+OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/")
+LEFT_OUT = ("qos_overrides.", "start_type_description_service")
+
+T = TypeVar("T")
+
+
+class ServiceError(CmpTactileError):
+    """A service is not there, does not answer, or does not take what it was given."""
+
+
+def answer_of(
+    node: Node, kind: Any, service: str, request: Any, *, service_s: float = SERVICE_S
+) -> Any:
+    """The answer of a service, for a thread that does not spin the node.
+
+    service_s: how long to wait for the service.  Raises ServiceError where it is not there, or does
+    not answer.
+    """
+    client = node.create_client(kind, service)
+    try:
+        if not client.wait_for_service(service_s):
+            msg = f"{service}: found no such service; is the sensor running?"
+            raise ServiceError(msg)
+        future = client.call_async(request)
+        end = time.monotonic() + ANSWER_S
+        while not future.done():
+            if time.monotonic() > end:
+                msg = f"{service}: no answer within {ANSWER_S:g} s"
+                raise ServiceError(msg)
+            time.sleep(POLL_S)
+        return future.result()
+    finally:
+        node.destroy_client(client)
+
+
+def settled(ask: Callable[[], T], search_s: float = SEARCH_S) -> T:
+    """What `ask` returns once that is not empty and stays the same, or when the time is up."""
+    now = begin = since = time.monotonic()
+    answer = ask()
+    while now - begin < search_s and not (answer and now - since > SETTLED_S):
+        time.sleep(POLL_S)
+        now, before = time.monotonic(), answer
+        answer = ask()
+        since = since if answer == before else now
+    return answer
+
+
+def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str, str]:
+    """Full name and type of the only service of that name, or whose name ends so.
+
+    That of a node stands for its parameters.  Raises ServiceError, with what there is, for none and
+    for several.
+    """
+    ends = f"/{name.strip('/')}"
+
+    def called_so() -> dict[str, str]:
+        offered = _offered(node)
+        for wanted in (ends, ends + SET_PARAMETERS):
+            if wanted in offered:
+                return {wanted: offered[wanted]}
+        return {
+            full: kind
+            for full, kind in offered.items()
+            if not name.startswith("/") and full.endswith((ends, ends + SET_PARAMETERS))
+        }
+
+    found = settled(called_so, search_s)
+    if len(found) > 1:
+        named = ", ".join(full.removesuffix(SET_PARAMETERS) for full in sorted(found))
+        msg = f"{name}: found several, name one: {named}"
+        raise ServiceError(msg)
+    if not found:
+        there = sorted(
+            k for k, kind in _offered(node).items() if not kind.startswith(OF_EVERY_NODE)
+        )
+        expected = f"one of {', '.join(there)}" if there else "nodes that run (ROS_DOMAIN_ID?)"
+        msg = f"{name}: found no such service, expected {expected}{_meant(ends, there)}"
+        raise ServiceError(msg)
+    return next(iter(found.items()))
+
+
+def _meant(ends: str, there: Iterable[str]) -> str:
+    """A question after the service that is like what was typed, by as many parts of its name."""
+    count = ends.count("/")
+    return did_you_mean(ends, ["/" + "/".join(full.split("/")[-count:]) for full in there])
+
+
+def _offered(node: Node) -> dict[str, str]:
+    """Services that nodes have, with their types; not those that somebody only waits for."""
+    offered: dict[str, str] = {}
+    for owner, space in node.get_node_names_and_namespaces():
+        if (owner, space) == (node.get_name(), node.get_namespace()):
+            continue
+        with suppress(NodeNameNonExistentError):  # it has gone meanwhile
+            services = node.get_service_names_and_types_by_node(owner, space)
+            offered.update((full, kinds[0]) for full, kinds in services)
+    return offered
+
+
+def call(node: Node, service: str, kind: str, words: Iterable[str]) -> Any:
+    """The answer to fields, or to parameters of a node, that are typed as NAME:=VALUE.
+
+    service, kind: as `find_service` returns them.  Raises ServiceError where one does not fit.
+    """
+    owner = service.removesuffix(SET_PARAMETERS)
+    if owner != service:
+        return _set_parameters(node, owner, _values(words))
+    package, _, name = kind.rpartition("/")
+    try:
+        loaded = getattr(import_module(package.replace("/", ".")), name)
+    except (ImportError, AttributeError):
+        msg = f"{service}: its type {kind} is not installed here"
+        raise ServiceError(msg) from None
+    request = loaded.Request(check_fields=True)
+    for field, text in _values(words).items():
+        _set_field(request, field, text)
+    return answer_of(node, loaded, service, request, service_s=SEARCH_S)
+
+
+def _values(words: Iterable[str]) -> dict[str, str]:
+    values = {}
+    for word in words:
+        name, separator, text = word.partition(":=")
+        if not separator:
+            msg = f"found {word!r}, expected NAME:=VALUE"
+            raise ServiceError(msg)
+        values[name] = text
+    return values
+
+
+def _set_field(request: Any, field: str, text: str) -> None:
+    kinds = request.get_fields_and_field_types()
+    if field not in kinds:
+        there = ", ".join(f"{name} ({kind})" for name, kind in kinds.items()) or "no field"
+        msg = f"found no field {field!r}, expected {there}{did_you_mean(field, kinds)}"
+        raise ServiceError(msg)
+    try:
+        value = text if kinds[field].startswith("string") else yaml.safe_load(text)
+        if kinds[field] in ("float", "double"):
+            value = float(value)
+        setattr(request, field, value)
+    except (AssertionError, TypeError, ValueError, yaml.YAMLError):
+        msg = f"{field}: found {found_text(text)}, expected {kinds[field]}"
+        raise ServiceError(msg) from None
+
+
+def _set_parameters(node: Node, owner: str, values: Mapping[str, str]) -> Any:
+    """The result for the first that was refused, or for the last."""
+    asked = ListParameters.Request()
+    listed = answer_of(node, ListParameters, f"{owner}/list_parameters", asked, service_s=SEARCH_S)
+    known = sorted(name for name in listed.result.names if not name.startswith(LEFT_OUT))
+    for name in values or ("",):
+        if name not in listed.result.names:
+            msg = f"{owner}: found no parameter {name!r}, expected one of {', '.join(known)}"
+            raise ServiceError(msg + did_you_mean(name, known))
+    request = GetParameterTypes.Request(names=list(values))
+    kinds = answer_of(node, GetParameterTypes, f"{owner}/get_parameter_types", request).types
+    given = [
+        Parameter(name=name, value=_parameter_value(text, kind))
+        for (name, text), kind in zip(values.items(), kinds, strict=True)
+    ]
+    results = answer_of(
+        node, SetParameters, owner + SET_PARAMETERS, SetParameters.Request(parameters=given)
+    ).results
+    return next((item for item in results if not item.successful), results[-1])
+
+
+def _parameter_value(text: str, kind: int) -> Any:
+    """As `ros2 param set` reads it; but 4 is a real number, and yes a string, where one is held."""
+    value = get_parameter_value(text)
+    if kind == ParameterType.PARAMETER_DOUBLE and value.type == ParameterType.PARAMETER_INTEGER:
+        value.type, value.double_value = kind, float(value.integer_value)
+    elif kind == ParameterType.PARAMETER_STRING:
+        value.type, value.string_value = kind, text
+    return value
