@@ -27,6 +27,17 @@ def test_the_pictures_of_the_tutorials_are_there():
             assert (TUTORIALS / picture).is_file(), tutorial.name
 
 
+def test_the_tutorials_show_diagnostics_in_full():
+    """`ros2 topic echo` cuts texts at 128 characters: what to do stands behind that.
+
+    Report of the kind: ros2/ros2cli 31 (texts are cut by default, and an option shows them whole).
+    """
+    for document in EXAMPLES.parent.rglob("*.md"):
+        for line in document.read_text(encoding="utf-8").splitlines():
+            if "topic echo" in line and "/diagnostics" in line:
+                assert " -f " in line, document.name
+
+
 def rows_of(printed):
     """The numbers of a table that was printed below its heading."""
     return [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]

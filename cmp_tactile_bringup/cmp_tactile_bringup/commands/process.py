@@ -87,7 +87,7 @@ class Process(Command):
             "what displacement, and so force, counts from: nominal (the sensor description's "
             "surface), when_still or at_start (taken by itself, as the stereo_triangulator node "
             "does with its parameter auto_reference), first-N (mean of the first N frames, in "
-            "which the gel must be at rest, as its service set_reference takes it)",
+            "which the gel must be at rest, as zero takes it)",
             _reference,
             metavar="WHAT",
             group=RESULTS,

@@ -35,18 +35,17 @@ ADVICE: dict[ForceFlag, str] = {
         "thickness and modulus, or press less"
     ),
     ForceFlag.POOR_FIT: (
-        "no force explains how the markers moved: take a reference with nothing touching the gel "
-        "(stereo_triangulator/set_reference), and check that the sensor description is this "
-        "sensor's"
+        "no force explains how the markers moved: zero again with nothing touching the gel, and "
+        "check that the sensor description is this sensor's"
     ),
     ForceFlag.IMPLAUSIBLE: (
         "the markers show what no such gel can do or bear, so no force is given: check focus, "
-        "exposure and what covers the pattern, take a reference with nothing touching the gel, "
+        "exposure and what covers the pattern, zero again with nothing touching the gel, "
         "and check the sensor description's pitch, size and modulus"
     ),
     ForceFlag.ZERO_DOUBTFUL: (
-        "zero again with nothing touching the gel (stereo_triangulator/set_reference): there is a "
-        "force without any contact, or the reference was taken under load"
+        "zero again with nothing touching the gel: there is a force without any "
+        "contact, or the reference was taken under load"
     ),
 }
 

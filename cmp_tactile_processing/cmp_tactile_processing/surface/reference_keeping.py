@@ -94,7 +94,7 @@ class DriftMonitor:
             return ""
         return (
             f"the gel at rest has drifted by {self.drift.largest * 1e6:.0f} um since the "
-            f"reference, expected at most {limit * 1e6:.0f} um: call ~/set_reference while nothing "
+            f"reference, expected at most {limit * 1e6:.0f} um: zero again while nothing "
             "touches the gel; where it drifts again, check how gel and camera are held and "
             "calibrate"
         )
@@ -216,10 +216,10 @@ class ReferenceKeeper:
             kept = f"new reference yet, displacement is against reference {number}"
             if not number:
                 kept = "reference yet, displacement is against the nominal surface"
-            return f"no {kept}: {self.reason}; {later}, or by ~/set_reference"
+            return f"no {kept}: {self.reason}; {later}, or by zero"
         if self._doubt:
             return (
-                f"reference {self.reference.id} is doubtful: {self._doubt}; call ~/set_reference "
+                f"reference {self.reference.id} is doubtful: {self._doubt}; zero again "
                 "while nothing touches the gel, or calibrate"
             )
         return self._drift.warning()

@@ -331,7 +331,7 @@ def test_drift_at_rest_is_warned_of(ros, sample):
     report = _report(ros, reports, lambda status: "drifted" in status.message)
     assert report.level == DiagnosticStatus.WARN
     assert "drifted by 20 um since the reference" in report.message
-    assert "~/set_reference" in report.message
+    assert "zero again" in report.message
     values = {item.key: float(item.value) for item in report.values if "drift" in item.key}
     assert values == {
         "drift (um)": 20.0,
