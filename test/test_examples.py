@@ -223,3 +223,50 @@ def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
     # Another mesh than the full scene's: its contact is softer or stiffer by some ten per cent.
     shown = shown_after(TUTORIALS / "first_look.md", "docs/examples/move_indenter.py sample_rig")
     assert_printed(shown, hand.stdout, rel=0.2, absolute=0.1)
+
+
+@pytest.mark.ros
+@pytest.mark.usefixtures("short_scenes")
+def test_the_example_of_a_controller_zeroes_and_closes_in_proportion(ros, tmp_path):
+    """Beside a live sensor that is pressed with 1.5 N after the zero."""
+    from geometry_msgs.msg import WrenchStamped
+
+    log = (tmp_path / "live.log").open("w")
+    live = subprocess.Popen(
+        [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp", "--no-autoplay"],
+        stdout=log,
+        stderr=subprocess.STDOUT,
+    )
+    # A busy machine is late.
+    given = ["--ros-args", "-p", "oldest:=60.0"]
+    controller = subprocess.Popen(
+        [sys.executable, str(EXAMPLES / "controller.py"), *given],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        zeroed = next(line for line in controller.stdout if line.startswith("zero: reference"))
+        assert "but" not in zeroed
+        loads = ros.publisher(WrenchStamped, "/sample_rig/indenter/load")
+        load = WrenchStamped()
+        load.header.frame_id, load.wrench.force.z = "sample_rig_gel_frame", -1.5
+        loads.publish(load)
+        rows = []
+        for line in controller.stdout:
+            if line.startswith("felt"):
+                rows.append([float(item) for item in re.findall(r"-?[\d.]+(?= N| mm)", line)])
+            # What the force stage reaches on another mesh than the simulator's, and noise.
+            if rows and abs(rows[-1][0] - 1.5) < 0.1:
+                break
+        for process in (controller, live):
+            process.send_signal(signal.SIGINT)
+            assert process.wait(timeout=60) == 0
+    finally:
+        controller.kill()
+        live.kill()
+        log.close()
+        controller.stdout.close()
+    assert rows[0][0] == pytest.approx(0, abs=0.1)
+    for felt, closing in rows:
+        # 50 um for each N that lacks of 2 N.
+        assert closing == pytest.approx(0.05 * (2 - felt), abs=1e-4)
