@@ -13,15 +13,16 @@ import numpy as np
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_simulation.recording.run import recording_of
 
 
 def main(bag: Path | None = None) -> None:
     """Print depth and force of every fifth frame of a bag with its sensor.yaml beside it."""
     bag = bag or recording_of("grasp")  # the first time, simulates it
+    frames = [recorded.image for recorded in BagReader(bag).frames()]
     # The first time, builds the force model of the sensor.
     pipeline = Pipeline(SensorDescription.load(bag / "sensor.yaml"))
-    frames = [recorded.image for recorded in BagReader(bag).frames()]
     pipeline.set_reference(frames[:2])  # the gel is at rest there
 
     print("frame   corners   deepest / mm   force on the gel / N")
@@ -34,4 +35,7 @@ def main(bag: Path | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    try:
+        main(*map(Path, sys.argv[1:]))
+    except CmpTactileError as error:
+        sys.exit(f"error: {error}")

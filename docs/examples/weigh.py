@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_simulation.recording.truth import read_truth
 
 GRAVITY = 9.80665
@@ -24,8 +25,8 @@ REST_FRAMES = 3  # nothing touches the gel in the first ones
 
 def weigh(bag: Path, sensor: SensorDescription) -> NDArray[np.float64]:
     """Weight and its standard deviation for each frame, (n, 2) g."""
-    pipeline = Pipeline(sensor)  # the first time, builds the force model of the sensor
     frames = list(BagReader(bag).frames())
+    pipeline = Pipeline(sensor)  # the first time, builds the force model of the sensor
     pipeline.set_reference(frame.image for frame in frames[:REST_FRAMES])
     weights = []
     for frame in frames:
@@ -69,4 +70,7 @@ def main(bag: Path, sensor: Path | None = None, picture: Path | None = None) -> 
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    try:
+        main(*map(Path, sys.argv[1:]))
+    except CmpTactileError as error:
+        sys.exit(f"error: {error}")
