@@ -114,10 +114,12 @@ class StartGate:
     """Nothing is played before it opens, or `timeout` s have passed, whichever comes first.
 
     remaining: how long it stays closed, s; None as long as that is not known.
+    give_up: is called, on the player's thread, before it plays although the gate is closed.
     """
 
     remaining: Callable[[], float | None]
     timeout: float
+    give_up: Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -252,7 +254,10 @@ class Player:
             return
         deadline = time.monotonic() + self._gate.timeout
         while (remaining := self._gate.remaining()) is None:
-            if self._worker.wait(POLL_TIME) or time.monotonic() > deadline:
+            if self._worker.wait(POLL_TIME):
+                return
+            if time.monotonic() > deadline:
+                self._gate.give_up()
                 return
         self._worker.wait(remaining)
 

@@ -38,21 +38,27 @@ ZSTD_LEVEL = 1
 
 @dataclass
 class FileStatistics:
-    """Messages by channel, and the first and last of their log times in ns."""
+    """Messages by channel, and the first and last of their log times in ns.
+
+    repeated: those of them that a file before has already.
+    """
 
     counts: Counter[int] = field(default_factory=Counter)
+    repeated: Counter[int] = field(default_factory=Counter)
     start_ns: int = 2**63 - 1
     end_ns: int = 0
 
-    def count(self, channel: int, log_ns: int) -> None:
+    def count(self, channel: int, log_ns: int, *, repeated: bool) -> None:
         """Count in a message."""
         self.counts[channel] += 1
+        self.repeated[channel] += repeated
         self.start_ns = min(self.start_ns, log_ns)
         self.end_ns = max(self.end_ns, log_ns)
 
     def add(self, other: FileStatistics) -> None:
         """Count in what another has."""
         self.counts.update(other.counts)
+        self.repeated.update(other.repeated)
         self.start_ns = min(self.start_ns, other.start_ns)
         self.end_ns = max(self.end_ns, other.end_ns)
 
@@ -65,13 +71,13 @@ class _Chunk:
         self.statistics = FileStatistics()
         self.indices: dict[int, records.MessageIndex] = {}
 
-    def add(self, message: records.Message) -> None:
+    def add(self, message: records.Message, *, repeated: bool) -> None:
         index = self.indices.setdefault(
             message.channel_id, records.MessageIndex(message.channel_id, [])
         )
         index.records.append((message.log_time, self.builder.count))
         message.write(self.builder)
-        self.statistics.count(message.channel_id, message.log_time)
+        self.statistics.count(message.channel_id, message.log_time, repeated=repeated)
 
 
 class McapFile:
@@ -123,7 +129,9 @@ class McapFile:
         channel.write(self._chunk.builder)
         return channel.id
 
-    def write(self, channel: int, log_ns: int, publish_ns: int, data: bytes) -> None:
+    def write(
+        self, channel: int, log_ns: int, publish_ns: int, data: bytes, *, repeated: bool = False
+    ) -> None:
         """Add a message; a chunk that is full goes to the file."""
         self._chunk.add(
             records.Message(
@@ -132,7 +140,8 @@ class McapFile:
                 data=data,
                 publish_time=publish_ns,
                 sequence=0,
-            )
+            ),
+            repeated=repeated,
         )
         if self._chunk.builder.count > CHUNK_BYTES:
             self.flush()
@@ -406,15 +415,17 @@ class BagWriter:
     def _repeat_latched(self, log_ns: int) -> None:
         for topic, messages in self._latched.items():
             for publish_ns, data in messages:
-                self._put(topic, log_ns, publish_ns, data)
-                self.repeated[topic] += 1
+                self._put(topic, log_ns, publish_ns, data, repeated=True)
         self._repeated_bytes = self._file.size
 
-    def _put(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
+    def _put(
+        self, topic: str, log_ns: int, publish_ns: int, data: bytes, *, repeated: bool = False
+    ) -> None:
         if topic not in self._channels:
             self._channels[topic] = self._add_channel(self._topics[topic])
         try:
-            self._file.write(self._channels[topic], log_ns, publish_ns, data)
+            channel = self._channels[topic]
+            self._file.write(channel, log_ns, publish_ns, data, repeated=repeated)
         except OSError as error:
             raise _write_error(self._file.path, error) from None
 
@@ -474,6 +485,7 @@ class BagWriter:
             statistics = self._file.statistics
             for topic, channel in self._channels.items():
                 self.counts[topic] += statistics.counts[channel]
+                self.repeated[topic] += statistics.repeated[channel]
             self._files.append(_WrittenFile(self._file.path.name, statistics))
             with suppress(OSError):
                 self._bytes += self._file.path.stat().st_size

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -39,6 +40,7 @@ from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.diagnostics.graph_watch import COMPRESSED, other_transport
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import (
     Finding,
@@ -54,6 +56,8 @@ from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SUBSCRIPTION_DEPTH = 100
+# Publishers of one image in two transports come one after the other.
+TRANSPORT_PATIENCE_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -61,16 +65,21 @@ class FoundTopic:
     """A topic that is published.  kind: its type's name.
 
     qos: for a subscription that all publishers match.  offered: profiles of the publishers.
+    instead_of: the wanted topic whose image this has, where nobody publishes that.
     """
 
     name: str
     kind: str
     qos: QoSProfile
     offered: tuple[interfaces.Qos, ...]
+    instead_of: str = ""
 
 
 class TopicWatch:
-    """The topics that fit a list of names and patterns."""
+    """The topics that fit a list of names and patterns.
+
+    Of an image that comes as TOPIC/compressed alone, that is taken for TOPIC.
+    """
 
     def __init__(self, node: Node, wanted: Sequence[str]) -> None:
         """wanted: relative to the node's namespace or absolute; `*` stands for anything."""
@@ -81,11 +90,13 @@ class TopicWatch:
         ]
         self._own = node.get_fully_qualified_name() + "/"
         self._found: dict[str, QoSProfile] = {}
+        self._compressed_since: dict[str, float] = {}
 
     @property
     def missing(self) -> list[str]:
         """Names, without patterns, that nobody has published yet."""
-        return [item for item in self._wanted if "*" not in item and item not in self._found]
+        names = [item for item in self._wanted if "*" not in item]
+        return [item for item in names if not self._found.keys() & {item, item + COMPRESSED}]
 
     @property
     def complete(self) -> bool:
@@ -102,10 +113,12 @@ class TopicWatch:
         A reliable subscription gets nothing of that, one with the new `qos` hears all.
         """
         found = []
-        for name, kinds in self._node.get_topic_names_and_types():
+        kinds_of = dict(self._node.get_topic_names_and_types())
+        in_place = self._compressed_alone(kinds_of)
+        for name, kinds in kinds_of.items():
             if name.startswith(self._own):
                 continue
-            if not any(fnmatchcase(name, item) for item in self._wanted):
+            if not any(fnmatchcase(name, item) for item in (*self._wanted, *in_place)):
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
             if not publishers:
@@ -116,8 +129,26 @@ class TopicWatch:
             if known is None or qos.reliability != known.reliability:
                 self._found[name] = qos
                 offered = tuple(_recorded_qos(item) for item in profiles)
-                found.append(FoundTopic(name, kinds[0], qos, offered))
+                instead_of = in_place.get(name, "")
+                found.append(FoundTopic(name, kinds[0], qos, offered, instead_of))
         return found
+
+    def _compressed_alone(self, kinds_of: dict[str, list[str]]) -> dict[str, str]:
+        """Topics of compressed images, with the wanted one that is not there for a while."""
+        now, since = time.monotonic(), self._compressed_since
+        alone = [
+            item
+            for item in self.missing
+            if kinds_of.get(item + COMPRESSED) == [COMPRESSED_IMAGE]
+            and self._node.count_publishers(item + COMPRESSED)
+            and not self._node.count_publishers(item)
+        ]
+        self._compressed_since = {item: since.get(item, now) for item in alone}
+        return {
+            item + COMPRESSED: item
+            for item, first in self._compressed_since.items()
+            if now - first >= TRANSPORT_PATIENCE_S
+        }
 
 
 def message_type(kind: str) -> Any:
@@ -229,7 +260,8 @@ class Recorder(ReportingNode):
     """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
 
     Each message has two times: when it came here, and the stamp of its header.  Frames are
-    compressed as `compression` says: png and jpeg go to `image_raw/compressed`.  `sensor.yaml`
+    compressed as `compression` says: png and jpeg go to `image_raw/compressed`; where only that is
+    published, it is recorded for `image_raw`.  `sensor.yaml`
     beside the files is the sensor description.  What the disk is too slow for is dropped and
     counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
@@ -252,8 +284,11 @@ class Recorder(ReportingNode):
 
     @property
     def missing_topics(self) -> list[str]:
-        """Topics that are to be recorded and that nobody has published yet."""
-        return self._watch.missing
+        """Topics that are to be recorded and that nobody has published yet.
+
+        Each with the topic of the same image in another transport, where that is published.
+        """
+        return [topic + other_transport(self, topic) for topic in self._watch.missing]
 
     def destroy_node(self) -> None:
         """Close the bag, then destroy the node."""
@@ -349,6 +384,9 @@ class Recorder(ReportingNode):
         except BagWriteError as error:
             self.get_logger().warning(f"{topic.name}: is not recorded: {error}")
             return
+        if topic.instead_of:
+            text = f"is not published, {topic.name} is recorded in its place"
+            self.get_logger().warning(f"{topic.instead_of}: {text}")
         known = self._taps.get(topic.name)
         tap = known[0] if known else self._tap(topic)
         self._taps[topic.name] = tap, self._listen(tap, kind, topic.qos, recorder)
@@ -448,7 +486,7 @@ class Recorder(ReportingNode):
         finding, dropped = Finding(DiagnosticStatus.OK, ""), 0
         if progress is not None:
             dropped = sum(progress.dropped.values())
-            missing = self._watch.missing if records else []
+            missing = self.missing_topics if records else []
             values |= _figures(progress)
             values |= {"bag": self.bag, "not published yet": " ".join(missing)}
             finding = _finding(progress, dropped)

@@ -83,6 +83,10 @@ class CommonStart:
         # A clock of another machine may differ by anything.
         return min(max(0.0, SETTLE_TIME - passed), SETTLE_TIME)
 
+    def missing(self) -> list[str]:
+        """Other replays that are not ready.  From any thread."""
+        return [name for name, since in self._since_ns.items() if name and since is None]
+
     def _keeper_for(self, name: str) -> Callable[[Header], None]:
         def keep(message: Header) -> None:
             self._since_ns[name] = Time.from_msg(message.stamp).nanoseconds
@@ -184,7 +188,11 @@ class Replay(ReportingNode):
         if wanted or others:
             publisher = self._image_publisher
             start = CommonStart(self, lambda: publisher.get_subscription_count() >= wanted, others)
-            gate = StartGate(start.remaining, self._settings.wait_timeout)
+            gate = StartGate(
+                start.remaining,
+                self._settings.wait_timeout,
+                lambda: self._warn_of_missing(start.missing()),
+            )
         options = PlayOptions(
             rate=self._settings.rate,
             start=self._settings.start,
@@ -193,6 +201,15 @@ class Replay(ReportingNode):
             paused=self._settings.paused,
         )
         return Player(self._recordings, self._send, options, gate)
+
+    def _warn_of_missing(self, replays: list[str]) -> None:
+        publisher, wanted = self._image_publisher, self._settings.wait_for_subscribers
+        missing, count = list(replays), publisher.get_subscription_count()
+        if count < wanted:
+            text = f"found {count} subscribers, expected {wanted}"
+            missing.insert(0, f"{publisher.topic_name}: {text}")
+        text = f"begins after {self._settings.wait_timeout:g} s without what it waited for"
+        self.get_logger().warning(f"{text} (a recorder misses frames): {', '.join(missing)}")
 
     def _send(self, message: RecordedMessage) -> None:
         self._publish_clock(message.time_ns)

@@ -145,7 +145,8 @@ def test_stop_while_paused_ends_the_thread():
 def test_gate_holds_back_the_first_message():
     opened = threading.Event()
     sent: list[int] = []
-    gate = StartGate(lambda: 0.05 if opened.is_set() else None, timeout=60.0)
+    gave_up: list[bool] = []
+    gate = StartGate(lambda: 0.05 if opened.is_set() else None, 60.0, lambda: gave_up.append(True))
     player = Player([_Recording()], lambda m: sent.append(m.stamp_ns), PlayOptions(), gate)
     player.start()
     time.sleep(0.1)
@@ -154,14 +155,18 @@ def test_gate_holds_back_the_first_message():
     opened.set()
     _wait_finished(player)
     assert sent == list(range(10))
+    assert gave_up == []
 
 
 def test_gate_gives_up_waiting():
-    gate = StartGate(lambda: None, timeout=0.05)
+    gave_up: list[int] = []
+    gate = StartGate(lambda: None, 0.05, lambda: gave_up.append(player.progress.frames))
     player = Player([_Recording()], lambda _: None, PlayOptions(), gate)
     player.start()
     _wait_finished(player)
     assert player.progress.frames == 10
+    # Once, before the first frame.
+    assert gave_up == [0]
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,24 @@ def test_no_frame_is_sent_before_the_other_replay_is_there(ros, frame_bag, frame
     ros.wait(lambda: len(images) == 2 * len(frames), "the frames of both")
 
 
-def test_a_replay_that_never_comes_is_not_waited_for_without_end(ros, frame_bag, frames):
+@pytest.mark.parametrize(
+    ("options", "missing"),
+    [
+        ({"begin_with": "/nobody"}, "/nobody"),
+        ({"wait_for_subscribers": 2}, "image_raw: found 1 subscribers, expected 2"),
+    ],
+)
+def test_who_never_comes_is_not_waited_for_without_end_and_named(  # noqa: PLR0917  fixtures
+    ros, frame_bag, frames, capfd, options, missing
+):
+    """As one line: the first frames will be missing, such as in a bag.
+
+    Reports: ros2/rosbag2 1430 (the first messages are not in the bag, nobody says so),
+    ros/ros_comm 959 (play waits for its subscribers); tried: waits, and names who did not come.
+    """
     images = ros.listen(Image, "image_raw")
-    ros.start(Replay, input=str(frame_bag), begin_with="/nobody", wait_timeout=0.3, rate=10.0)
+    ros.start(Replay, input=str(frame_bag), wait_timeout=2.0, rate=10.0, **options)
     ros.wait(lambda: len(images) == len(frames), "the frames")
+    said = [line for line in capfd.readouterr().err.splitlines() if "begins after 2 s" in line]
+    assert len(said) == 1
+    assert missing in said[0]

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -26,7 +27,7 @@ from geometry_msgs.msg import TransformStamped, WrenchStamped
 from rclpy.event_handler import UnsupportedEventTypeError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
@@ -283,6 +284,45 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
     assert [frame.stamp_ns for frame in back] == times[: len(back)]
     assert f"{len(back)} messages can be read, any after them are lost" in reader.loss
     assert "the file has no end" in reader.loss
+
+
+def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, bags, capfd):
+    """Not where it is published raw, too, as image_transport does.
+
+    Reports: realsenseai/realsense-ros 2017 (wants the one type, has the other), ros2/rosbag2 829
+    (topics that are not recorded without a word); tried: recorded, with one line.
+    """
+    frames, times = bags.frames(3), bags.stamps(3)
+    publisher = ros.node.create_publisher(CompressedImage, "image_raw/compressed", 100)
+    both = [
+        ros.node.create_publisher(kind, f"both{suffix}", 100)
+        for kind, suffix in ((Image, ""), (CompressedImage, "/compressed"))
+    ]
+    node = ros.start(Recorder, output=str(output), topics="image_raw both")
+    messages = []
+    for frame, stamp in zip(frames, times, strict=True):
+        message = CompressedImage(format="mono8; png compressed ")
+        message.header = image(frame, stamp).header
+        message.data = array.array("B", cv2.imencode(".png", frame)[1].tobytes())
+        messages.append(message)
+    recorded(ros, node, publisher, messages)
+    assert node.missing_topics == []
+    assert [item.get_subscription_count() for item in both] == [1, 0]
+    node._stop()
+    assert capfd.readouterr().err.count("image_raw/compressed is recorded in its place") == 1
+    back = list(BagReader(output).frames())
+    assert [frame.stamp_ns for frame in back] == times
+    assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
+
+
+def test_a_topic_that_is_missing_in_one_transport_is_named_with_the_other(ros, output):
+    ros.node.create_publisher(Image, "image_raw", 10)
+    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+    node = ros.start(Recorder, output=str(output), topics="image_raw/compressed other")
+    there = f"(there is {ros.namespace}/image_raw, sensor_msgs/msg/Image)"
+    expected = [f"{ros.namespace}/image_raw/compressed {there}", f"{ros.namespace}/other"]
+    ros.wait(lambda: node.missing_topics == expected, "the topic that is there")
+    ros.wait(lambda: there in values(statuses).get("not published yet", ""), "the same as status")
 
 
 def accounted(figures: dict[str, str]) -> int:

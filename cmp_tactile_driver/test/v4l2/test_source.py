@@ -79,7 +79,7 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_reported(open_source,
     source.start()
     other_size = cv2.imencode(".jpg", smooth[:40])[1].tobytes()
     for data, flags, reason in (
-        (jpeg[: len(jpeg) // 2], 0, "damaged JPEG .*Premature end"),
+        (jpeg[: len(jpeg) // 2], 0, "damaged JPEG .*premature end"),
         (b"", 0, "found 0 bytes that are no readable image"),
         (b"\xff\xd8 nothing \xff\xd9", 0, "no readable image"),
         (_jpeg_of_size(jpeg, 65500, 65500), 0, "found 65500 x 65500 px, expected 64 x 48 px"),

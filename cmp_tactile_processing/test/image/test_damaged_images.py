@@ -6,18 +6,29 @@ Public reports, each tried here:
 - opencv/opencv 26488 (what is missing is filled from the picture before): FrameError.
 - opencv/opencv 20531, 21373 ("1 extraneous bytes before marker 0xdb", Logitech C270): between two
   segments of the header, harmless: read, and damage behind it is found all the same.
-- libjpeg-turbo/libjpeg-turbo 157, libavg/libavg 782 ("2 extraneous bytes before marker 0xd6", in
-  the pixels, a Logitech camera): FrameError, as such a restart interval was not decoded whole.
+- image-rs/jpeg-decoder 76 (a frame of a Logitech camera that is in its tests), pupil-labs/pupil
+  1816, Motion-Project/motion 65, libavg/libavg 782, opencv/opencv 9477 ("6 extraneous bytes before
+  marker 0xd1"): 71 of its 540 restart intervals have a byte 0xff more than their pixels: read.
+- ros-drivers/axis_camera 51 ("651 extraneous bytes before marker 0xd9"): read where those bytes are
+  0x00 or 0xff, else FrameError, as a picture with a wrong byte looks the same.
+- libjpeg-turbo/libjpeg-turbo 157, image-rs/jpeg-decoder 100 ("2634 extraneous bytes before marker
+  0xd2", pixels that were not decoded): FrameError.
+- etemesi254/zune-image 136, blackjack/webcam 7, libavg/libavg 739 (no Huffman tables): read.
+- intel/libyami 801, ruffle-rs/ruffle 8820 (no end of the image): read if the pixels are whole.
 """
 
 from __future__ import annotations
+
+import itertools
+import re
 
 import cv2
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_compressed, decode_image, decode_jpeg
+from cmp_tactile_processing.image.compressed import decode_compressed, decode_image
+from cmp_tactile_processing.image.jpeg import decode_jpeg
 
 # Beyond it a pixel is not that of the picture; JPEG of quality 90 changes noise by less.
 WRONG = 40
@@ -105,6 +116,88 @@ def test_bytes_between_the_segments_of_a_header_are_passed_over(picture):
         np.testing.assert_array_equal(_decode(filled), expected)
         with pytest.raises(FrameError, match="damaged"):
             _decode(filled[:2000] + filled[2600:])
+
+
+def _with_fill(content: bytes, fill: bytes, every: int = 1) -> bytes:
+    """With `fill` before each `every`-th restart marker and before the end of the image."""
+    count = itertools.count(1)
+
+    def filled(marker: re.Match[bytes]) -> bytes:
+        return fill * (next(count) % every == 0 or marker[0] == b"\xff\xd9") + marker[0]
+
+    begin = content.index(b"\xff\xda")
+    return content[:begin] + re.sub(rb"\xff[\xd0-\xd7\xd9]", filled, content[begin:])
+
+
+@pytest.mark.parametrize("fill", [b"\xff\x00", b"\xff\x00" * 9, b"\xff", bytes(1), bytes(651)])
+@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("interval", [0, 1, 7, 20])
+@pytest.mark.parametrize("kind", ["grey", "neutral", "colour", "noise"])
+def test_what_fills_up_before_a_marker_is_passed_over(picture, kind, interval, every, fill):
+    """Also where pixels end as what fills up does: 0x00 of no colours, 0xff of much detail."""
+    image = {
+        "grey": picture,
+        "neutral": np.dstack([picture] * 3),
+        "colour": np.dstack([picture, picture[::-1], picture]),
+        "noise": np.random.default_rng(4).integers(0, 256, picture.shape, np.uint8),
+    }[kind]
+    quality = (cv2.IMWRITE_JPEG_QUALITY, 99) if kind == "noise" else ()
+    content = _jpeg(image, cv2.IMWRITE_JPEG_RST_INTERVAL, interval, *quality)
+    expected = _decode(content)
+    np.testing.assert_array_equal(_decode(_with_fill(content, fill, every)), expected)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "colour"])
+def test_a_picture_without_its_end_is_read_if_its_pixels_are_whole(picture, kind):
+    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
+    content = _jpeg(image, *KINDS.get(kind, ()))
+    expected = _decode(content)
+    ends = [b"", b"\xff", b"\xff" * 500]
+    # The rest of a camera's buffer; no camera sends progressive ones.
+    ends += [bytes(1), bytes(500)] * (kind != "progressive")
+    for end in ends:
+        np.testing.assert_array_equal(_decode(content[:-2] + end), expected)
+        with pytest.raises(FrameError, match="damaged"):
+            _decode(content[:-42] + end)
+
+
+@pytest.mark.parametrize("kind", ["grey", "restarts", "colour"])
+def test_a_picture_without_huffman_tables_is_read(picture, kind):
+    """As cameras send it, of which many say so with a segment "AVI1"."""
+    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
+    content = _jpeg(image, *KINDS.get(kind, ()))
+    expected = _decode(content)
+    bare = re.sub(rb"(?s)\xff\xc4(\x00\x1f.{29}|\x00\xb5.{179})", b"", content)
+    assert b"\xff\xc4" not in bare
+    bare = b"\xff\xd8\xff\xe0\x00\x10AVI1" + bytes(10) + bare[20:]
+    for whole in (bare, bare[:-2], _with_fill(bare, b"\xff\x00")):
+        np.testing.assert_array_equal(_decode(whole), expected)
+    with pytest.raises(FrameError, match="damaged"):
+        _decode(bare[:4000] + bare[6000:])
+
+
+@pytest.mark.parametrize("fill", [b"\xff\x00", bytes(2)])
+@pytest.mark.parametrize("kind", ["grey", "restarts"])
+def test_damage_is_found_as_well_among_what_fills_up(picture, kind, fill):
+    """As many wrong bytes as without what fills up, and each part that is missing."""
+    content = _with_fill(_jpeg(picture, *KINDS[kind]), fill)
+    rng = np.random.default_rng(3)
+    expected = _decode(content).astype(int)
+    begin, refused, wrong = content.index(b"\xff\xda") + 20, 0, 0
+    for at in rng.integers(begin, len(content) - 10, 200):
+        damaged = bytearray(content)
+        damaged[at] ^= int(rng.integers(1, 256))
+        try:
+            found = _decode(bytes(damaged))
+        except FrameError:
+            refused += 1
+        else:
+            wrong += np.mean(np.abs(found - expected) > WRONG) > 0.02
+    assert refused > wrong
+    for share in (0.2, 0.5, 0.8):
+        at = int(share * len(content))
+        with pytest.raises(FrameError, match="damaged"):
+            _decode(content[:at] + content[at + 2000 :])
 
 
 def test_no_memory_is_taken_for_a_size_that_is_none(picture):

@@ -73,17 +73,10 @@ class ConnectionWatch:
         """
         topics = {end.topic_name for end in self._node.subscriptions} - {*OTHERS, CLOCK}
         return sorted(
-            topic + self._other_transport(topic)
+            topic + other_transport(self._node, topic)
             for topic in topics
             if not self._node.count_publishers(topic)
         )
-
-    def _other_transport(self, topic: str) -> str:
-        """The topic of the same image, raw or compressed, with its type; empty for none."""
-        base = topic.removesuffix(COMPRESSED)
-        other = base if topic != base else base + COMPRESSED
-        kinds = {item.topic_type for item in self._node.get_publishers_info_by_topic(other)}
-        return f" (there is {other}, {', '.join(sorted(kinds))})" if kinds else ""
 
     def _found(self) -> Iterator[tuple[tuple[str, str, str], str]]:
         for end in self._node.subscriptions:
@@ -94,6 +87,14 @@ class ConnectionWatch:
             if end.topic_name not in OTHERS:
                 others = self._node.get_subscriptions_info_by_topic(end.topic_name)
                 yield from _troubles(end, others, _publisher_trouble)
+
+
+def other_transport(node: Node, topic: str) -> str:
+    """The topic of the same image, raw or compressed, with its type; empty for none."""
+    base = topic.removesuffix(COMPRESSED)
+    other = base if topic != base else base + COMPRESSED
+    kinds = {item.topic_type for item in node.get_publishers_info_by_topic(other)}
+    return f" (there is {other}, {', '.join(sorted(kinds))})" if kinds else ""
 
 
 def _troubles(
