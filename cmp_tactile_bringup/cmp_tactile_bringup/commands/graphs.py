@@ -90,7 +90,8 @@ class Live(_Graph):
       topic   NAMESPACE/indenter/load     geometry_msgs/WrenchStamped, gel frame, force.z < 0
       service NAMESPACE/indenter/reset    std_srvs/Trigger, back to the beginning
 
-    What is true of each frame comes on NAMESPACE/truth/... . Ctrl-C ends it. The same as `ros2
+    What is true of each frame comes on NAMESPACE/truth/... . On a terminal, keys zero the sensor
+    (z), play the scene from its beginning (r) and end it (q); so does Ctrl-C. The same as `ros2
     launch cmp_tactile_bringup simulate.launch.py`, without needing launch.
     """
 
@@ -140,9 +141,11 @@ SECONDS = Number(0, 1e6, "s")
 @dataclass(frozen=True, kw_only=True)
 class Replay(_Graph):
     """Start the nodes of one sensor in a component container and play bags, videos or folders of
-    images into them. Ctrl-C ends it. The same as `ros2 launch cmp_tactile_bringup
-    replay.launch.py`, without needing launch. Two fingers are replayed by `cmp_tactile gripper
-    left_source:=replay right_source:=replay ...`, which begins both at once.
+    images into them. On a terminal, keys pause (space), show the next frame (.), go a second back
+    or on (left, right), zero the sensor (z) and end it (q); so does Ctrl-C. The same as `ros2
+    launch cmp_tactile_bringup replay.launch.py`, without needing launch. Two fingers are replayed
+    by `cmp_tactile gripper left_source:=replay right_source:=replay ...`, which begins both at
+    once.
     """
 
     words: Annotated[

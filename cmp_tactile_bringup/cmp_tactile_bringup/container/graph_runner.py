@@ -237,7 +237,7 @@ def _run(
                 break
             if watch and loaded.is_set():
                 loaded.clear()
-                shown.enter_context(RunningLine(graph))
+                shown.enter_context(RunningLine(graph, on_quit=stop.set))
     if failures and not stop.by_signal:
         sys.stderr.write(printable(f"error: {failures[0]}") + "\n")
         return 1

@@ -7,17 +7,20 @@ import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TextIO
+from functools import partial
+from typing import Any, TextIO
 
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_bringup.graphs.description import Graph
+from cmp_tactile_bringup.terminal.keys import LEFT, RIGHT, pressed_keys, takes_keys
 from cmp_tactile_msgs.msg import ForceField
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.ros.process import Listener
@@ -32,6 +35,8 @@ APPENDED_S = 5.0
 FRAMES_OF_RATE = 40
 CLEAR_LINE = "\x1b[K"
 
+PAUSE, QUIT = " ", "q"
+
 SPLITTER = "view_splitter"
 # The service that sets displacement and force to zero, below a sensor's namespace.
 ZERO = "stereo_triangulator/set_reference"
@@ -41,18 +46,73 @@ SEARCH_TIME_S = 5.0
 class RunningLine(Listener):
     """While it lasts, writes what a graph's first sensor feels, and how many frames a second."""
 
-    def __init__(self, graph: Graph, out: TextIO | None = None) -> None:
-        """Begins with what the user may do next."""
+    def __init__(
+        self,
+        graph: Graph,
+        out: TextIO | None = None,
+        keys: TextIO | None = None,
+        on_quit: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Begins with what the user may do next.
+
+        keys: stdin, where None; of a terminal, its keys call services.  on_quit: what q does.
+        """
         super().__init__("running_line")
         self._graph, self._out = graph, out or sys.stdout
+        self._on_quit = on_quit
+        self._keys = pressed_keys(self._on_key, keys)
+        self._has_keys = takes_keys(sys.stdin if keys is None else keys)
+        self._calls = key_calls(graph)
+        self._clients: dict[str, Any] = {}
+        self._paused = any(item.parameters.get("paused") for item in graph.components)
         self._in_place = self._out.isatty() and os.environ.get("TERM") != "dumb"
         self._arrivals: deque[float] = deque(maxlen=FRAMES_OF_RATE)
         self._shown = -APPENDED_S
 
+    def __enter__(self) -> RunningLine:
+        super().__enter__()
+        self._keys.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        try:
+            self._keys.__exit__(*error)
+        finally:
+            super().__exit__(*error)
+
     def _subscribe(self) -> None:
         self._out.write(next_steps(self._graph))
         namespace = _namespace(self._graph)
+        if self._has_keys:
+            self._out.write(f"Keys: {keys_line(self._calls)}\n")
+            for key, call in self._calls.items():
+                kind = SetBool if key == PAUSE else Trigger
+                self._clients[key] = self.node.create_client(kind, call.service)
         self.node.create_subscription(ForceField, f"{namespace}/force_field", self._on_force, 10)
+
+    def _on_key(self, key: str) -> None:
+        if key == QUIT:
+            self._on_quit()
+        elif key in self._clients:
+            request = SetBool.Request(data=not self._paused) if key == PAUSE else Trigger.Request()
+            if not self._clients[key].service_is_ready():
+                self._write_above(f"{self._calls[key].what}: not ready yet")
+                return
+            future = self._clients[key].call_async(request)
+            future.add_done_callback(partial(self._on_answer, key))
+
+    def _on_answer(self, key: str, future: Any) -> None:
+        answer = future.result()
+        if key == PAUSE and answer.success:
+            self._paused = answer.message == "paused"
+        result = answer.message or ("done" if answer.success else "refused")
+        self._write_above(f"{self._calls[key].what}: {result}")
+
+    def _write_above(self, text: str) -> None:
+        """A line that stays, above the one that is written again."""
+        with suppress(OSError):
+            self._out.write(printable(text) + (f"{CLEAR_LINE}\n" if self._in_place else "\n"))
+            self._out.flush()
 
     def _on_force(self, message: ForceField) -> None:
         now = time.monotonic()
@@ -66,6 +126,36 @@ class RunningLine(Listener):
         with suppress(OSError):  # the reader of a pipe has gone; the sensor runs on
             self._out.write(f"{line[:width]}{CLEAR_LINE}\r" if self._in_place else f"{line}\n")
             self._out.flush()
+
+
+@dataclass(frozen=True)
+class KeyCall:
+    """What a key does, in words, and by which service."""
+
+    what: str
+    service: str
+
+
+def key_calls(graph: Graph) -> dict[str, KeyCall]:
+    """The keys of a graph that call a service, those of its first sensor."""
+    namespace = _namespace(graph)
+    calls = {"z": KeyCall("zero", f"{namespace}/{ZERO}")}
+    for item in graph.components:
+        if item.plugin.endswith("::Replay"):
+            name = item.full_name
+            calls[PAUSE] = KeyCall("pause", f"{name}/pause")
+            calls["."] = KeyCall("next frame", f"{name}/step")
+            calls[LEFT] = KeyCall("1 s back", f"{name}/back")
+            calls[RIGHT] = KeyCall("1 s on", f"{name}/forward")
+        elif item.parameters.get("source") == "simulated":
+            calls["r"] = KeyCall("scene from its beginning", f"{namespace}/indenter/reset")
+    return calls
+
+
+def keys_line(calls: Mapping[str, KeyCall]) -> str:
+    """The keys and what they do, in one line."""
+    named = [f"{'space' if key == PAUSE else key} {call.what}" for key, call in calls.items()]
+    return ", ".join([*named, f"{QUIT} quit"])
 
 
 def next_steps(graph: Graph) -> str:

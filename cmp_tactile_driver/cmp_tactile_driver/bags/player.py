@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import cycle
 from typing import Generic, TypeVar
 
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
@@ -79,6 +80,8 @@ class Prefetch(Generic[T]):
 
 
 POLL_TIME = 0.02
+# From the last message, in which its time is not lost by rounding.
+SURELY_WITHIN_S = 1e-6
 PREFETCH_DEPTH = 16
 """Messages that are read and decoded ahead: half a dozen frames or more."""
 
@@ -126,7 +129,8 @@ class StartGate:
 class Progress:
     """How far the player is.  frames: sent so far.  passes: through the whole recording.
 
-    bad_frames, problem: of the recording.  max_lateness: s.
+    bad_frames, problem: of the recording.  max_lateness: s.  position: of what was sent last, in s
+    from the first frame.
     """
 
     state: PlayerState
@@ -135,6 +139,7 @@ class Progress:
     bad_frames: int
     problem: str
     max_lateness: float
+    position: float
 
 
 class _Mark(Enum):
@@ -165,7 +170,7 @@ class Player:
         self._pacer = Pacer()
         self._state = PlayerState.WAITING if gate else PlayerState.PLAYING
         self._frames = self._passes = 0
-        self._gap = 0.0
+        self._gap = self._position = 0.0
         self._last_s: float | None = None
         self._condition = threading.Condition()
         self._paused = options.paused
@@ -187,6 +192,7 @@ class Player:
             sum(item.bad_frames for item in health),
             failure or next((item.problem for item in health if item.problem), ""),
             self._pacer.max_lateness,
+            self._position,
         )
 
     @property
@@ -224,6 +230,21 @@ class Player:
         with self._condition:
             self._jump_to = start
             self._condition.notify_all()
+
+    def jump_by(self, seconds: float) -> float | None:
+        """Go on from so much later, or earlier; the place, s.  None where nothing is played.
+
+        While it is paused, the first frame of there is sent.
+        """
+        with self._condition:
+            if self.progress.state not in (PlayerState.PLAYING, PlayerState.PAUSED):
+                return None
+            here = self._position if self._jump_to is None else self._jump_to
+            last = sum(item.duration for item in self._recordings) - SURELY_WITHIN_S
+            self._jump_to = max(0.0, min(here + seconds, last))
+            self._steps = int(self._paused)
+            self._condition.notify_all()
+            return self._jump_to
 
     def stop(self) -> None:
         """End, and wait for the thread; may be called more than once."""
@@ -263,13 +284,15 @@ class Player:
 
     def _play_from(self, start: float) -> bool:
         """Whether all was played; False where it was stopped or is to jump."""
+        durations, offset = cycle(item.duration for item in self._recordings), 0.0
         with Prefetch(self._timeline(start), PREFETCH_DEPTH) as items:
             for item in items:
                 if item is _Mark.RECORDING_OVER:
                     self._last_s = None
+                    offset += next(durations)
                 elif item is _Mark.ALL_OVER:
-                    self._passes += 1
-                elif not self._play(item):
+                    self._passes, offset = self._passes + 1, 0.0
+                elif not self._play(item, offset):
                     return False
         return True
 
@@ -284,7 +307,8 @@ class Player:
                     yield message
                 offset += recording.duration
                 yield _Mark.RECORDING_OVER
-            if not sent:
+            # Behind the end there is nothing to play, and nothing wrong.
+            if not sent and start == self._options.start:
                 names = ", ".join(item.name for item in self._recordings)
                 msg = f"{names}: found no message after start = {start} s"
                 raise FrameSourceError(msg)
@@ -293,28 +317,36 @@ class Player:
                 return
             start = self._options.start
 
-    def _play(self, message: RecordedMessage) -> bool:
+    def _play(self, message: RecordedMessage, offset: float) -> bool:
+        """False where it was stopped or is to jump.  offset: where its recording begins, s."""
         elapsed = self._gap if self._last_s is None else message.time_s - self._last_s
         self._last_s = message.time_s
-        if not self._wait_until_due(max(0.0, elapsed)):
+        is_frame = isinstance(message, RecordedFrame)
+        if not self._wait_until_due(max(0.0, elapsed), is_step=is_frame):
             return False
         self._send(message)
-        if isinstance(message, RecordedFrame):
-            self._frames += 1
-            self._steps = max(0, self._steps - 1)
+        self._position = offset + message.time_s
+        self._frames += is_frame
         # From the end of one pass to the beginning of the next is one frame's time.
         self._gap = elapsed or self._gap
         return True
 
-    def _wait_until_due(self, elapsed: float) -> bool:
-        """False where it was stopped or is to jump.  elapsed: recorded time, s."""
+    def _wait_until_due(self, elapsed: float, *, is_step: bool) -> bool:
+        """False where it was stopped or is to jump.
+
+        elapsed: recorded time, s.  is_step: what is sent then is what one step asked for.
+        """
         with self._condition:
             if self._paused:
                 self._condition.wait_for(lambda: not self._paused or self._steps or self._ends)
                 self._pacer.restart()
             delay = self._pacer.delay(elapsed / self._rate)
             self._condition.wait_for(lambda: self._ends, delay)
-            return not self._ends
+            if self._ends:
+                return False
+            # Before it is sent: what is asked for meanwhile is for the next one.
+            self._steps = max(0, self._steps - is_step)
+            return True
 
     @property
     def _ends(self) -> bool:

@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -99,6 +100,8 @@ STATUS_CHECK_PERIOD = 0.1
 PUBLISHER_DEPTH = 60
 # /clock goes on not quicker than that, s, as with ros2 bag: it wakes every node that listens.
 CLOCK_PERIOD = 0.025
+# By how much ~/back and ~/forward go.
+JUMP_S = 1.0
 
 
 class Replay(ReportingNode):
@@ -106,7 +109,8 @@ class Replay(ReportingNode):
 
     Compressed frames are published as they were before.  No frame is left out: where publishing
     is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
-    while it is paused.  `~/status` (latched) reports state and counts, also once all is sent.
+    while it is paused, `~/back` and `~/forward` go on from a second earlier or later.  `~/status`
+    (latched) reports state and counts, also once all is sent.
     Replays that begin together synchronise on `~/ready` (std_msgs/Header, latched).
     Raises CmpTactileError where parameters or recording cannot be used.
     """
@@ -159,6 +163,8 @@ class Replay(ReportingNode):
         self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
+        self.create_service(Trigger, "~/back", partial(self._on_jump, -JUMP_S))
+        self.create_service(Trigger, "~/forward", partial(self._on_jump, JUMP_S))
         # Steady: the clock of the recording stops with it.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(STATUS_CHECK_PERIOD, self._report_change, clock=steady)
@@ -262,6 +268,14 @@ class Replay(ReportingNode):
         response.message = "" if response.success else f"{player.progress.state.value}, not paused"
         return response
 
+    def _on_jump(self, seconds: float, _request: Any, response: Any) -> Any:
+        player = self._require_player()
+        place = player.jump_by(seconds)
+        response.success = place is not None
+        state = player.progress.state.value
+        response.message = f"{state}, not playing" if place is None else f"{state} at {place:.2f} s"
+        return response
+
     def _use_parameters(self, parameters: list[Parameter[Any]]) -> None:
         for parameter in parameters:
             if parameter.name == "rate":
@@ -307,6 +321,7 @@ class Replay(ReportingNode):
             "bad frames": progress.bad_frames,
             "rate (Hz)": period.values["rate (Hz)"],
             "passes": progress.passes,
+            "position (s)": f"{progress.position:.3f}",
             "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
             "wrong connections": "; ".join(self.connections.texts()) or "none",
             "problem": progress.problem,

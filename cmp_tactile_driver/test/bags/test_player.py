@@ -222,6 +222,29 @@ def test_jump_goes_on_from_there(paused):
     assert sent == [0, 7, 8, 9]
 
 
+def test_a_jump_by_seconds_shows_the_frame_there_and_stays_within():
+    """Also in the second of two recordings."""
+    player, _ = _play(PlayOptions(paused=True, loop=True), _Recording(), _Recording())
+    _wait(player.step)
+    _wait(lambda: player.progress.frames == 1)
+    assert player.progress.position == 0
+    duration = _Recording().duration
+    assert player.jump_by(duration + 0.025) == pytest.approx(duration + 0.025)
+    _wait(lambda: player.progress.position == pytest.approx(duration + 0.03))
+    for seconds, position in ((100.0, 2 * duration), (-100.0, 0.0)):
+        player.jump_by(seconds)
+        _wait(lambda position=position: player.progress.position == pytest.approx(position))
+    player.stop()
+    assert player.jump_by(-1.0) is None
+
+
+def test_a_jump_behind_the_end_ends_and_is_no_failure():
+    player, sent = _play(PlayOptions(paused=True))
+    player.jump(100.0)
+    _wait_finished(player)
+    assert sent == []
+
+
 def test_what_comes_next_is_read_while_it_is_paused():
     """So that neither reading nor decoding delays a frame."""
     read: list[int] = []
