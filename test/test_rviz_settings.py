@@ -5,6 +5,8 @@ without a word.
 """
 
 import re
+from collections import Counter
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -12,15 +14,17 @@ import numpy as np
 import pytest
 import yaml
 from command_output import output_of
-from made_forces import made_field
-from scipy.spatial.transform import Rotation
+from made_forces import made_contact, made_field
 
 pytest.importorskip("rclpy")
 
 
-from cmp_tactile_bringup.graphs.packaged import gripper
+from markers import look_of, mounts, moved
+from rviz_view import View, picture_px, read_settings, text_box
+
+from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.drawing.looks import DEPTH_PALETTE
-from cmp_tactile_processing.measured import SlipState
+from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.rviz.markers import (
     MarkerParameters,
@@ -59,6 +63,9 @@ TYPES = {
 TOUCHING = (SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)
 TOOLS = ("MoveCamera", "Select", "FocusCamera", "Measure")
 PANELS = {"rviz_common/Displays", "rviz_common/Views"}
+# Of lines of text, and of the picture that each gel covers where one or two are shown.
+LEAST_TEXT_PX = 12
+LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.04}}
 COMMON_KEYS = {"Class", "Enabled", "Name", "Value"}
 TOPIC_KEYS = {"Depth", "Durability Policy", "History Policy", "Reliability Policy", "Value"}
 VIEW_KEYS = (
@@ -169,58 +176,179 @@ def test_frames_do_not_cover_the_gels(name, settings):
     assert frames["Frames"] == {"All Enabled": True} | {name: {"Value": False} for name in hidden}
 
 
-def _projected(view, centre, points):
-    """Where points (N, 3) are in the picture of an orbit around `centre`, -1 to 1 at its borders.
+def _shown(name, *contacts):
+    """What the visualizer of each sensor of a graph draws at rest with these contacts."""
+    graph = load_graph("gripper") if name == "gripper.rviz" else load_graph("simulate")
+    sensor = load_sensor("sample_rig")
+    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    nodes = sensor.pattern.corners()
+    force = np.zeros_like(nodes)
+    force[4:9, 6:12, 2] = -0.05
+    field = made_field(
+        *nodes.shape[:2],
+        position=nodes.reshape(-1, 3),
+        force=force.reshape(-1, 3),
+        contact=force[..., 2].ravel() < 0,
+        contacts=contacts,
+    )
+    visualizers = [item for item in graph.components if item.name == "surface_visualizer"]
+    found = []
+    for item, (turn, origin) in zip(visualizers, mounts(graph), strict=True):
+        look = look_of(item)
+        drawn = [*surface_markers(surface, look), *force_markers(field, look)]
+        found.append([moved(marker, turn, origin) for marker in drawn])
+    return found
 
-    The camera of RViz sees 45 degrees of height.
+
+def _touch(x, y, state=SlipState.STICK, force=-4.0):
+    centre = np.array([x, y, 0.0])
+    pushed = np.array([0.5, 0.0, force])
+    outline = centre + 2e-3 * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
+    return made_contact(
+        [0, 1, 2],
+        slip=SlipEstimate(state),
+        wrench=np.concatenate([pushed, np.cross(centre, pushed)]),
+        covariance=np.diag([4e-4, 4e-4, 9e-4, 0, 0, 0]),
+        area=1.25e-5,
+        centre_of_pressure=centre,
+        outline=outline,
+    )
+
+
+def _views(name):
+    """Each saved view with its picture's size and the sensors that it is to show."""
+    settings = read_settings(name)
+    width, height = picture_px(settings)
+    views = settings["Visualization Manager"]["Views"]
+    found = [(View.of(views["Current"], height), slice(None))]
+    origins = [origin for _, origin in mounts(load_graph("gripper"))]
+    for number, view in enumerate(views["Saved"]):
+        found.append((View.of(view, height, origins[number]), slice(number, number + 1)))
+    return np.array([width, height]), found
+
+
+def _texts(markers, namespace):
+    return [marker for marker in markers if marker.text and marker.namespace == namespace]
+
+
+def _in_order(markers):
+    """The lines that belong together, from the top to the bottom as they are to be read."""
+    contact, legend = _texts(markers, "contact_text"), _texts(markers, "legend")
+    zero, deep, *scales = legend
+    numbers = sorted({marker.number // 3 for marker in contact})
+    of_contacts = [[m for m in contact if m.number // 3 == number] for number in numbers]
+    return [*of_contacts, [deep, zero], scales]
+
+
+def _bar_ends(markers, view):
+    """Heights on the screen of the palest and the darkest end of the colour bar, px."""
+    (bar,) = (m for m in markers if m.namespace == "legend" and len(m.points))
+    heights = view.project(bar.points)[0][:, 1]
+    brightness = bar.colours[:, :3].sum(axis=1)
+    return heights[brightness.argmax()], heights[brightness.argmin()]
+
+
+@pytest.mark.parametrize(
+    "contacts",
+    [
+        [_touch(0.0, 0.0)],
+        [_touch(-5e-3, 4e-3), _touch(5e-3, -4e-3, SlipState.FULL)],
+        [_touch(x, y) for x, y in ((-1e-3, 3e-3), (1e-3, 3e-3), (0.0, -3e-3))],
+    ],
+    ids=["one contact", "two contacts", "three close together"],
+)
+def test_texts_can_be_read_in_each_view(name, contacts):
+    """Lines high enough, in order, none on another, the bar large at its top, for each finger.
+
+    ros2/rviz/1336, ros-visualization/rviz/345: RViz puts 5 mm between the lines of one text: here
+    each line is a text, and no line has a break.  ros2/rviz/1261: a space is half of scale.x wide.
     """
-    camera, back, right, up = _camera(view, centre)
-    seen = points - camera
-    depth = -(seen @ back)
-    flat = np.stack([seen @ right, seen @ up], axis=-1) / depth[:, None]
-    return flat / np.tan(np.radians(45 / 2))
-
-
-def _camera(view, centre):
-    yaw, pitch = view["Yaw"], view["Pitch"]
-    back = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
-    right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-    return centre + view["Distance"] * back, back, right, np.cross(back, right)
-
-
-def test_both_gels_of_the_gripper_can_be_read():
-    """From 30 degrees off their planes at least, whole and beside one another."""
-    folder = ROOT / "cmp_tactile_bringup"
-    text = (folder / "rviz" / "gripper.rviz").read_text(encoding="utf-8")
-    views = yaml.safe_load(text)["Visualization Manager"]["Views"]
-    corners = load_sensor("sample_rig").pattern.corners().reshape(-1, 3)
-    gels = {}
-    defaults = {item.name: item.default for item in gripper.own_arguments}
-    for side in ("left", "right"):
-        x, y, z, *angles = defaults[f"{side}_mount"]
-        turn = Rotation.from_euler("xyz", angles).as_matrix()
-        origin = np.array([x, y, z])
-        gels[defaults[f"{side}_name"]] = origin + corners @ turn.T, turn[:, 2], origin
-    framed = [(views["Current"], np.zeros(3), list(gels))]
-    for view in views["Saved"]:
-        name = view["Target Frame"].removesuffix("_gel_frame")
-        # RViz's orbit follows the place of its frame, not how that is turned.
-        framed.append((view, gels[name][2], [name]))
-    assert len(framed) == 3
-    for view, centre, names in framed:
-        camera = _camera(view, centre)[0]
+    sensors = _shown(name, *contacts)
+    _, views = _views(name)
+    for view, chosen in views:
         boxes = []
-        for name in names:
-            points, normal, origin = gels[name]
-            look = camera - origin
-            assert abs(look @ normal) > np.sin(np.radians(30)) * np.linalg.norm(look)
-            place = _projected(view, centre, points)
-            # The picture is an eighth less wide than high.
-            assert np.abs(place).max() < 0.85
-            boxes.append((place.min(axis=0), place.max(axis=0)))
-        if len(boxes) == 2:
-            (low, high), (other_low, other_high) = boxes
-            assert (low > other_high).any() or (other_low > high).any()
+        for markers in sensors[chosen]:
+            for lines in _in_order(markers):
+                own = [text_box(line, view) for line in lines]
+                boxes += own
+                bottoms = [low[1] for low, _ in own]
+                assert bottoms == sorted(bottoms, reverse=True), [line.text for line in lines]
+                assert min(high[1] - low[1] for low, high in own) >= LEAST_TEXT_PX
+            assert not any("\n" in marker.text for marker in markers)
+            large, small = _bar_ends(markers, view)
+            assert large > small + 100
+        for one, other in combinations(boxes, 2):
+            assert (one[1] <= other[0]).any() or (other[1] <= one[0]).any()
+
+
+def test_gels_are_large_and_whole_in_each_view(name):
+    """With all texts of one contact, beside one another, and from 30 degrees off their planes."""
+    least = LEAST_SHARES[name]
+    sensors = _shown(name, _touch(0.0, 0.0))
+    size, views = _views(name)
+    for view, chosen in views:
+        gels = []
+        for markers in sensors[chosen]:
+            (mesh,) = (m for m in markers if m.namespace == "surface")
+            places = view.project(mesh.points)[0]
+            gels.append((places.min(axis=0), places.max(axis=0)))
+            faces = np.diff(mesh.points.reshape(-1, 3, 3), axis=1)
+            normal = np.cross(faces[:, 0], faces[:, 1]).mean(axis=0)
+            look = view.camera - mesh.points.mean(axis=0)
+            facing = abs(look @ normal) / np.linalg.norm(look) / np.linalg.norm(normal)
+            assert facing > np.sin(np.radians(30))
+            corners = [corner for m in markers if m.text for corner in text_box(m, view)]
+            assert (np.abs([*corners, *gels[-1]]) < size / 2).all()
+        share = min(np.prod(high - low) for low, high in gels) / np.prod(size)
+        assert share > least[len(gels)]
+        for one, other in combinations(gels, 2):
+            assert (one[1] <= other[0]).any() or (other[1] <= one[0]).any()
+
+
+def test_legend_says_which_arrow_is_which():
+    """In the colours of the arrows, where these have one of their own."""
+    (markers,) = _shown("cmp_tactile.rviz", _touch(0.0, 0.0))
+    colours = {m.namespace: m.colour for m in markers if not m.text}
+    lines = {m.text.split(":")[0]: m for m in _texts(markers, "legend") if ":" in m.text}
+    assert lines["white"].colour == colours["displacement"]
+    assert lines["red"].colour == colours["force"]
+    assert "contact" in lines["thick"].text
+    assert "moment" in lines["with an arc"].text
+
+
+def test_what_is_expanded_is_there_with_all_that_it_is_in(settings):
+    """RViz opens an entry of the tree only where it is named, and not what it lies in."""
+    (tree,) = (p["Property Tree Widget"] for p in settings["Panels"] if "Property" in str(p))
+    assert tree["Splitter Ratio"] >= 0.65, "names are longer than values"
+    entries = tree["Expanded"]
+    paths = {path for path, _ in _paths(settings["Visualization Manager"])}
+    wanted = {p for p, kind in _paths(settings["Visualization Manager"]) if kind == "MarkerArray"}
+    assert wanted <= set(entries), "its namespaces are what is switched on and off"
+    for entry in entries:
+        parent = entry.rpartition("/")[0]
+        assert not parent or parent in entries
+        assert entry in paths or parent in wanted
+
+
+def _paths(group, above=""):
+    """The name that RViz gives to each entry of the tree: a number counts equal names."""
+    counts = Counter()
+    for display in group["Displays"]:
+        counts[display["Name"]] += 1
+        path = f"{above}/{display['Name']}{counts[display['Name']]}"
+        yield path, display["Class"].split("/")[1]
+        if "Displays" in display:
+            yield from _paths(display, path)
+
+
+def test_axes_are_not_taken_for_arrows_of_force(settings):
+    """Shorter than the arrow of 5 N of a contact, on a screen that holds window and picture."""
+    (frames,) = (d for kind, d in _displays(settings["Visualization Manager"]) if kind == "TF")
+    assert frames["Marker Scale"] < 5 * MarkerParameters().resultant_gain
+    window = settings["Window Geometry"]
+    assert window["Width"] <= 1600
+    assert window["Height"] <= 900
+    assert picture_px(settings)[0] > 700
 
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(settings):
@@ -253,15 +381,15 @@ def test_images_have_their_place_in_the_window(settings):
 @pytest.mark.usefixtures("short_scenes", "grasp_bag")
 def test_the_drawing_of_the_markers_is_made(tmp_path):
     """Of the size of the one in the documentation, and as colourful."""
-    picture = tmp_path / "markers.png"
-    output_of(ROOT / "docs" / "drawings" / "markers.py", picture)
-    kept = cv2.imread(str(ROOT / "docs" / "images" / "markers.png"))
-    drawn = cv2.imread(str(picture))
-    assert drawn.shape == kept.shape
-    for image in (drawn, kept):
-        blue, green, red = np.moveaxis(image.reshape(-1, 3).astype(int), -1, 0)
-        deepest = (red > 140) & (green > 140) & (blue < 90)
-        force = (red > 200) & (green < 100) & (blue < 80)
-        contact = (green > 220) & (red < 100) & (blue < 100)
-        displacement = (red > 240) & (green > 240) & (blue > 240)
-        assert min(part.sum() for part in (deepest, force, contact, displacement)) > 500
+    output_of(ROOT / "docs" / "drawings" / "markers.py", tmp_path)
+    for drawing in ("markers.png", "gripper_markers.png"):
+        kept = cv2.imread(str(ROOT / "docs" / "images" / drawing))
+        drawn = cv2.imread(str(tmp_path / drawing))
+        assert drawn.shape == kept.shape
+        for image in (drawn, kept):
+            blue, green, red = np.moveaxis(image.reshape(-1, 3).astype(int), -1, 0)
+            deepest = (red > 140) & (green > 140) & (blue < 90)
+            force = (red > 200) & (green < 100) & (blue < 80)
+            contact = (green > 220) & (red < 100) & (blue < 100)
+            displacement = (red > 240) & (green > 240) & (blue > 240)
+            assert min(part.sum() for part in (deepest, force, contact, displacement)) > 300

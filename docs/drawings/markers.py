@@ -1,96 +1,105 @@
-"""Draws docs/images/markers.png: what the markers of a simulated grasp look like in RViz.
+"""Draws docs/images/markers.png and gripper_markers.png: a simulated grasp as RViz shows it.
 
 Run it in the environment of the repository: `setup/run python3 docs/drawings/markers.py`
-Points, colours, words and the view are those of RViz with rviz/cmp_tactile.rviz, and so is the
-place of each word: text is set by the rules of RViz's MovableText and TextViewFacingMarker.
-Shading and font are not.
+Points, colours, words and the view are those of RViz with rviz/cmp_tactile.rviz and gripper.rviz,
+and so is the place of each word (rviz_view.py).  Shading and font are not.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
 from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
+from rviz_view import EM_PER_HEIGHT, View, picture_px, placed_words, read_settings
+from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
+from cmp_tactile_bringup.graphs.description import Component, Graph
+from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
+from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.scenes.file import load_scene
 
-ROOT = Path(__file__).parents[2]
-OUTPUT = ROOT / "docs" / "images" / "markers.png"
-SETTINGS = ROOT / "cmp_tactile_bringup" / "rviz" / "cmp_tactile.rviz"
+IMAGES = Path(__file__).parents[1] / "images"
+PICTURES = {
+    "cmp_tactile.rviz": IMAGES / "markers.png",
+    "gripper.rviz": IMAGES / "gripper_markers.png",
+}
+LOOK = ("up", "text_size")
 SCENE, BEFORE_PHASE = "grasp", "knock"
-# RViz's camera sees 45 degrees of height.
-FIELD_OF_VIEW = np.radians(45)
-SIZE_PX, FINER, DPI = (1000, 760), 2, 100
-# The picture is the part of the view where something is drawn: its width, and its middle beside
-# that of the view, in heights of the view.
-WIDTH, MIDDLE = 0.72, (0.025, -0.05)
-VIEW_PX = SIZE_PX[0] / WIDTH
+FINER, DPI = 2, 100
 # From a surface that is seen edge-on to one that faces the viewer.
 DARKEST = 0.55
 # Lines are cut into pieces, of which each is before or behind each triangle as a whole.
 PIECE_M = 1e-4
-# A letter of RViz is as high as its font's lines.
-EM_PER_HEIGHT = 1 / 1.15
-# RViz's text: a space is half of scale.x wide, and where that is 0, half of its letter A in a text
-# of 1 m; lines are a letter and 5 mm apart, whatever the size.
-WIDTH_OF_A, LINE_GAP_M = 0.67, 5e-3
 
 Float = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class View:
-    """RViz's orbit around the origin of the gel frame; axes (3, 3): right, up, back."""
-
-    camera: Float
-    axes: Float
-
-    @classmethod
-    def of_settings(cls, path: Path) -> View:
-        """The view that RViz opens with."""
-        settings = yaml.safe_load(path.read_text(encoding="utf-8"))
-        view: dict[str, Any] = settings["Visualization Manager"]["Views"]["Current"]
-        yaw, pitch = view["Yaw"], view["Pitch"]
-        back = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
-        right = np.array([-np.sin(yaw), np.cos(yaw), 0.0])
-        return cls(view["Distance"] * back, np.stack([right, np.cross(back, right), back]))
-
-    def project(self, points: Float) -> tuple[Float, Float, Float]:
-        """Points (..., 3) m: px from the middle (..., 2), y up; px per m there; depth, m."""
-        across = (points - self.camera) @ self.axes.T
-        depth = -across[..., 2]
-        scale = FINER * VIEW_PX / 2 / np.tan(FIELD_OF_VIEW / 2) / depth
-        return across[..., :2] * scale[..., None], scale, depth
-
-
-def drawn_markers() -> list[DrawnMarker]:
-    """What the node draws of the last frame before a phase of the scene."""
+@cache
+def grasp() -> PipelineResult:
+    """The last frame before a phase of the scene."""
     scene = load_scene(SCENE)
     phases = takewhile(lambda phase: phase.name != BEFORE_PHASE, scene.motion)
     count = sum(phase.frames for phase in phases)
     images = [frame.image for frame in islice(BagReader(recording_of(SCENE)).frames(), count)]
     pipeline = Pipeline(scene.sensor)
     pipeline.set_reference(images[:1])
-    result = [pipeline.process(image) for image in images][-1]
-    look = MarkerParameters()
-    return [*surface_markers(result.surface, look), *force_markers(result.force, look)]
+    return [pipeline.process(image) for image in images][-1]
+
+
+def mounts(graph: Graph) -> list[tuple[Rotation, Float]]:
+    """How the gel of each sensor of a graph is turned, and where it is."""
+    splitters = [item for item in graph.components if item.name == "view_splitter"]
+    return [
+        (
+            Rotation.from_euler("xyz", item.parameters["mount_orientation"]),
+            np.array(item.parameters["mount_position"], np.float64),
+        )
+        for item in splitters
+    ]
+
+
+def look_of(visualizer: Component) -> MarkerParameters:
+    """How a graph has its markers drawn."""
+    given: dict[str, Any] = {key: visualizer.parameters.get(key) for key in LOOK}
+    up, size = given["up"], given["text_size"]
+    default = MarkerParameters()
+    return replace(default, up=tuple(up or default.up), text_size=size or default.text_size)
+
+
+def drawn_markers(name: str, result: PipelineResult) -> list[list[DrawnMarker]]:
+    """What the nodes of each sensor draw of a frame, in the frame that RViz shows."""
+    graph = load_graph("gripper" if name == "gripper.rviz" else "replay")
+    visualizers = [item for item in graph.components if item.name == "surface_visualizer"]
+    drawn = []
+    for item, (turn, origin) in zip(visualizers, mounts(graph), strict=True):
+        look = look_of(item)
+        markers = [*surface_markers(result.surface, look), *force_markers(result.force, look)]
+        drawn.append([moved(marker, turn, origin) for marker in markers])
+    return drawn
+
+
+def moved(marker: DrawnMarker, turn: Rotation, origin: Float) -> DrawnMarker:
+    """A marker in the frame that its own is mounted on."""
+    points = turn.apply(marker.points) + origin if len(marker.points) else marker.points
+    x, y, z = (turn.apply(marker.position) + origin).tolist()
+    return replace(marker, points=points, position=(x, y, z))
 
 
 def draw(axes: Axes, markers: list[DrawnMarker], view: View) -> None:
@@ -151,30 +160,6 @@ def lines(marker: DrawnMarker, colours: Float, view: View) -> tuple[Float, Float
     return bands, colours[::2][line], depth.mean(axis=1)
 
 
-def placed_words(marker: DrawnMarker) -> list[tuple[str, float, float]]:
-    """The words of a text, with left and top of each beside the marker's position, m."""
-    size, space = marker.scale[2], marker.scale[0] / 2 or WIDTH_OF_A
-    rows = [line.split(" ") for line in marker.text.split("\n")]
-    widths = [[_width(word, size) for word in row] for row in rows]
-    widest = max(sum(row) + space * (len(row) - 1) for row in widths)
-    height = len(rows) * size + (len(rows) - 1) * LINE_GAP_M
-    return [
-        (
-            word,
-            -widest / 2 + sum(row[:before]) + before * space,
-            height / 2 - k * (size + LINE_GAP_M),
-        )
-        for k, (words, row) in enumerate(zip(rows, widths, strict=True))
-        for before, word in enumerate(words)
-    ]
-
-
-def _width(word: str, size: float) -> float:
-    if not word:
-        return 0.0
-    return float(TextPath((0, 0), word, size=EM_PER_HEIGHT).get_extents().width) * size
-
-
 def write(axes: Axes, marker: DrawnMarker, view: View) -> None:
     """Add a text that faces the viewer."""
     place, scale, _ = view.project(np.array(marker.position))
@@ -189,29 +174,34 @@ def write(axes: Axes, marker: DrawnMarker, view: View) -> None:
         )
 
 
-def main(output: Path) -> None:
-    """Draw the picture."""
-    settings = yaml.safe_load(SETTINGS.read_text(encoding="utf-8"))
-    grey = settings["Visualization Manager"]["Global Options"]["Background Color"]
-    width, height = (FINER * size for size in SIZE_PX)
+def draw_picture(name: str, fingers: Sequence[list[DrawnMarker]], output: Path) -> None:
+    """Draw what RViz shows between its docks as it opens with these settings."""
+    settings = read_settings(name)
+    manager = settings["Visualization Manager"]
+    grey = manager["Global Options"]["Background Color"]
+    size = picture_px(settings)
+    width, height = (FINER * side for side in size)
     figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
     figure.set_facecolor([int(part) / 255 for part in grey.split(";")])
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_axis_off()
-    middle = np.array(MIDDLE) * FINER * VIEW_PX
-    axes.set(
-        xlim=(middle[0] - width / 2, middle[0] + width / 2),
-        ylim=(middle[1] - height / 2, middle[1] + height / 2),
-    )
-    view, markers = View.of_settings(SETTINGS), drawn_markers()
+    axes.set(xlim=(-width / 2, width / 2), ylim=(-height / 2, height / 2))
+    view = View.of(manager["Views"]["Current"], height)
+    markers = [marker for finger in fingers for marker in finger]
     draw(axes, markers, view)
     for marker in markers:
         if marker.kind == Marker.TEXT_VIEW_FACING and marker.action == Marker.ADD:
             write(axes, marker, view)
     figure.savefig(output, dpi=DPI, facecolor=figure.get_facecolor())
     fine = cv2.imread(str(output))
-    cv2.imwrite(str(output), cv2.resize(fine, SIZE_PX, interpolation=cv2.INTER_AREA))
+    cv2.imwrite(str(output), cv2.resize(fine, size, interpolation=cv2.INTER_AREA))
+
+
+def main(folder: Path = IMAGES) -> None:
+    """Draw both pictures."""
+    for name, picture in PICTURES.items():
+        draw_picture(name, drawn_markers(name, grasp()), folder / picture.name)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else OUTPUT)
+    main(*map(Path, sys.argv[1:2]))

@@ -104,12 +104,15 @@ def _web_viewer(parameters: Mapping[str, Value]) -> Node:
 
 
 def _rviz(graph: Graph) -> Node:
+    settings = start.rviz_settings_file(graph)
+    if start.is_saved_by_rviz(settings):
+        get_logger(start.PACKAGE).info(f"RViz opens as saved: delete {settings} to undo that")
     # Markers would vanish by the clock of the machine while a replay is paused.
     replayed = all(item.parameters.get("use_sim_time", False) for item in graph.components)
     return Node(
         package="rviz2",
         executable="rviz2",
         namespace=graph.namespace,
-        arguments=["-d", str(start.write_rviz_settings(graph))],
+        arguments=["-d", str(settings)],
         parameters=[{"use_sim_time": replayed}],
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatchcase
+from math import cos, sin
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,8 @@ PIXEL_FORMATS = ("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
 # Time after which markers vanish that are not drawn again, s; those of a replay stay while it is
 # paused, or over.
 MARKER_LIFETIME_S, REPLAYED_MARKER_LIFETIME_S = 2.0, 0.0
+# Height of the letters at two fingers, which are seen from farther away than one sensor, m.
+FINGER_TEXT_M = 0.001
 # Of the large-press correction in a frame, where the newest frame is wanted soon: 15 ms in all.
 LIVE_PRESS_STEPS = 4
 TYPE_OF = {str: "text", bool: "boolean", int: "integer", float: "number", tuple: "pose"}
@@ -238,15 +241,20 @@ def _has_effect(argument: Argument, source: str) -> bool:
 
 
 def sensor_components(
-    settings: SensorSettings, *, prefix: str = "", below: str = ""
+    settings: SensorSettings,
+    *,
+    prefix: str = "",
+    below: str = "",
+    look: Mapping[str, Value] | None = None,
 ) -> tuple[list[Component], list[Component]]:
     """The nodes of one sensor, and the source of its frames, which is to be loaded last.
 
     prefix: of its arguments in errors.  below: the namespace that the sensor's is relative to.
+    look: parameters of its markers, where they are not the default.
     Raises GraphError for settings that cannot be used.
     """
     sensor = _find_sensor(settings, prefix, below)
-    nodes = [*_processing(sensor, settings), *_recorder(sensor, settings)]
+    nodes = [*_processing(sensor, settings, look or {}), *_recorder(sensor, settings)]
     return nodes, list(_source(sensor, settings))
 
 
@@ -295,7 +303,9 @@ def _by_clock(settings: SensorSettings) -> dict[str, Value]:
     return {"use_sim_time": settings.source == "replay" or settings.use_sim_time}
 
 
-def _processing(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:
+def _processing(
+    sensor: GraphSensor, settings: SensorSettings, look: Mapping[str, Value]
+) -> Iterator[Component]:
     """From camera frames to forces."""
 
     def node(plugin: str, name: str, **parameters: Value) -> Component:
@@ -304,7 +314,7 @@ def _processing(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Compo
 
     is_replay = settings.source == "replay"
     lifetime = REPLAYED_MARKER_LIFETIME_S if is_replay else MARKER_LIFETIME_S
-    yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime)
+    yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
     # Loaded only when the force model is built (once minutes, then cached on disk), so that a
     # recording does not begin without forces.
     newest = _frame_queue(settings) == "newest"
@@ -460,7 +470,19 @@ def _finger(given: Mapping[str, Any], prefix: str) -> tuple[list[Component], lis
     if given["record"]:
         common["record"] = str(Path(given["record"], given[f"{prefix}name"]))
     settings = SensorSettings.from_arguments(given, prefix, **common)
-    return sensor_components(settings, prefix=prefix, below=given["namespace"])
+    mounted: dict[str, Value] = {"up": _up_of(settings), "text_size": FINGER_TEXT_M}
+    look = mounted if settings.parent_frame else {}
+    return sensor_components(settings, prefix=prefix, below=given["namespace"], look=look)
+
+
+def _up_of(settings: SensorSettings) -> list[float]:
+    """What is up in RViz, which shows both fingers in the frame they are mounted on.
+
+    That frame's z in the gel frame, rounded: the angles of a mount have seven digits.
+    """
+    roll, pitch, _ = settings.mount[3:]
+    up = -sin(pitch), cos(pitch) * sin(roll), cos(pitch) * cos(roll)
+    return [round(part, 6) for part in up]
 
 
 GRAPHS: dict[str, GraphFunction] = {

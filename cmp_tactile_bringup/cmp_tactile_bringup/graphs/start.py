@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import atexit
 import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -19,6 +17,7 @@ from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_sour
 from cmp_tactile_driver.bags.recording import open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import ReplayParameters
+from cmp_tactile_processing.cache.files import atomic_path, config_dir, folder_without_home
 
 PACKAGE = "cmp_tactile_bringup"
 VIEWER_PACKAGE = "cmp_tactile_viewer"
@@ -133,16 +132,40 @@ def rviz_settings(graph: Graph) -> str:
     return re.sub(rf"(Frame: ){PARENT_FRAME}$", rf"\g<1>{parent}", text, flags=re.MULTILINE)
 
 
-def write_rviz_settings(graph: Graph) -> Path:
-    """A file with the settings, until this process ends; GraphError where there are none."""
+def rviz_settings_file(graph: Graph) -> Path:
+    """The file with these settings, one for the graph's sensors, in the user's configuration.
+
+    RViz asks to save into it what was changed, a view that was turned included, and what was saved
+    is kept.  Raises GraphError where there are no settings, or no place for them.
+    """
     text = rviz_settings(graph)
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="cmp_tactile_", suffix=".rviz", delete=False, encoding="utf-8"
-    ) as file:
-        file.write(text)
-    path = Path(file.name)
-    atexit.register(path.unlink, missing_ok=True)
-    return path
+    words = [item.namespace.strip("/") for item in graph.sensors]
+    words += [item.name for item in graph.sensors]
+    words += re.findall(r"Fixed Frame: (.*)", text)
+    name = "-".join(re.sub(r"\W", "_", word) for word in dict.fromkeys(words))
+    failed = ""
+    for folder in (config_dir(), folder_without_home()):
+        path = folder / "rviz" / f"{name}.rviz"
+        try:
+            if not is_saved_by_rviz(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with atomic_path(path) as part:
+                    part.write_text(text, encoding="utf-8")
+        except OSError as error:
+            failed = f"{path}: {error.strerror}"
+        else:
+            return path
+    msg = f"rviz: settings cannot be written: {failed}"
+    raise GraphError(msg)
+
+
+def is_saved_by_rviz(path: Path) -> bool:
+    """Whether somebody saved there from RViz, which writes no comments; ours begin with one."""
+    try:
+        with path.open("rb") as file:
+            return file.read(1) not in (b"#", b"")
+    except FileNotFoundError:
+        return False
 
 
 @contextmanager

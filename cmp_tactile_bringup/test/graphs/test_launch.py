@@ -103,10 +103,11 @@ def test_a_container_is_started_or_joined(name, actions):
     assert [type(action) for action in joined] == [LoadComposableNodes]
 
 
-def test_rviz_is_started_when_asked_for(name, actions):
+def test_rviz_is_started_when_asked_for(name, actions, tmp_path, monkeypatch):
     from launch_ros.actions import Node
     from launch_ros.utilities import evaluate_parameters
 
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     context, (*_, rviz) = actions(rviz="true")
     assert isinstance(rviz, Node)
     assert (rviz.node_package, rviz.node_executable) == ("rviz2", "rviz2")

@@ -30,11 +30,20 @@ def default_cache_dir() -> Path:
 
     A user without a home (`docker run --user 2000`) has a folder below that of temporary files.
     """
-    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return _own_folder("XDG_CACHE_HOME", ".cache")
+
+
+def config_dir() -> Path:
+    """$XDG_CONFIG_HOME/cmp_tactile, or ~/.config/cmp_tactile; without a home as for the cache."""
+    return _own_folder("XDG_CONFIG_HOME", ".config")
+
+
+def _own_folder(variable: str, in_home: str) -> Path:
+    base = Path(os.environ.get(variable, ""))
     # The XDG specification says that a relative path is to be ignored.
     if not base.is_absolute():
         try:
-            base = Path.home() / ".cache"
+            base = Path.home() / in_home
         except RuntimeError:
             base = folder_without_home()
     return base / "cmp_tactile"

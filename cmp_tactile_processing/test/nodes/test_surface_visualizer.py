@@ -239,16 +239,15 @@ def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_sl
         for name, part in (("contact", 8), ("resultant", 6)):
             drawn = [(c.r, c.g, c.b) for c in markers[name].colors[number * part :][:part]]
             np.testing.assert_allclose(drawn, np.tile(colours[word], (part, 1)), atol=1e-6)
-    top = _points(markers["resultant"])[:, 2].max()
+    edge = max(_points(markers["resultant"])[:, 1].max(), PATTERN.corners()[..., 1].max())
     first = [markers[name] for name in TEXT_NAMES[:3]]
     assert [line.text for line in first] == ["Fz -4.00 +/- 0.03 N", "12.5 mm^2", "sticks"]
     second = [markers[name].text for name in TEXT_NAMES[3:6]]
     assert second == ["Fz -4.00 N", "12.5 mm^2, at the border", "slips"]
-    place = first[1].pose.position
-    assert (place.x, place.y) == (1e-3, 2e-3)
+    assert first[1].pose.position.x == pytest.approx(1e-3)
     for line in first:
         assert line.type == Marker.TEXT_VIEW_FACING
-        assert line.pose.position.z > top, "over the arrows, where it can be read"
+        assert line.pose.position.y > edge, "beyond gel and arrows, where it can be read"
         # A space is half of x wide in RViz, and 0.7 m where x is 0.
         assert (line.scale.x, line.scale.y, line.scale.z) == (0.001, 0.0, 0.001)
 
@@ -267,6 +266,31 @@ def test_lines_of_a_text_stand_below_one_another(look_along):
     up -= (up @ view) * view
     heights = np.array([line.position for line in lines]) @ (up / np.linalg.norm(up))
     assert (-np.diff(heights) >= look.text_size).all()
+
+
+@pytest.mark.parametrize(
+    "up", [(0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, -1), (0.3, 0.8, 0.5), (0, 0, 0)]
+)
+def test_lines_and_colour_bar_follow_what_is_up(up):
+    """However the sensor is mounted: a turned finger shows no text and no bar upside down."""
+    contact = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
+    look = MarkerParameters(up=tuple(map(float, up)))
+    drawn = [*surface_markers(_surface(), look), *force_markers(_pressed(contact), look)]
+    unit = np.array(up) / np.linalg.norm(up) if any(up) else np.array([0.0, 0.0, 1.0])
+    texts = [m for m in drawn if m.text]
+    for lines in ([m for m in texts if m.namespace == "contact_text"], texts[2:6]):
+        heights = np.array([line.position for line in lines]) @ unit
+        assert (-np.diff(heights) > look.text_size).all()
+    zero, deep = texts[:2]
+    assert (zero.text, deep.text) == ("0", "1 mm deep")
+    (bar,) = (m for m in drawn if m.namespace == "legend" and len(m.points))
+    pale, dark = bar.points[bar.colours[:, 1].argmax()], bar.points[bar.colours[:, 1].argmin()]
+    assert (pale - dark) @ (np.array(deep.position) - zero.position) > 0
+    # Where the gel does not lie flat, the pale end is above.
+    assert (pale - dark) @ unit > 0 or abs(unit[2]) == 1
+    # The bar is on the right for who looks at the gel with this up.
+    right = np.cross(np.array(deep.position) - zero.position, (0.0, 0.0, 1.0))
+    assert (bar.points @ right).min() > (PATTERN.corners() @ right).max()
 
 
 def test_text_of_a_contact_that_is_gone_is_deleted_and_texts_can_be_switched_off(ros):
@@ -468,10 +492,10 @@ def test_legend_shows_the_range_of_depth_and_the_scales_and_can_be_switched_off(
     assert colours[order[-1]] == pytest.approx((0.99, 0.91, 0.14), abs=0.03)
     assert (markers["legend 1"].text, markers["legend 2"].text) == ("0", "1.5 mm deep")
     assert [markers[f"legend {number}"].text for number in (3, 4, 5, 6)] == [
-        "displacement x 1",
-        "at a node 0.1 N = 2 mm",
-        "contact: 1 N = 1 mm",
-        "10 N mm = 5 mm",
+        "white: displacement x 1",
+        "red: force at a node, 0.1 N = 2 mm",
+        "thick: force of a contact, 1 N = 1 mm",
+        "with an arc: its moment, 10 N mm = 5 mm",
     ]
     assert _set(ros, "legend", False).successful
     ros.wait(lambda: len(scene.arrays) == 2, "the surface without a legend")

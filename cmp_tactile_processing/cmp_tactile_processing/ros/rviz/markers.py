@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from cmp_tactile_processing.drawing.looks import (
     depth_colours,
 )
 from cmp_tactile_processing.measured import Contact, ForceField, Surface
-from cmp_tactile_processing.ros.rviz import drawing
+from cmp_tactile_processing.ros.rviz import drawing, texts
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 
@@ -58,6 +58,12 @@ class MarkerParameters(Parameters, section="markers"):
     legend: bool = parameter(
         True, "whether a bar with the colours of depth and the scales of the arrows is drawn"
     )
+    up: tuple[float, float, float] = parameter(
+        (0.0, 0.0, 1.0),
+        "what is up for the viewer, in the gel frame: lines of text are stacked along it, and the "
+        "colour bar is large at its upper end",
+        within=(-1.0, 1.0),
+    )
     text_size: float = parameter(0.0006, "height of the letters", unit="m", within=(1e-6, 1.0))
     line_width: float = parameter(
         0.00005,
@@ -83,13 +89,12 @@ class MarkerParameters(Parameters, section="markers"):
 SHORTEST_ARROW = 2.0
 # So many texts are written or deleted each time: those of before need not be remembered.
 MOST_TEXTS, MOST_LINES, LEGEND_TEXTS = 8, 3, 6
-# Height of a text's middle over contact and arrows, in letters: it is of three lines.
-TEXT_HEIGHT = 3.0
-# From a line of a text to the next, in letters.  Each line is a marker: within one, RViz adds 5 mm
-# to each line, whatever the size.  Along y as well, so that a look along z shows them apart too.
-LINE_STEP = np.array([0.0, -1.2, -1.2])
+# From gel and arrows up to the middle of a contact's text, in letters: it is of three lines.
+TEXT_HEIGHT = 4.0
 # The colour bar beside the gel: steps, and gap and width in letters.
 BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
+# From the gel down to the middle of what is written of the arrows, in letters.
+SCALES_BELOW = 6.0
 
 
 def surface_markers(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
@@ -116,70 +121,54 @@ def force_markers(field: ForceField, look: MarkerParameters) -> list[drawing.Dra
     lines = shapes.arrows(field.position[field.contact] - drawn, drawn, shortest)
     return [
         _lines("force", lines, FORCE_COLOUR, look.line_width),
-        *_contact_markers(field.contacts, field.reference_point, look, _highest(lines)),
+        *_contact_markers(field, look, lines),
     ]
 
 
 def _contact_markers(
-    contacts: Sequence[Contact],
-    moment_point: NDArray[np.float64],
-    look: MarkerParameters,
-    above: float,
+    field: ForceField, look: MarkerParameters, arrows: NDArray[np.float64]
 ) -> list[drawing.DrawnMarker]:
-    """Outline, resultant, moment and text of each contact, in the colour of its slip state.
-
-    Texts stand above z = `above` and above what is drawn of the contact.
-    """
-    shown = [(item, SLIP_COLOURS[item.slip.state]) for item in contacts]
+    """Outline, resultant, moment and text of each contact, in the colour of its slip state."""
+    shown = [(item, SLIP_COLOURS[item.slip.state]) for item in field.contacts]
     outlines = [(shapes.closed(item.outline), colour) for item, colour in shown]
     resultants = [(_resultant(item, look.resultant_gain), colour) for item, colour in shown]
-    moments = [(_moment(item, moment_point, look.moment_gain), colour) for item, colour in shown]
+    moments = [
+        (_moment(item, field.reference_point, look.moment_gain), colour) for item, colour in shown
+    ]
     markers = [
         _coloured_lines("contact", outlines, 2 * look.line_width),
         _coloured_lines("resultant", resultants, 3 * look.line_width),
         _coloured_lines("moment", moments, 3 * look.line_width),
     ]
-    texts = shown[:MOST_TEXTS] if look.contact_text else []
-    for number, (item, colour) in enumerate(texts):
-        arrow_tops = _highest(resultants[number][0]), _highest(moments[number][0])
-        bottom = max(above, *arrow_tops, item.centre_of_pressure[2])
-        place = *item.centre_of_pressure[:2], bottom + TEXT_HEIGHT * look.text_size
-        middle = _text("contact_text", MOST_LINES * number, place, look.text_size)
-        markers += _lines_of_text(replace(middle, colour=colour), contact_lines(item))
-    return markers + _unused(markers, "contact_text", range(MOST_LINES * MOST_TEXTS))
+    if look.contact_text:
+        drawn = [part for part, _ in (*resultants, *moments)]
+        markers += _contact_texts(field, look, [field.position, arrows, *drawn])
+    return markers + texts.unused(markers, "contact_text", range(MOST_LINES * MOST_TEXTS))
 
 
-def _text(
-    namespace: str, number: int, place: tuple[float, float, float], size: float
-) -> drawing.DrawnMarker:
-    """RViz takes half of scale.x for the width of a space, and some 0.7 m where that is 0."""
-    scale, kind = (size, 0.0, size), Marker.TEXT_VIEW_FACING
-    return drawing.DrawnMarker(namespace, kind, number, scale=scale, position=place)
-
-
-def _lines_of_text(middle: drawing.DrawnMarker, lines: Sequence[str]) -> list[drawing.DrawnMarker]:
-    """A marker for each line, numbered on from the one in the middle of them."""
-    from_middle = np.arange(len(lines)) - (len(lines) - 1) / 2
-    steps = middle.scale[2] * from_middle[:, None] * LINE_STEP
-    return [
-        replace(middle, number=number, position=(x, y, z), text=line)
-        for number, (line, (x, y, z)) in enumerate(
-            zip(lines, (np.array(middle.position) + steps).tolist(), strict=True), middle.number
-        )
-    ]
-
-
-def _unused(
-    markers: Sequence[drawing.DrawnMarker], namespace: str, numbers: Iterable[int]
+def _contact_texts(
+    field: ForceField, look: MarkerParameters, drawn: Sequence[NDArray[np.float64]]
 ) -> list[drawing.DrawnMarker]:
-    """Texts without letters, which deletes them, for the numbers that none of the markers has."""
-    used = {marker.number for marker in markers if marker.namespace == namespace}
-    free = [number for number in numbers if number not in used]
-    return [drawing.DrawnMarker(namespace, Marker.TEXT_VIEW_FACING, number) for number in free]
+    """What is written of the strongest contacts, each over its own, beyond all that is drawn.
 
-
-def _highest(segments: NDArray[np.float64]) -> float:
-    return float(segments[..., 2].max()) if len(segments) else -np.inf
+    So it covers neither the gel nor its neighbours, and is seen from behind the gel as well.
+    """
+    page, size = texts.Page.of(look.up), look.text_size
+    contacts = field.contacts[:MOST_TEXTS]
+    edge = max(page.height(points) for points in drawn)
+    lines = [contact_lines(item) for item in contacts]
+    places = []
+    for item in contacts:
+        centre = item.centre_of_pressure
+        beyond = max(edge - float(centre @ page.slope), 0.0) * page.slope
+        places.append(centre + beyond + TEXT_HEIGHT * size * page.stack)
+    markers: list[drawing.DrawnMarker] = []
+    free = texts.clear_places(places, lines, size, page)
+    for number, (item, place, own) in enumerate(zip(contacts, free, lines, strict=True)):
+        colour = SLIP_COLOURS[item.slip.state]
+        middle = texts.text("contact_text", MOST_LINES * number, place, size, colour)
+        markers += texts.stacked(middle, own, page)
+    return markers
 
 
 def _resultant(contact: Contact, gain: float) -> NDArray[np.float64]:
@@ -217,15 +206,13 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarke
     known = surface.reference[np.isfinite(surface.reference).all(axis=-1)]
     numbers = range(1, LEGEND_TEXTS + 1)
     if not (look.legend and len(known)):
-        return [
-            drawing.DrawnMarker("legend", Marker.TRIANGLE_LIST),
-            *_unused([], "legend", numbers),
-        ]
-    size = look.text_size
-    (far_left, low, _), (right, high, _) = known.min(axis=0), known.max(axis=0)
+        bar = drawing.DrawnMarker("legend", Marker.TRIANGLE_LIST)
+        return [bar, *texts.unused([], "legend", numbers)]
+    page, size = texts.Page.of(look.up), look.text_size
+    (far_left, low), (right, high) = page.extent(known)
     left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))
     x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
-    grid = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
+    grid = page.place(x, y, z).reshape(-1, 3)
     vertices = shapes.mesh_vertices(np.ones(x.shape, bool))
     bar = drawing.DrawnMarker(
         "legend",
@@ -235,26 +222,27 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarke
         scale=(1.0, 1.0, 1.0),
     )
     middle = left + BAR_WIDTH * size / 2
-    written = (
-        (["0"], (middle, low - size, z)),
-        ([f"{look.depth_range * 1e3:g} mm deep"], (middle, high + size, z)),
-        (_scales(look), ((far_left + right) / 2, low - 7.0 * size, z)),
-    )
+    ends = (("0", low - size), (f"{look.depth_range * 1e3:g} mm deep", high + size))
     markers = [bar]
-    for lines, place in written:
-        middle_line = _text("legend", len(markers), place, size)
-        markers += _lines_of_text(replace(middle_line, colour=LEGEND_COLOUR), lines)
+    for word, top in ends:
+        end = texts.text("legend", len(markers), page.place(middle, top, z), size, LEGEND_COLOUR)
+        markers += texts.stacked(end, [word], page)
+    below = page.place((far_left + right) / 2, low - SCALES_BELOW * size, z)
+    first = texts.text("legend", len(markers), below, size, LEGEND_COLOUR)
+    scales = _scales(look)
+    lines = texts.stacked(first, list(scales), page)
+    markers += [replace(line, colour=scales[line.text]) for line in lines]
     return markers
 
 
-def _scales(look: MarkerParameters) -> list[str]:
-    """How long the arrows are."""
-    return [
-        f"displacement x {look.displacement_gain:g}",
-        f"at a node 0.1 N = {look.force_gain * 100:g} mm",
-        f"contact: 1 N = {look.resultant_gain * 1e3:g} mm",
-        f"10 N mm = {look.moment_gain * 10:g} mm",
-    ]
+def _scales(look: MarkerParameters) -> dict[str, drawing.RGBA]:
+    """What each kind of arrow is and how long it is drawn, with the colour to write it in."""
+    return {
+        f"white: displacement x {look.displacement_gain:g}": DISPLACEMENT_COLOUR,
+        f"red: force at a node, 0.1 N = {look.force_gain * 100:g} mm": FORCE_COLOUR,
+        f"thick: force of a contact, 1 N = {look.resultant_gain * 1e3:g} mm": LEGEND_COLOUR,
+        f"with an arc: its moment, 10 N mm = {look.moment_gain * 10:g} mm": LEGEND_COLOUR,
+    }
 
 
 def _lines(
