@@ -7,6 +7,7 @@ file has changed of which functions were compiled into it.
 from __future__ import annotations
 
 import atexit
+import gc
 import importlib.util
 import logging
 import os
@@ -25,6 +26,8 @@ LOGGER = logging.getLogger(__name__)
 
 # Compiled functions of so many versions of the sources are kept; the oldest are removed.
 KEPT = 6
+# New objects between two collections of garbage while numba compiles, which makes millions.
+SELDOM = 200_000
 # Below a prefix of AMENT_PREFIX_PATH: what the build compiled, and of which sources.
 INSTALLED = Path("share", "cmp_tactile_processing", "compiled")
 DIGEST_FILE = "sources"
@@ -144,7 +147,10 @@ def _is_safely_made_later(folder: Path) -> bool:
 
 @contextmanager
 def when_compiling(report: Callable[[], None]) -> Iterator[None]:
-    """Call `report` once, as soon as numba compiles a function that it has in no cache."""
+    """Call `report` once, as soon as numba compiles a function that it has in no cache.
+
+    Garbage is collected seldom from then on: an eighth of the time went into that.
+    """
     from numba.core import event
 
     class Listener(event.Listener):
@@ -153,13 +159,18 @@ def when_compiling(report: Callable[[], None]) -> Iterator[None]:
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             if not self.reported:
                 self.reported = True
+                gc.set_threshold(SELDOM)
                 report()
 
         def on_end(self, event: Any) -> None:
             pass
 
-    with event.install_listener("numba:compile", Listener()):
-        yield
+    usual = gc.get_threshold()
+    try:
+        with event.install_listener("numba:compile", Listener()):
+            yield
+    finally:
+        gc.set_threshold(*usual)
 
 
 def compiling_is_logged() -> AbstractContextManager[None]:
