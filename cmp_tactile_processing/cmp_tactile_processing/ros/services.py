@@ -22,8 +22,13 @@ SERVICE_S, ANSWER_S = 1.0, 30.0
 SEARCH_S, SETTLED_S = 5.0, 0.5
 POLL_S = 0.02
 SET_PARAMETERS = "/set_parameters"
-# Types that every node has, and names of parameters that are seldom wanted.
-OF_EVERY_NODE = ("rcl_interfaces/", "type_description_interfaces/")
+# Types of ROS's own services, and names of parameters: seldom wanted, and not listed.
+OF_ROS = (
+    "rcl_interfaces/",
+    "type_description_interfaces/",
+    "lifecycle_msgs/",
+    "composition_interfaces/",
+)
 LEFT_OUT = ("qos_overrides.", "start_type_description_service")
 
 T = TypeVar("T")
@@ -95,9 +100,7 @@ def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str
         msg = f"{name}: found several, name one: {named}"
         raise ServiceError(msg)
     if not found:
-        there = sorted(
-            k for k, kind in _offered(node).items() if not kind.startswith(OF_EVERY_NODE)
-        )
+        there = sorted(k for k, kind in _offered(node).items() if not kind.startswith(OF_ROS))
         expected = f"one of {', '.join(there)}" if there else "nodes that run (ROS_DOMAIN_ID?)"
         msg = f"{name}: found no such service, expected {expected}{_meant(ends, there)}"
         raise ServiceError(msg)
