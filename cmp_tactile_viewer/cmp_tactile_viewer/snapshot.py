@@ -113,10 +113,10 @@ class Pose:
 class Touch:
     """A simulated indenter.  pose: where it is in the gel frame, None until that is known.
 
-    move: asks it to go to a pose.
+    move: asks it to go to a pose; None in a recording.
     """
 
-    move: Callable[[Pose], None]
+    move: Callable[[Pose], None] | None = None
     pose: Pose | None = None
 
 

@@ -1,4 +1,4 @@
-"""A simulated indenter that is pressed, dragged and twisted by the mouse."""
+"""A simulated indenter; a live one is pressed, dragged and twisted by the mouse."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class DraggedIndenter:
             f"{root}/indenter", radius=BALL_MM, color=COLOUR, visible=False
         )
         self._handle: viser.TransformControlsHandle | None = None
-        if may_move:
+        if may_move and touch.move is not None:
             self._handle = scene.add_transform_controls(
                 f"{root}/handle", SIZE_MM, depth_test=False, opacity=0.8, visible=False
             )
@@ -47,7 +47,7 @@ class DraggedIndenter:
             self._handle.position, self._handle.wxyz = position, orientation
 
     def _drag(self, event: Any) -> None:
-        if event.client is None or self._handle is None:
+        if event.client is None or self._handle is None or self._touch.move is None:
             return
         self._dragged_s = time.monotonic()
         x, y, z = (self._handle.position / MM).tolist()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +32,9 @@ from cmp_tactile_viewer.snapshot import (
     Playback,
     ShownSensor,
     Snapshot,
+    Touch,
 )
+from cmp_tactile_viewer.sources.indenter import IndenterPoses
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.pipeline import Pipeline
@@ -192,13 +194,17 @@ def _is_frame(topic: str) -> bool:
     return parts[-1] == "image_raw" and parts[-2:-1] not in (["left"], ["right"])
 
 
+def _is_bag(path: Path) -> bool:
+    return path.suffix in STORAGE_SUFFIXES if path.is_file() else path.is_dir() and is_bag(path)
+
+
 def open_frames(path: Path, sensor: SensorDescription, topic: str = "") -> Frames:
     """The stored results of a bag that has surfaces; else its frames, processed when shown.
 
     Forces alone are shown where the bag has no images.  Raises CmpTactileError for what cannot be
     read.
     """
-    if path.suffix in STORAGE_SUFFIXES if path.is_file() else path.is_dir() and is_bag(path):
+    if _is_bag(path):
         fields = _result_topics(path, open_storage(path).topics).values()
         if "surface" in fields or ("force" in fields and "frame" not in fields):
             return StoredResults(path, sensor)
@@ -210,13 +216,19 @@ class RecordingSource(PassiveSource):
     """Plays a recording to the page, at its own pace or as its slider says."""
 
     frames: Frames | None = None
+    indenter: IndenterPoses | None = None
 
     def __post_init__(self) -> None:
         assert self.playback is not None  # noqa: S101  `open_source` gives one
         self._player = threading.Thread(target=self._play, name="recording", daemon=True)
         self._looked_at, self._ended = threading.Event(), threading.Event()
+        self._touch = Touch()
         self._guard = threading.Lock()
         self._player.start()
+
+    def touches(self) -> Mapping[str, Touch]:
+        """The indenter where the recording has one."""
+        return {self.sensors[0].name: self._touch} if self.indenter else {}
 
     def start(self, audience: Audience) -> None:
         """Go on from where it was."""
@@ -271,8 +283,7 @@ class RecordingSource(PassiveSource):
             sought = False
             playback.position_s = time_s
             shown += 1
-            audience.show(self.sensors[0].name, snapshot)
-            self._report_frame(snapshot)
+            self._show(snapshot, audience)
         if not shown:
             self._report(Level.WARN, frames.problem or f"no frame from {start_s:.2f} s on")
         # One picture, or none, would be read again without a pause.
@@ -286,6 +297,12 @@ class RecordingSource(PassiveSource):
             if playback.steps < 0:
                 self._step_back(playback)
             time.sleep(0.05)
+
+    def _show(self, snapshot: Snapshot, audience: Audience) -> None:
+        if self.indenter:
+            self._touch.pose = self.indenter.at(snapshot.stamp_ns)
+        audience.show(self.sensors[0].name, snapshot)
+        self._report_frame(snapshot)
 
     def _may_go_on(self, playback: Playback) -> bool:
         """Wait while it is paused; False where another place is asked for."""
@@ -369,6 +386,6 @@ def open_source(
     """
     frames = open_frames(path, sensor, topic)
     shown = ShownSensor(name or sensor.ros_name, sensor)
-    return RecordingSource(
-        (shown,), Playback(frames.length_s, loop=frames.length_s <= LOOPED_S), frames
-    )
+    playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
+    indenter = IndenterPoses(path) if _is_bag(path) else None
+    return RecordingSource((shown,), playback, frames, indenter)

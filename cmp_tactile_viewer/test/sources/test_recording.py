@@ -15,6 +15,7 @@ from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
 from cmp_tactile_viewer.sources import recording
@@ -88,6 +89,24 @@ def test_stored_results_are_shown_as_they_are(results, playing, snapshots):
         )
         assert found.left.corners == pytest.approx(expected.left.corners, abs=1e-4, nan_ok=True)
         assert found.left.placement == expected.left.placement
+
+
+def test_the_indenter_of_a_recording_is_where_its_truth_says(grasp_bag, results, playing):
+    source, looker = playing(grasp_bag, playing=False)
+    touch = source.touches()["sample_rig"]
+    assert touch.move is None
+    wait_until(lambda: looker.snapshots, "the first frame")
+    above = touch.pose
+    source.playback.seek_s = 19 / RATE_HZ - 1e-3
+    wait_until(lambda: len(looker.snapshots) == 2, "a frame in contact")
+    true = [
+        simulation_typestore().deserialize_cdr(stored.data, stored.kind)
+        for stored in open_storage(grasp_bag).messages(["/sample_rig/truth/indenter_pose"])
+    ]
+    for pose, place in ((above, true[0].pose.position), (touch.pose, true[19].pose.position)):
+        assert pose.position == (place.x, place.y, place.z)
+    assert above.position != touch.pose.position
+    assert not playing(results)[0].touches()
 
 
 def test_the_truth_in_a_recording_is_not_taken_for_results(grasp_bag, sensor):
