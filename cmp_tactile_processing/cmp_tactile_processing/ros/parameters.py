@@ -173,9 +173,8 @@ class StageParameters(Generic[T]):
             # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
             value = getattr(defaults, item.name)
             default = float(value) if isinstance(item.default, float) else value
-            found[item.name] = declare_checked(
-                node, _full_name(section, item.name), default, descriptor
-            )
+            full = _full_name(section, item.name)
+            found[item.name] = _of_class(declare_checked(node, full, default, descriptor))
         self._fields = {_full_name(section, field): field for field in found}
         self.value: T = replace(defaults, **found)  # type: ignore[type-var]
         if on_change is not None:
@@ -183,7 +182,9 @@ class StageParameters(Generic[T]):
             node.add_post_set_parameters_callback(self._apply)
 
     def _with(self, parameters: list[Parameter[Any]]) -> T:
-        changes = {self._fields[p.name]: p.value for p in parameters if p.name in self._fields}
+        changes = {
+            self._fields[p.name]: _of_class(p.value) for p in parameters if p.name in self._fields
+        }
         return replace(self.value, **changes)  # type: ignore[type-var]
 
     def _check(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
@@ -204,6 +205,12 @@ class StageParameters(Generic[T]):
             except Exception:  # noqa: BLE001  it must not end the node
                 text = f"unexpected error by new parameters\n{traceback.format_exc()}"
                 self._node.get_logger().error(text)
+
+
+def _of_class(value: Any) -> Any:
+    """ROS has lists and arrays where a frozen dataclass has tuples."""
+    value = _plain(value)
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _full_name(section: str, field: str) -> str:
@@ -272,8 +279,6 @@ def declare_parameters(node: Node, defaults: T, dynamic: Collection[str] = ()) -
 
 
 def _declare(node: Node, item: Any, default: Any, read_only: bool) -> Any:
-    """ROS has lists where a frozen dataclass has tuples."""
     descriptor = describe(item, read_only=read_only)
-    if isinstance(default, tuple):
-        return tuple(declare_checked(node, item.name, list(default), descriptor))
-    return declare_checked(node, item.name, default, descriptor)
+    given = list(default) if isinstance(default, tuple) else default
+    return _of_class(declare_checked(node, item.name, given, descriptor))

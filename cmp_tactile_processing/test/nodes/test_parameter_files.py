@@ -47,7 +47,7 @@ NODES: list[tuple[Any, dict[str, Any]]] = [
     (GridlineTracker, {"view": "right", "follow": False, "red": 1e-05, "print_frames": 3}),
     (StereoTriangulator, {"auto_reference": "never", "max_ray_gap": 2e-07}),
     (ForceReconstructor, {"large_press": "on", "slip.full_ratio": 1.0, "noise_depth": 1e-09}),
-    (SurfaceVisualizer, {"force_gain": 0.0, "diagnostics.report_after": 7}),
+    (SurfaceVisualizer, {"up": [0.0, -1.0, 0.5], "force_gain": 0.0, "diagnostics.report_after": 7}),
 ]
 
 
