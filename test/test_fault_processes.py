@@ -1,4 +1,9 @@
-"""A node in a process of its own is killed and started again: the chain goes on."""
+"""A node in a process of its own is killed and started again: the chain goes on.
+
+These processes take UDP alone, as docs/network.md advises for nodes that may be killed: what
+Fast DDS 3.2 has sent to a reader that was killed can stay in the shared memory of the sending
+process (512 kB) and keep its other readers from getting anything (eProsima/Fast-DDS 5469).
+"""
 
 import os
 import subprocess
@@ -47,7 +52,8 @@ class Chain:
             arguments += ["-p", f"{name}:={value}"]
         module = f"cmp_tactile_processing.nodes.{node}"
         self._processes[node] = subprocess.Popen(
-            [sys.executable, "-m", module, "--ros-args", *arguments], env=os.environ
+            [sys.executable, "-m", module, "--ros-args", *arguments],
+            env={**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"},
         )
 
     def send_until_seen(self, what):
