@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_viewer.snapshot import Pose
@@ -21,16 +21,28 @@ NAMES = ("/truth/indenter_pose", "/indenter/pose")
 class IndenterPoses:
     """The poses of the only indenter in a bag; none where it has none, or several."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises BagError for what is no bag."""
-        storage = open_storage(path)
-        topics = [
+    def __init__(self, storage: BagStorage) -> None:
+        """The poses are read when the first of them is asked for."""
+        self._storage = storage
+        self._topics = [
             topic
             for topic, kind in storage.topics.items()
             if kind == POSE_STAMPED and topic.endswith(NAMES)
         ]
+
+    def __bool__(self) -> bool:
+        return len(self._topics) == 1
+
+    def at(self, stamp_ns: int) -> Pose | None:
+        """The pose at a moment, the last one before where that has none; None before the first."""
+        stamps, poses = self._by_stamp
+        index = bisect_right(stamps, stamp_ns)
+        return poses[index - 1] if index else None
+
+    @cached_property
+    def _by_stamp(self) -> tuple[list[int], list[Pose]]:
         poses: dict[int, Pose] = {}
-        for stored in storage.messages(topics) if len(topics) == 1 else ():
+        for stored in self._storage.messages(self._topics):
             try:
                 message: Any = simulation_typestore().deserialize_cdr(stored.data, POSE_STAMPED)
             except (SerdeError, ValueError):
@@ -38,13 +50,5 @@ class IndenterPoses:
             p, q = message.pose.position, message.pose.orientation
             stamp = stamp_ns(message.header.stamp)
             poses[stamp] = Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
-        self._stamps = sorted(poses)
-        self._poses = [poses[stamp] for stamp in self._stamps]
-
-    def __bool__(self) -> bool:
-        return bool(self._poses)
-
-    def at(self, stamp_ns: int) -> Pose | None:
-        """The pose at a moment, the last one before where that has none; None before the first."""
-        index = bisect_right(self._stamps, stamp_ns)
-        return self._poses[index - 1] if index else None
+        stamps = sorted(poses)
+        return stamps, [poses[stamp] for stamp in stamps]

@@ -14,7 +14,7 @@ from rosbags.serde import SerdeError
 
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, RecordedFrame
 from cmp_tactile_driver.bags.recording import is_bag, open_recording
-from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, open_storage
+from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import ADVICE, single_flags
@@ -110,9 +110,14 @@ class StoredResults:
     Messages that cannot be used are left out; `problem` keeps the last reason.
     """
 
-    def __init__(self, path: Path, sensor: SensorDescription) -> None:
-        """Raises BagError for what is no bag, ViewerError for one of several sensors."""
-        self._storage = open_storage(path)
+    def __init__(
+        self, path: Path, sensor: SensorDescription, storage: BagStorage | None = None
+    ) -> None:
+        """storage: the bag, where it is open already.
+
+        Raises BagError for what is no bag, ViewerError for one of several sensors.
+        """
+        self._storage = storage or open_storage(path)
         self._topics = _result_topics(path, self._storage.topics)
         self._sensor = sensor
         self._depth = BitDepth(str(path))
@@ -177,7 +182,7 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
             kind in (IMAGE, COMPRESSED_IMAGE)
             and _is_frame(topic)
             # Raw ones come first, and are better.
-            and topic.removesuffix("/compressed") not in found
+            and topic.removesuffix(reading.COMPRESSED) not in found
         ):
             found[topic] = "frame"
     for field in ("surface", "force"):
@@ -190,12 +195,14 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
 
 def _is_frame(topic: str) -> bool:
     """Whether it is the topic of a camera, not of a view of it."""
-    parts = topic.removesuffix("/compressed").split("/")
+    parts = topic.removesuffix(reading.COMPRESSED).split("/")
     return parts[-1] == "image_raw" and parts[-2:-1] not in (["left"], ["right"])
 
 
-def _is_bag(path: Path) -> bool:
-    return path.suffix in STORAGE_SUFFIXES if path.is_file() else path.is_dir() and is_bag(path)
+def _bag(path: Path) -> BagStorage | None:
+    """None for a folder of images or a video."""
+    whether = path.suffix in STORAGE_SUFFIXES if path.is_file() else path.is_dir() and is_bag(path)
+    return open_storage(path) if whether else None
 
 
 def open_frames(path: Path, sensor: SensorDescription, topic: str = "") -> Frames:
@@ -204,10 +211,16 @@ def open_frames(path: Path, sensor: SensorDescription, topic: str = "") -> Frame
     Forces alone are shown where the bag has no images.  Raises CmpTactileError for what cannot be
     read.
     """
-    if _is_bag(path):
-        fields = _result_topics(path, open_storage(path).topics).values()
+    return _frames(path, _bag(path), sensor, topic)
+
+
+def _frames(
+    path: Path, storage: BagStorage | None, sensor: SensorDescription, topic: str
+) -> Frames:
+    if storage is not None:
+        fields = _result_topics(path, storage.topics).values()
         if "surface" in fields or ("force" in fields and "frame" not in fields):
-            return StoredResults(path, sensor)
+            return StoredResults(path, sensor, storage)
     return ProcessedFrames(path, sensor, topic)
 
 
@@ -384,8 +397,9 @@ def open_source(
 
     name: on the page; empty for the sensor's.  Raises CmpTactileError for what cannot be read.
     """
-    frames = open_frames(path, sensor, topic)
+    storage = _bag(path)
+    frames = _frames(path, storage, sensor, topic)
     shown = ShownSensor(name or sensor.ros_name, sensor)
     playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
-    indenter = IndenterPoses(path) if _is_bag(path) else None
+    indenter = None if storage is None else IndenterPoses(storage)
     return RecordingSource((shown,), playback, frames, indenter)
