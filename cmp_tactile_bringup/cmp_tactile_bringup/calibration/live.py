@@ -27,7 +27,7 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.split import LUMINANCE
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Markers3D
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
+from cmp_tactile_processing.ros.messages.reading import COMPRESSED, image_from_msg
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -75,7 +75,7 @@ class LiveFrames(Listener):
 
         A middleware may refuse a second type of one topic in a process.
         """
-        compressed = CompressedImage, f"{self._topic}/compressed"
+        compressed = CompressedImage, self._topic + COMPRESSED
         for kind, topic in (*((kind, self._topic) for kind in IMAGE_TYPES), compressed):
             others = self.node.get_publishers_info_by_topic(topic)
             if any(other.topic_type == IMAGE_TYPES[kind] for other in others):

@@ -25,6 +25,7 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, whole_frame_info
+from cmp_tactile_processing.ros.messages.reading import COMPRESSED
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 
@@ -311,21 +312,21 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
     if not images:
         msg = f"{path}: found no topic of type {IMAGE} or {COMPRESSED_IMAGE}; topics: {found}"
         raise BagError(msg)
-    camera = [name for name in images if name.removesuffix("/compressed").endswith("image_raw")]
+    camera = [name for name in images if name.removesuffix(COMPRESSED).endswith("image_raw")]
     # A recording of a running sensor holds its views and overlays too; the camera's is outermost.
-    camera.sort(key=lambda name: (name.removesuffix("/compressed").count("/"), name))
-    bases = {name.removesuffix("/compressed") for name in camera}
+    camera.sort(key=lambda name: (name.removesuffix(COMPRESSED).count("/"), name))
+    bases = {name.removesuffix(COMPRESSED) for name in camera}
     outermost = [base for base in bases if base.count("/") == min(b.count("/") for b in bases)]
     if len(images) == 1:
         return images[0]
     if len(outermost) == 1:
-        return next(name for name in camera if name.removesuffix("/compressed") == outermost[0])
+        return next(name for name in camera if name.removesuffix(COMPRESSED) == outermost[0])
     msg = f"{path}: found several image topics, name one of: {', '.join(images)}"
     raise BagError(msg)
 
 
 def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:
     """The camera info in the same namespace as the images (`a/image_raw` -> `a/camera_info`)."""
-    namespace = image_topic.removesuffix("/compressed").rpartition("/")[0]
+    namespace = image_topic.removesuffix(COMPRESSED).rpartition("/")[0]
     name = f"{namespace}/camera_info"
     return name if topics.get(name) == CAMERA_INFO else None

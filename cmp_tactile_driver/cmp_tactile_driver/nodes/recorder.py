@@ -40,7 +40,7 @@ from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.graph_watch import COMPRESSED, other_transport
+from cmp_tactile_processing.ros.diagnostics.graph_watch import other_transport
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import (
     Finding,
@@ -50,7 +50,7 @@ from cmp_tactile_processing.ros.diagnostics.status import (
 )
 from cmp_tactile_processing.ros.intra_process import inbox_of
 from cmp_tactile_processing.ros.messages.conversions import message_class
-from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
+from cmp_tactile_processing.ros.messages.reading import COMPRESSED, image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -237,7 +237,7 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
         )
         compressed.data = array.array("B", content.tobytes())
         return EncodedMessage(
-            f"{topic}/compressed",
+            topic + COMPRESSED,
             COMPRESSED_IMAGE,
             serialize_message(compressed),
             _stamp_ns(message),

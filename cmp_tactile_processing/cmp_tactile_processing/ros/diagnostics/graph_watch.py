@@ -24,6 +24,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
+from cmp_tactile_processing.ros.messages.reading import COMPRESSED
+
 # Of ROS itself.
 OTHERS = ("/rosout", "/parameter_events")
 CLOCK = "/clock"
@@ -31,8 +33,6 @@ CLOCK = "/clock"
 UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 UNNAMED = "a node without a name"
 PATIENCE_S = 2.0
-# What image_transport adds to the topic of an image.
-COMPRESSED = "/compressed"
 INFINITE_NS = 2**63 - 1
 
 
