@@ -60,8 +60,8 @@ class RunningLine(Listener):
         super().__init__("running_line")
         self._graph, self._out = graph, out or sys.stdout
         self._on_quit = on_quit
-        self._keys = pressed_keys(self._on_key, keys)
-        self._has_keys = takes_keys(sys.stdin if keys is None else keys)
+        keys = sys.stdin if keys is None else keys
+        self._keys, self._has_keys = pressed_keys(self._on_key, keys), takes_keys(keys)
         self._calls = key_calls(graph)
         self._clients: dict[str, Any] = {}
         self._paused = any(item.parameters.get("paused") for item in graph.components)
