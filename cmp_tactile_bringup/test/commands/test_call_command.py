@@ -136,7 +136,7 @@ def test_no_sensor_and_one_of_another_name(ros, run):
 
 
 def test_a_replay_is_stepped_moved_and_resumed(ros, run, grasp_bag, capsys):
-    """Where it is told to, by the stamps of the frames that come."""
+    """Where it is asked to, by the stamps of the frames that come."""
     images = ros.listen(Image, "image_raw")
     # Begins again at the end: it is still playing when it is asked to step.
     ros.start(Replay, input=str(grasp_bag), paused=True, loop=True)

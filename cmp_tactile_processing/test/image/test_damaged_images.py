@@ -55,10 +55,34 @@ KINDS = {
 }
 
 
+def _coloured(picture: np.ndarray) -> np.ndarray:
+    return np.dstack([picture, picture[::-1], picture])
+
+
+def _of_kind(picture: np.ndarray, kind: str) -> bytes:
+    return _jpeg(_coloured(picture)) if kind == "colour" else _jpeg(picture, *KINDS[kind])
+
+
+def _refused_and_wrong(content: bytes, seed: int) -> tuple[int, int]:
+    """Of 200 contents with a wrong byte each: how many are refused, and how many much changed."""
+    rng = np.random.default_rng(seed)
+    expected = _decode(content).astype(int)
+    begin, refused, wrong = content.index(b"\xff\xda") + 20, 0, 0
+    for at in rng.integers(begin, len(content) - 10, 200):
+        damaged = bytearray(content)
+        damaged[at] ^= int(rng.integers(1, 256))
+        try:
+            found = _decode(bytes(damaged))
+        except FrameError:
+            refused += 1
+        else:
+            wrong += np.mean(np.abs(found - expected) > WRONG) > 0.02
+    return refused, wrong
+
+
 @pytest.mark.parametrize("kind", [*KINDS, "colour"])
 def test_whole_pictures_are_read_as_opencv_reads_them(picture, kind):
-    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
-    content = _jpeg(image, *KINDS.get(kind, ()))
+    content = _of_kind(picture, kind)
     expected = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(_decode(content), expected)
     # A camera's buffer is longer than the picture.
@@ -77,8 +101,7 @@ def test_whole_pictures_are_read_as_opencv_reads_them(picture, kind):
 @pytest.mark.parametrize("kind", [*KINDS, "colour"])
 @pytest.mark.parametrize("missing", [40, 400, 2000])
 def test_a_jpeg_with_a_part_missing_is_refused(picture, kind, missing):
-    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
-    content = _jpeg(image, *KINDS.get(kind, ()))
+    content = _of_kind(picture, kind)
     for at in (0.2, 0.5, 0.8):
         begin = int(at * len(content))
         with pytest.raises(FrameError, match=r"a\.jpg: found a damaged JPEG"):
@@ -90,19 +113,7 @@ def test_a_jpeg_with_a_part_missing_is_refused(picture, kind, missing):
 
 def test_most_jpegs_with_a_wrong_byte_are_refused_or_hardly_changed(picture):
     """libjpeg cannot know of a byte that makes other valid pixels of the same number."""
-    content = _jpeg(picture)
-    rng = np.random.default_rng(2)
-    expected = _decode(content).astype(int)
-    begin, refused, wrong = content.index(b"\xff\xda") + 20, 0, 0
-    for at in rng.integers(begin, len(content) - 10, 200):
-        damaged = bytearray(content)
-        damaged[at] ^= int(rng.integers(1, 256))
-        try:
-            found = _decode(bytes(damaged))
-        except FrameError:
-            refused += 1
-        else:
-            wrong += np.mean(np.abs(found - expected) > WRONG) > 0.02
+    refused, wrong = _refused_and_wrong(_jpeg(picture), seed=2)
     assert refused > wrong
 
 
@@ -138,7 +149,7 @@ def test_what_fills_up_before_a_marker_is_passed_over(picture, kind, interval, e
     image = {
         "grey": picture,
         "neutral": np.dstack([picture] * 3),
-        "colour": np.dstack([picture, picture[::-1], picture]),
+        "colour": _coloured(picture),
         "noise": np.random.default_rng(4).integers(0, 256, picture.shape, np.uint8),
     }[kind]
     quality = (cv2.IMWRITE_JPEG_QUALITY, 99) if kind == "noise" else ()
@@ -149,8 +160,7 @@ def test_what_fills_up_before_a_marker_is_passed_over(picture, kind, interval, e
 
 @pytest.mark.parametrize("kind", [*KINDS, "colour"])
 def test_a_picture_without_its_end_is_read_if_its_pixels_are_whole(picture, kind):
-    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
-    content = _jpeg(image, *KINDS.get(kind, ()))
+    content = _of_kind(picture, kind)
     expected = _decode(content)
     ends = [b"", b"\xff", b"\xff" * 500]
     # The rest of a camera's buffer; no camera sends progressive ones.
@@ -164,8 +174,7 @@ def test_a_picture_without_its_end_is_read_if_its_pixels_are_whole(picture, kind
 @pytest.mark.parametrize("kind", ["grey", "restarts", "colour"])
 def test_a_picture_without_huffman_tables_is_read(picture, kind):
     """As cameras send it, of which many say so with a segment "AVI1"."""
-    image = np.dstack([picture, picture[::-1], picture]) if kind == "colour" else picture
-    content = _jpeg(image, *KINDS.get(kind, ()))
+    content = _of_kind(picture, kind)
     expected = _decode(content)
     bare = re.sub(rb"(?s)\xff\xc4(\x00\x1f.{29}|\x00\xb5.{179})", b"", content)
     assert b"\xff\xc4" not in bare
@@ -181,18 +190,7 @@ def test_a_picture_without_huffman_tables_is_read(picture, kind):
 def test_damage_is_found_as_well_among_what_fills_up(picture, kind, fill):
     """As many wrong bytes as without what fills up, and each part that is missing."""
     content = _with_fill(_jpeg(picture, *KINDS[kind]), fill)
-    rng = np.random.default_rng(3)
-    expected = _decode(content).astype(int)
-    begin, refused, wrong = content.index(b"\xff\xda") + 20, 0, 0
-    for at in rng.integers(begin, len(content) - 10, 200):
-        damaged = bytearray(content)
-        damaged[at] ^= int(rng.integers(1, 256))
-        try:
-            found = _decode(bytes(damaged))
-        except FrameError:
-            refused += 1
-        else:
-            wrong += np.mean(np.abs(found - expected) > WRONG) > 0.02
+    refused, wrong = _refused_and_wrong(content, seed=3)
     assert refused > wrong
     for share in (0.2, 0.5, 0.8):
         at = int(share * len(content))
