@@ -75,6 +75,10 @@ class YamlSection:
         """The file."""
         return self._path
 
+    def missing(self, key: str, expected: str) -> DescriptionError:
+        """The error for a key of this section without a value."""
+        return self.error(key, _MISSING, expected)
+
     @property
     def comments(self) -> dict[str, Comment]:
         """Comments of the file by key path; empty for a section that is no file."""
