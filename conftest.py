@@ -66,6 +66,14 @@ def grasp_bag() -> Path:
 
 
 @pytest.fixture(scope="session")
+def packaged_grasp() -> Path:
+    """The recording of the demo, which the documents show; as `grasp_bag`."""
+    from cmp_tactile_simulation.recording.run import recording_of
+
+    return recording_of("grasp")
+
+
+@pytest.fixture(scope="session")
 def weigh_bag() -> Path:
     """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
     from cmp_tactile_simulation.recording.run import recording_of

@@ -5,7 +5,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +15,8 @@ from command_output import output_of
 from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing import Pipeline, SensorDescription
 from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_simulation.recording.truth import read_truth
 from cmp_tactile_simulation.scenes.file import packaged_scenes
@@ -46,20 +47,20 @@ def rows_of(printed):
     return [[float(item) for item in line.split()] for line in printed.splitlines()[1:]]
 
 
-@pytest.mark.usefixtures("short_scenes")
-def test_offline_example_prints_the_grasp(grasp_bag):
+def test_offline_example_prints_the_grasp(packaged_grasp):
     printed = output_of(EXAMPLES / "offline.py")
-    heading, *_ = shown_after(TUTORIALS / "first_look.md", "docs/examples/offline.py")
-    assert_printed([heading], printed)
+    # The last digit may be rounded otherwise by another machine.
+    shown = shown_after(TUTORIALS / "first_look.md", "docs/examples/offline.py")
+    assert_printed(shown, printed, absolute=0.011)
     rows = rows_of(printed)
-    assert [row[0] for row in rows] == [0, 5, 10, 15]
-    wrench = read_truth(grasp_bag).wrench
+    assert [row[0] for row in rows] == list(range(0, 60, 5))
+    wrench = read_truth(packaged_grasp).wrench
     for number, corners, deepest, *force in rows:
         true = wrench[int(number), :3]
         assert corners == 400
-        assert (deepest > 0.1) == (number > 0)
+        assert (deepest > 0.1) == (true[2] < 0)
         # What the force stage reaches on another mesh than the simulator's, and noise.
-        assert force == pytest.approx(true, abs=0.1 * abs(true[2]) + 0.1)
+        assert force == pytest.approx(true, abs=0.01 * abs(true[2]) + 0.01)
 
 
 def test_refraction_example_prints_what_the_documentation_says():
@@ -202,10 +203,13 @@ def test_a_forgotten_scale_is_reported_as_the_tutorial_shows(tmp_path, monkeypat
 
 
 @pytest.mark.ros
-def test_listening_example_reports_the_grip_that_the_tutorial_plays(ros, grasp_bag):
+def test_listening_example_reports_the_grip_that_the_tutorial_plays(ros, packaged_grasp):
+    """With what is felt of the frames before and after the grip becomes firm and loose."""
     from cmp_tactile_msgs.msg import ForceField
 
-    truth = read_truth(grasp_bag)
+    pipeline = Pipeline(SensorDescription.load(packaged_grasp / "sensor.yaml"))
+    frames = list(BagReader(packaged_grasp).frames())
+    felt = [pipeline.process(frames[number].image).force for number in (0, 15, 16, 30, 48, 49)]
     shown = shown_after(TUTORIALS / "first_look.md", "docs/examples/listen.py")
     listener = subprocess.Popen(
         [sys.executable, str(EXAMPLES / "listen.py")],
@@ -214,36 +218,23 @@ def test_listening_example_reports_the_grip_that_the_tutorial_plays(ros, grasp_b
     )
     try:
         publisher = ros.publisher(ForceField, "/sample_rig/force_field")
-        for wrench, area in zip(truth.wrench, truth.contact_area, strict=True):
-            msg = ForceField(contact_area=area)
-            msg.wrench.force.z = wrench[2]
+        for force in felt:
+            msg = ForceField(contact_area=force.contact_area)
+            msg.wrench.force.z = force.wrench[2]
             publisher.publish(msg)
-            # Slowly enough for a listener that waits for a processor: its queue holds ten.
-            time.sleep(0.25)
         said = [listener.stdout.readline() for _ in shown]
         listener.send_signal(signal.SIGINT)
         assert listener.wait(timeout=60) == 0
     finally:
         listener.kill()
         listener.stdout.close()
-    # The short scene has a third of the frames: it passes the limit by up to one of its steps, N
-    # and mm^2.
-    figures = np.column_stack([truth.wrench[:, 2], 1e6 * truth.contact_area])
-    steps = np.abs(np.diff(figures, axis=0)).max(axis=0)
-    assert_printed(shown[:1], said[0])
-    for line, printed in zip(shown[1:], said[1:], strict=True):
-        assert_printed([line], printed, absolute=steps.max(), whole=False)
-        (force, area), (said_force, said_area) = (
-            map(float, re.findall(r"[\d.]+(?= N| mm2)", text)) for text in (line, printed)
-        )
-        assert force == pytest.approx(said_force, abs=steps[0])
-        assert area == pytest.approx(said_area, abs=steps[1])
+    # The last digit may be rounded otherwise by another machine.
+    assert_printed(shown, "".join(said), absolute=0.11)
 
 
 @pytest.mark.ros
-@pytest.mark.usefixtures("short_scenes")
 def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
-    """Against `cmp_tactile live`, as the tutorial runs it."""
+    """Against `cmp_tactile live`, as the tutorial runs it: with the scene that is packaged."""
     log = (tmp_path / "live.log").open("w")
     live = subprocess.Popen(
         [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp", "--no-autoplay"],
@@ -279,9 +270,10 @@ def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
     assert forces["pressed"] == pytest.approx([0, 0, -2], abs=0.03)
     assert forces["dragged"][0] > 0.3
     assert forces["released"] == [0, 0, 0]
-    # Another mesh than the full scene's: its contact is softer or stiffer by some ten per cent.
-    shown = shown_after(TUTORIALS / "first_look.md", "docs/examples/move_indenter.py sample_rig")
-    assert_printed(shown, hand.stdout, rel=0.2, absolute=0.1)
+    for name in ("first_look.md", "simulate.md"):
+        shown = shown_after(TUTORIALS / name, "docs/examples/move_indenter.py sample_rig")
+        # The load is reached within 1 %, in steps that depend on the machine.
+        assert_printed(shown, hand.stdout, absolute=0.03)
 
 
 @pytest.mark.ros

@@ -59,12 +59,19 @@ def with_recordings(graph: Graph, progress: MakingProgress | None = None) -> Gra
     for item in graph.components:
         if item.plugin != REPLAY:
             continue
-        paths = [str(recorded_source(path, progress)) for path in _inputs(item)]
+        paths = [str(recorded_source(path, _of_scene(path, progress))) for path in _inputs(item)]
         given = str(item.parameters.get("begin_with", ""))
         others = " ".join(sorted(together - {item.full_name}))
         changed = {"input": os.pathsep.join(paths), "begin_with": f"{given} {others}".strip()}
         parameters[item.full_name] = {name: text for name, text in changed.items() if text}
     return graph.with_parameters(parameters)
+
+
+def _of_scene(scene: Path, progress: MakingProgress | None) -> MakingProgress | None:
+    """The progress with the scene's name, and that it is not always so long."""
+    if progress is None:
+        return None
+    return lambda what, share: progress(f"{scene}: {what}, the first time only", share)
 
 
 def check_recordings(graph: Graph) -> None:

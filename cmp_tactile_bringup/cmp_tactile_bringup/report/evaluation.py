@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_bringup.recordings.simulated import Recording
 from cmp_tactile_processing.calibration.check import CheckedRecording, CheckParameters
+from cmp_tactile_processing.calibration.outcome import length_text
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.measured import ForceField, Grid, Status, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -469,11 +470,6 @@ class TruthErrors:
             limit += f" and {TRUTH_LIMITS.displacement_percent:g} %"
             kept &= percent <= TRUTH_LIMITS.displacement_percent
         return TableRow("Displacement error against the truth", value, limit, kept)
-
-
-def length_text(length: float) -> str:
-    """A length (m) as people read it."""
-    return f"{length * 1e6:.3g} um" if abs(length) < 1e-3 else f"{length * 1e3:.3g} mm"
 
 
 def truth_of(source: Path) -> RecordedTruth | None:

@@ -114,6 +114,7 @@ class CountingBar:
 def stage_bars(progress: Progress, **fields: Any) -> OnStage:
     """A bar for each thing that is done, in the order in which they begin.
 
+    Where no bar can move (a pipe, a file), a line as each begins: bars are drawn at the end there.
     fields: that the columns of the progress need.
     """
     tasks: dict[str, Any] = {}
@@ -121,6 +122,8 @@ def stage_bars(progress: Progress, **fields: Any) -> OnStage:
     def on_stage(what: str, share: float) -> None:
         if what not in tasks:
             tasks[what] = progress.add_task(what, total=100, **fields)
+            if not progress.console.is_terminal:
+                print_line(progress.console, f"{what} ...")
         progress.update(tasks[what], completed=round(100 * share))
 
     return on_stage

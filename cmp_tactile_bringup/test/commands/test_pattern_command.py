@@ -23,6 +23,7 @@ from cmp_tactile_processing.printing.pattern import (
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
+    find_sensor_description,
     load_sensor,
     write_sensor_description,
 )
@@ -71,6 +72,24 @@ def test_changes_are_laid_into_the_description(folder):
     assert after.pattern == expected
     assert (folder / "new" / "wide.svg").is_file()
     assert not (folder / "new" / "wide.pdf").exists()
+
+
+def test_what_is_assumed_is_still_said_to_be(folder):
+    """All but that of the pitch, which is chosen now."""
+    source = find_sensor_description("prototype")
+    Path("my_sensor.yaml").write_bytes(source.read_bytes())
+    assumed = ["T_camera_gel", "views", "pitch", "young", "poisson", "shading_layer"]
+    assert _assumed("my_sensor.yaml") == assumed
+    assert pattern("my_sensor.yaml", "--format", "svg") == 0
+    assert _assumed("my_sensor_pattern.yaml") == assumed
+    assert pattern("my_sensor.yaml", "--pitch", 0.6, "-o", "finer", "--format", "svg") == 0
+    assumed.remove("pitch")
+    assert _assumed("finer.yaml") == assumed
+
+
+def _assumed(file):
+    text = Path(file).read_text(encoding="utf-8")
+    return re.findall(r"(?m)^ *(\w+):.*# .*assumed", text)
 
 
 @pytest.mark.parametrize(

@@ -120,7 +120,7 @@ def test_the_packaged_scenes_are_listed_a_line_each(capsys):
     ("arguments", "code", "message"),
     [
         (["nothing"], 1, "error: nothing: found no such scene, expected a file or one of ball,"),
-        (["ball"], 1, "variants: found 'no variant', expected one of 10mm, 11mm"),
+        (["ball"], 1, "variants: found nothing, expected one of 10mm, 11mm"),
         ([], 2, "SCENE is required; --list shows the packaged ones"),
         (["grasp", "--frames", "0"], 2, "found '0', expected a whole number from 1 to 100000"),
         (["grasp", "--format", "avi"], 2, "--format: found 'avi', expected one of bag, png"),

@@ -433,10 +433,9 @@ def _findings(
             continue
         wanted = "at least" if figure.at_least else "at most"
         whom = f" for {JUDGED_PERCENT:g} % of the markers" if np.isfinite(figure.p95) else ""
-        text = (
-            f"{figure.name[0].upper()}{figure.name[1:]}: found {_shown(figure.value, figure.unit)}"
-            f"{whom}, expected {wanted} {_shown(figure.limit, figure.unit)}."
-        )
+        value, limit = (outcome.value_text(v, figure.unit) for v in (figure.value, figure.limit))
+        name = f"{figure.name[0].upper()}{figure.name[1:]}"
+        text = f"{name}: found {value}{whom}, expected {wanted} {limit}."
         findings.append(outcome.Finding(outcome.Severity.ERROR, text, figure.advice))
     if not len(rest):
         text = "No two frames in a row show the gel at rest: whether it has drifted is not known."
@@ -453,18 +452,9 @@ def _verdict(figures: Sequence[CheckFigure], findings: Sequence[outcome.Finding]
     if errors:
         return f"Do not measure with this calibration. {errors[0].text} {errors[0].advice}"
     listed = ", ".join(
-        f"{figure.name} {_shown(figure.value, figure.unit)} (limit "
-        f"{_shown(figure.limit, figure.unit)})"
+        f"{figure.name} {outcome.value_text(figure.value, figure.unit)} (limit "
+        f"{outcome.value_text(figure.limit, figure.unit)})"
         for figure in figures
     )
     unknown = " Drift is not known: no frame shows the gel at rest." if findings else ""
     return f"The calibration holds: {listed}.{unknown}"
-
-
-def _shown(value: float, unit: str) -> str:
-    """A value as people read it."""
-    if unit == "m":
-        return f"{value * 1e6:.3g} um"
-    if unit == "rad":
-        return f"{np.degrees(value):.2g} degrees"
-    return f"{value:.3g} {unit}".rstrip() if unit else f"{value:.2%}"

@@ -48,6 +48,29 @@ def errors_in(findings: Iterable[Finding]) -> list[Finding]:
     return [item for item in findings if item.severity is Severity.ERROR]
 
 
+def number_text(value: float, digits: int = 3) -> str:
+    """A number as people read it: so many digits count, and no power of ten."""
+    if not np.isfinite(value):
+        return f"{value}"
+    return np.format_float_positional(float(f"{value:.{digits}g}"), trim="-")
+
+
+def length_text(length: float, digits: int = 3) -> str:
+    """A length (m) as people read it."""
+    if abs(length) < 1e-3:
+        return f"{number_text(length * 1e6, digits)} um"
+    return f"{number_text(length * 1e3, digits)} mm"
+
+
+def value_text(value: float, unit: str) -> str:
+    """A figure as people read it; without a unit it is a share."""
+    if unit == "m":
+        return length_text(value)
+    if unit == "rad":
+        return f"{number_text(float(np.degrees(value)), 2)} deg"
+    return f"{number_text(value)} {unit}" if unit else f"{value:.2%}"
+
+
 class WithFindings:
     """A result that findings speak against, or do not."""
 

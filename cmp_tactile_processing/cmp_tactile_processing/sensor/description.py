@@ -8,13 +8,14 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor import parameters, parts
+from cmp_tactile_processing.sensor.yaml_comments import Comment, lines_of, with_values
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
     field_values,
@@ -57,6 +58,7 @@ class SensorDescription:
     """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them.
 
     file: that it was read from, which errors name; empty for one that was made otherwise.
+    comments: of that file by key path; a written file has those whose values are still the same.
     """
 
     name: str = field(metadata=text())
@@ -83,6 +85,7 @@ class SensorDescription:
         default=None, metadata=part(parts.CalibrationRecord)
     )
     file: str = field(default="", compare=False, repr=False)
+    comments: Mapping[str, Comment] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def origin(self) -> str:
@@ -125,9 +128,11 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
         optics=optics,
         views=views,
         file=str(top.path),
+        comments={},
     )
     _check_gel(top, sensor.pattern, sensor.elastomer)
-    return sensor
+    plain = [(line.path, line.text) for line in _file_lines(sensor)]
+    return replace(sensor, comments=with_values(top.comments, plain))
 
 
 def _read_camera(section: YamlSection, image: parts.ImageSize) -> parts.Camera:
@@ -217,14 +222,45 @@ def sensor_description_text(sensor: SensorDescription) -> str:
     """The file of a sensor as text.
 
     SensorDescription.load gives the same sensor of it, to the last bit.  Of the stages' parameters
-    those that are not the default are written.
+    those that are not the default are written.  A comment of the file that the sensor was read from
+    is kept as long as all that it is about is the same.
     """
-    lines = [f"version: {FORMAT_VERSION}", *_lines(sensor, sensor.camera)]
-    return HEADER + "".join(f"{line}\n" for line in lines)
+    lines = list(_file_lines(sensor))
+    plain = [(line.path, line.text) for line in lines]
+    kept = {
+        path: comment
+        for path, comment in sensor.comments.items()
+        if comment.about == lines_of(plain, path)
+    }
+    head = kept.get("", Comment(tuple(HEADER.splitlines()))).above
+    written = [*head, *(text for line in lines for text in _commented(line, kept.get(line.path)))]
+    return "".join(f"{text}\n" for text in written)
 
 
-def _lines(part: Any, shared: parts.Camera | None) -> Iterator[str]:
-    """Lines of the fields of a part.  shared: the camera that views do not repeat."""
+class _Line(NamedTuple):
+    """path: of its key.  comment: that the line has where there is no other."""
+
+    path: str
+    text: str
+    comment: str = ""
+
+
+def _commented(line: _Line, comment: Comment | None) -> Iterator[str]:
+    comment = comment or Comment()
+    indent = line.text[: len(line.text) - len(line.text.lstrip())]
+    yield from (f"{indent}{text}" for text in comment.above)
+    behind = comment.behind or line.comment
+    yield f"{line.text}  # {behind}" if behind else line.text
+
+
+def _file_lines(sensor: SensorDescription) -> Iterator[_Line]:
+    """All lines but those of comments."""
+    yield _Line("version", f"version: {FORMAT_VERSION}")
+    yield from _lines(sensor, "", sensor.camera)
+
+
+def _lines(part: Any, above: str, shared: parts.Camera | None) -> Iterator[_Line]:
+    """Lines of the fields of a part.  above: its path.  shared: the camera of all views."""
     for item in fields(part):
         value = getattr(part, item.name)
         repeated = isinstance(value, parts.Camera) and isinstance(part, parts.ViewDescription)
@@ -234,7 +270,8 @@ def _lines(part: Any, shared: parts.Camera | None) -> Iterator[str]:
             comment = COMMENTS.get(key, "")
             if isinstance(part, parts.Camera) and key == "distortion":
                 comment = COEFFICIENTS.get(part.model, "")
-            yield from _entry(key, value, f"  # {comment}" if comment else "", shared)
+            line = _Line(f"{above}.{key}".lstrip("."), f"{key}:", comment)
+            yield from _entry(line, value, shared)
 
 
 def _goes_without(item: Field[Any], value: Any) -> bool:
@@ -244,22 +281,30 @@ def _goes_without(item: Field[Any], value: Any) -> bool:
     return value == item.default or (isinstance(value, float) and math.isnan(value))
 
 
-def _entry(key: str, value: Any, comment: str, shared: parts.Camera | None) -> Iterator[str]:
+def _entry(line: _Line, value: Any, shared: parts.Camera | None) -> Iterator[_Line]:
+    """line: that of the key, without the value."""
+    path, text, _ = line
     inline = _inline(value)
     if inline:
-        yield f"{key}: {inline}{comment if inline != '[]' else ''}"
+        yield line._replace(text=f"{text} {inline}", comment=line.comment if inline != "[]" else "")
         return
     if isinstance(value, Mapping):
-        below = [line for name, item in value.items() for line in _entry(name, item, "", shared)]
+        below = [
+            found
+            for name, item in value.items()
+            for found in _entry(_Line(f"{path}.{name}", f"{name}:"), item, shared)
+        ]
     elif is_dataclass(value):
-        below = list(_lines(value, shared))
+        below = list(_lines(value, path, shared))
     else:
         # A pose has a last row that says nothing.
         items = value[:3] if isinstance(value, np.ndarray) else value
-        below = [f"- {_inline(item)}" for item in items]
+        below = [
+            _Line(f"{path}[{number}]", f"- {_inline(item)}") for number, item in enumerate(items)
+        ]
     if below:
-        yield f"{key}:{comment}"
-        yield from (f"  {line}" for line in below)
+        yield line
+        yield from (found._replace(text=f"  {found.text}") for found in below)
 
 
 def _inline(value: Any) -> str:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError, found_text, printable
-from cmp_tactile_processing.sensor.yaml_text import yaml_content
+from cmp_tactile_processing.sensor.yaml_comments import Comment
+from cmp_tactile_processing.sensor.yaml_text import yaml_comments, yaml_content
 
 MAX_FILE_BYTES = 1_000_000
 # How alike a misspelt word is to the one that is meant.
@@ -52,14 +53,16 @@ def parse_yaml(path: Path, text: str) -> YamlSection:
 
     Raises DescriptionError, naming the file, for what is not YAML or not a mapping.
     """
-    return YamlSection(path, "", yaml_content(path, text))
+    return YamlSection(path, "", yaml_content(path, text), text)
 
 
 class YamlSection:
     """One mapping of a file; remembers which keys were read so that `finish` can name the rest."""
 
-    def __init__(self, path: Path, key_path: str, content: object) -> None:
+    def __init__(self, path: Path, key_path: str, content: object, text: str = "") -> None:
+        """text: of the file, for its comments."""
         self._path = path
+        self._text = text
         self._key_path = key_path
         if not isinstance(content, dict):
             raise self.error("", content, "a mapping")
@@ -71,6 +74,15 @@ class YamlSection:
     def path(self) -> Path:
         """The file."""
         return self._path
+
+    def missing(self, key: str, expected: str) -> DescriptionError:
+        """The error for a key of this section without a value."""
+        return self.error(key, _MISSING, expected)
+
+    @property
+    def comments(self) -> dict[str, Comment]:
+        """Comments of the file by key path; empty for a section that is no file."""
+        return yaml_comments(self._path, self._text)
 
     def error(self, key: str, found: object, expected: str) -> DescriptionError:
         """The error for a key of this section."""

@@ -17,6 +17,7 @@ from yaml.resolver import Resolver
 from yaml.scanner import Scanner
 
 from cmp_tactile_processing.errors import DescriptionError, found_text, printable, shortened
+from cmp_tactile_processing.sensor.yaml_comments import Comment, comments_of
 
 # Far more than a scene has; an alias counts as all that it stands for.
 MAX_NODES = 30_000
@@ -216,6 +217,12 @@ def yaml_content(path: Path, text: str) -> Any:
         problem = ": ".join(part for part in (error.context, error.problem) if part)
         msg = f"{path}: {printable(where)}: not a YAML file: {place}: {' '.join(problem.split())}"
     raise DescriptionError(msg)
+
+
+def yaml_comments(path: Path, text: str) -> dict[str, Comment]:
+    """The comments of a text that `yaml_content` reads, by key path."""
+    root = _Loader(path, text).get_single_node() if "#" in text else None
+    return {} if root is None else comments_of(text, root)
 
 
 def _below(key_path: str, key: str | int) -> str:

@@ -269,3 +269,108 @@ def test_date_without_quotes_is_read(tmp_path):
     text = sensor_description_text(RIGS["calibrated"])
     path.write_text(text.replace('"2026-07-01T12:00:00Z"', "2026-07-01T12:00:00Z"))
     assert SensorDescription.load(path).calibration.date == "2026-07-01T12:00:00Z"
+
+
+COMMENTED = """\
+# A sensor of ours.
+# Its values are guesses.
+version: 1
+name: mine   # "#1" on the shelf
+image:
+  width: 1024    # assumed
+  height: 768
+camera: {model: pinhole, fx: 537.0, fy: 537.0, cx: 511.5, cy: 383.5, distortion: [0, 0, 0, 0, 0]}
+optics:
+  type: mirror_stereo
+  # assumed, as the whole lid
+
+  T_camera_gel:        # of the drawing
+    - [1.0, 0.0, 0.0, 0.0]
+    - [0.0, -0.7179596728076926, -0.6960846990286967, -0.01035789]
+    - [0.0, 0.6960846990286967, -0.7179596728076926, -0.00759817]
+  layers:
+    - {z: -0.0087, index: 1.49}     # lower face, überall
+    - {z: -0.0057, index: 1.41}
+views:                 # mirrors assumed
+  left:
+    roi: [0, 0, 512, 768]
+    mirror: {normal: [0.29695597, -0.32659202, -0.89730419], distance: -0.007194375}   # glued
+  right:
+    roi: [512, 0, 512, 768]
+    mirror: {normal: [-0.29695597, -0.32659202, -0.89730419], distance: -0.007194375}
+pattern:
+  rows: 20
+  cols: 20
+  pitch: 0.0006904761904761905    # assumed: 21 checkers
+                                  # over 14.5 mm
+  corner_checker: dark
+  points_per_segment: 6
+  surface: {type: sphere_cap, radius: 0.027}
+elastomer:
+  size: [0.022, 0.022, 0.006]
+  young: 500000.0      # assumed: soft PDMS
+  poisson: 0.48        # assumed
+  model: linear
+  shading_layer:
+    thickness: 0.0003
+    young: 500000.0    # assumed
+# nothing follows
+"""
+
+
+@pytest.fixture
+def commented(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(COMMENTED, encoding="utf-8")
+    return SensorDescription.load(path)
+
+
+def test_comments_of_what_stays_the_same_are_kept(commented, tmp_path):
+    """In place of ours, in the lines that the writer makes of it.
+
+    Reports of the kind, tried here:
+    NousResearch/hermes-agent 92554 (a setting is changed, the reasons beside all others are gone or
+    others' stand there): one value is changed, all other comments stay, also above keys and in
+    lists.
+    terrapower/armi 905, jbeder/yaml-cpp 457 (what the reader drops no writer can keep): they are
+    read with the description and go wherever it goes.
+    lightbend/config 149 (the first comment lost, one after a blank line moved): both stay.
+    """
+    same = sensor_description_text(commented)
+    assert same.splitlines()[:3] == COMMENTED.splitlines()[:3]
+    for line in (
+        'name: mine  # "#1" on the shelf',
+        "image: {width: 1024, height: 768}  # width: assumed",
+        "  # assumed, as the whole lid\n  T_camera_gel:  # of the drawing",
+        "    - {z: -0.0087, index: 1.49}  # lower face, überall",
+        "views:  # mirrors assumed",
+        "    mirror:  # glued",
+        "  pitch: 0.0006904761904761905  # assumed: 21 checkers over 14.5 mm",
+        "  young: 500000.0  # assumed: soft PDMS",
+        "  poisson: 0.48  # assumed",
+        "  shading_layer: {thickness: 0.0003, young: 500000.0}  # young: assumed",
+    ):
+        assert f"{line}\n" in same
+    (tmp_path / "again.yaml").write_text(same, encoding="utf-8")
+    assert sensor_description_text(SensorDescription.load(tmp_path / "again.yaml")) == same
+
+
+def test_a_comment_goes_with_the_value_that_it_is_about(commented):
+    mirror = replace(commented.views["left"].mirror, distance=-0.0072)
+    views = {**commented.views, "left": replace(commented.views["left"], mirror=mirror)}
+    changed = with_gel(replace(commented, views=views), young=2e5)
+    before, after = (sensor_description_text(item) for item in (commented, changed))
+    gone = {"mirrors assumed", "glued", "soft PDMS", "Its values are guesses"}
+    assert {text for text in gone if text in before} == gone
+    assert not {text for text in gone if text in after}
+    assert "poisson: 0.48  # assumed" in after
+    assert "T_camera_gel:  # of the drawing" in after
+
+
+@pytest.mark.parametrize("ending", ["\r\n", "\r", "\u2028"])
+def test_comments_between_other_line_breaks(commented, tmp_path, ending):
+    path = tmp_path / "other.yaml"
+    path.write_bytes(COMMENTED.replace("\n", ending).encode())
+    assert sensor_description_text(SensorDescription.load(path)) == sensor_description_text(
+        commented
+    )

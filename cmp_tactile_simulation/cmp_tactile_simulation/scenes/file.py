@@ -96,8 +96,14 @@ def _with_variant(top: YamlSection, path: Path, variant: str) -> YamlSection:
     """The mapping with the variant's keys laid over it; its name ends in the variant's."""
     variants = _variants(top)
     if variant not in variants and (variant or variants):
-        allowed = f"one of {', '.join(variants)}" if variants else "none: the scene has no variants"
-        raise top.error("variants", variant or "no variant", allowed)
+        if not variants:
+            raise top.error("variants", variant, "none: the scene has no variants")
+        expected = (
+            f"one of {', '.join(variants)}, given as SCENE{VARIANT_MARK}{next(iter(variants))}"
+        )
+        if not variant:
+            raise top.missing("variants", expected)
+        raise top.error("variants", variant, expected)
     content = {key: value for key, value in top.items() if key != "variants"}
     if variant:
         content["name"] = f"{description.read_name(top, 'name')}_{variant}"

@@ -47,6 +47,8 @@ def _indenters() -> Iterator[str]:
 
 def _scenes() -> Iterator[str]:
     yield "### Packaged scenes\n"
+    yield "`ball:16mm` is the scene `ball` in its variant `16mm`. A scene has the name of its file,"
+    yield "which is no `type` of an indenter: what presses in `ball` is a `sphere`.\n"
     yield "| scene | frames | source | title |\n|---|---|---|---|"
     for name in packaged_scene_names():
         scene = load_scene(name)

@@ -138,7 +138,7 @@ def test_a_variant_is_laid_over_the_scene(write):
     assert variants_of(path) == ("big", "small")
     scene = read_scene(path, "small")
     assert (scene.name, scene.indenter.values) == ("press_small", {"radius": 0.002})
-    with pytest.raises(SceneError, match=r"variants: found 'no variant', expected one of big, sm"):
+    with pytest.raises(SceneError, match=r"variants: found nothing, expected one of big, sm"):
         read_scene(path)
     with pytest.raises(SceneError, match=r"variants: found 'huge', expected one of big, small"):
         read_scene(path, "huge")

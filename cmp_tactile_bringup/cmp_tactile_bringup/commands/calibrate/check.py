@@ -88,27 +88,15 @@ def _row(figure: CheckFigure) -> TableRow:
     from math import isfinite
 
     from cmp_tactile_bringup.report.evaluation import TableRow
+    from cmp_tactile_processing.calibration.outcome import value_text
 
-    value = _text(figure.value, figure.unit)
+    value = value_text(figure.value, figure.unit)
     if isfinite(figure.p95):
         spread = (figure.p95, figure.median, figure.maximum)
-        value = SPREAD.format(*(_text(item, figure.unit) for item in spread))
+        value = SPREAD.format(*(value_text(item, figure.unit) for item in spread))
     sign = ">=" if figure.at_least else "<="
-    limit = f"{sign} {_text(figure.limit, figure.unit)}"
+    limit = f"{sign} {value_text(figure.limit, figure.unit)}"
     return TableRow(figure.name, value, limit, figure.kept)
-
-
-def _text(value: float, unit: str) -> str:
-    """A value as people read it; without a unit it is a share."""
-    from math import degrees
-
-    from cmp_tactile_bringup.report.evaluation import length_text
-
-    if unit == "m":
-        return length_text(value)
-    if unit == "rad":
-        return f"{degrees(value):.2g} deg"
-    return f"{value:.3g} {unit}" if unit else f"{value:.2%}"
 
 
 def _write_figures(

@@ -12,9 +12,8 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import length_text
 from cmp_tactile_processing.calibration.material.loads import LoadResult
-from cmp_tactile_processing.calibration.outcome import ViewResiduals
+from cmp_tactile_processing.calibration.outcome import ViewResiduals, length_text
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern

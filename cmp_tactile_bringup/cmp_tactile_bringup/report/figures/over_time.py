@@ -193,7 +193,7 @@ def _draw_area(axes: Axes, results: DemoResults) -> None:
 
 
 def _draw_states(axes: Axes, results: DemoResults) -> None:
-    """Two bands of colour by one rule: what was measured, and what is true."""
+    """Two bands of colour: what was measured, and what is true."""
     bands = (
         (1.0, results.time_s, _states(results)),
         (0.0, _truth_s(results), true_states(results)),
@@ -207,10 +207,14 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
             spans = [(time - step_s / 2, step_s) for time in time_s[states == state]]
             axes.broken_barh(spans, (base + 0.1, 0.8), zorder=2, **look)
     share = results.sensor.slip.incipient_ratio
+    rules = {
+        SlipState.INCIPIENT: f": {share:.0%} or more slides",
+        SlipState.FULL: ": all slides; measured once\nits tangential force rises no more",
+    }
     for state, colour in STATES.items():
-        rule = f": {share:.0%} or more slides" if state is SlipState.INCIPIENT else ""
         if state in shown:
-            axes.plot([], [], color=colour, lw=8, label=SLIP_WORDS[state] + rule)
+            label = SLIP_WORDS[state] + rules.get(state, "")
+            axes.plot([], [], color=colour, lw=8, label=label)
     if SlipState.UNKNOWN in shown:
         axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_KNOWN)
     if len(results.frames) < len(results.recording.truth.stamp_ns):

@@ -29,6 +29,7 @@ from cmp_tactile_processing.calibration.gel.fit import (
     view_residuals,
 )
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
+from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -36,6 +37,8 @@ from cmp_tactile_processing.calibration.outcome import (
     Progress,
     Severity,
     errors_in,
+    length_text,
+    number_text,
     provenance,
     reprojection,
     silent,
@@ -216,8 +219,8 @@ def _swap_findings(evidence: _Evidence, options: GelCalibrationParameters) -> li
     if better * SWAP_GAIN > rms or better > options.reprojection_limit:
         return []
     text = (
-        f"The views are exchanged: the pattern fits to {better:.2g} px with left for right, and to "
-        f"{rms:.2g} px as it is."
+        f"The views are exchanged: the pattern fits to {number_text(better, 2)} px with left for "
+        f"right, and to {number_text(rms, 2)} px as it is."
     )
     return [Finding(Severity.ERROR, text, f"{_EXCHANGE[0].upper()}{_EXCHANGE[1:]}.")]
 
@@ -281,16 +284,28 @@ def _verdict(outcome: CalibrationOutcome, evidence: _Evidence) -> str:
     found, seen = evidence.found, evidence.seen
     before = reprojection(view_residuals(evidence.before, seen, found.print_px), all_corners=True)
     after = reprojection(outcome.residuals, all_corners=True)
-    count = int(found.fit.determined.sum())
-    fit = f"The pattern's corners fit to {after:.2g} px, {before:.2g} px before"
+    after_px, before_px = number_text(after, 2), number_text(before, 2)
+    fit = f"The pattern's corners fit to {after_px} px, {before_px} px before"
     gap = evidence.shape.rms_gap
     if np.isfinite(gap):
-        fit += f", and the views' rays meet within {gap * 1e6:.2g} um"
+        fit += f", and the views' rays meet within {length_text(gap, 2)}"
     if not outcome.accepted:
         errors = errors_in(outcome.findings)
         return f"Not usable. {errors[0].text} {fit}."
-    values, open_ways = len(found.fit.values), sum(item.held for item in found.fit.combinations)
-    known = f"The images determine {count} of {values} values each by itself"
-    if count < values - open_ways:
-        known += f", and together all but {open_ways} of their joint changes"
-    return f"Usable. {fit}. {known}."
+    return f"Usable. {fit}. {_known(found.fit)}"
+
+
+def _known(fit: MapFit) -> str:
+    """How much the images determine, in words."""
+    count, values = int(fit.determined.sum()), len(fit.values)
+    others, unseen = values - count, sum(item.held for item in fit.combinations)
+    known = f"The images determine {count} of {values} values"
+    if not others:
+        return f"{known}."
+    if unseen >= others:
+        return f"{known}; the other {others} stay as described."
+    together = f"{known}; the other {others} act alike and are found together"
+    if not unseen:
+        return f"{together}."
+    left = "one combination" if unseen == 1 else f"{unseen} combinations"
+    return f"{together}, but for {left} of them, which the images do not show."

@@ -17,7 +17,7 @@ from cmp_tactile_processing.calibration.gel.parameters import (
 )
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
-from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals
+from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals, number_text
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
@@ -300,8 +300,8 @@ def motion_findings(
         if moved:
             text = (
                 f"Something moved during the recording: {frame_list(moved)} differ from "
-                f"the others by up to {motion.max():.2g} px in the {item.view} view "
-                f"(limit {limit:.2g} px)."
+                f"the others by up to {number_text(motion.max(), 2)} px in the {item.view} view "
+                f"(limit {number_text(limit, 2)} px)."
             )
             advice = (
                 "Record again without touching the gel, and let it recover from the last contact."
@@ -380,7 +380,7 @@ def reprojection_findings(rms: float, options: GelCalibrationParameters) -> list
     if rms <= options.reprojection_limit:
         return []
     text = (
-        f"The pattern's corners do not fit: they are {rms:.2g} px off (limit "
+        f"The pattern's corners do not fit: they are {number_text(rms, 2)} px off (limit "
         f"{options.reprojection_limit:g} px)."
     )
     advice = (

@@ -290,7 +290,7 @@ def _missing(limits: frame_watch.DiagnosticsParameters, new: Mapping[str, int]) 
     missing = new["missing before"]
     sent = new["frames in"] + missing
     level = above(missing / sent, limits.missing_warn, 1.0)
-    return finding(level, f"{missing} of {sent} frames missing already where they come from")
+    return finding(level, f"{missing} of {sent} frames missing: the source did not send them")
 
 
 def _tracked(limits: frame_watch.DiagnosticsParameters, fraction: float) -> Finding:
