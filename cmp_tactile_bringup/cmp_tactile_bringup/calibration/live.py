@@ -25,9 +25,10 @@ from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.split import LUMINANCE
+from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Markers3D
-from cmp_tactile_processing.ros.messages.reading import COMPRESSED, image_from_msg
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
 

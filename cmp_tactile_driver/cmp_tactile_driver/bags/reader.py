@@ -22,10 +22,9 @@ from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_compressed
+from cmp_tactile_processing.image.compressed import COMPRESSED, decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, whole_frame_info
-from cmp_tactile_processing.ros.messages.reading import COMPRESSED
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 

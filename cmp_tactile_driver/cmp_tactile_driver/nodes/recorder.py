@@ -39,6 +39,7 @@ from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.graph_watch import other_transport
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
@@ -50,7 +51,7 @@ from cmp_tactile_processing.ros.diagnostics.status import (
 )
 from cmp_tactile_processing.ros.intra_process import inbox_of
 from cmp_tactile_processing.ros.messages.conversions import message_class
-from cmp_tactile_processing.ros.messages.reading import COMPRESSED, image_from_msg, stamp_ns
+from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor

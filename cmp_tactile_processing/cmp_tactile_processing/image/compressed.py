@@ -10,6 +10,9 @@ from cmp_tactile_processing.errors import FrameError, found_text
 from cmp_tactile_processing.image.jpeg import START_OF_IMAGE, decode_jpeg
 from cmp_tactile_processing.image.raw import BitDepth, demosaiced
 
+# What image_transport adds to the topic of an image.
+COMPRESSED = "/compressed"
+
 
 def decode_compressed(
     format_text: str, data: NDArray[np.uint8], depth: BitDepth | None = None

@@ -19,6 +19,7 @@ from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import ADVICE, single_flags
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
@@ -182,7 +183,7 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
             kind in (IMAGE, COMPRESSED_IMAGE)
             and _is_frame(topic)
             # Raw ones come first, and are better.
-            and topic.removesuffix(reading.COMPRESSED) not in found
+            and topic.removesuffix(COMPRESSED) not in found
         ):
             found[topic] = "frame"
     for field in ("surface", "force"):
@@ -195,7 +196,7 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
 
 def _is_frame(topic: str) -> bool:
     """Whether it is the topic of a camera, not of a view of it."""
-    parts = topic.removesuffix(reading.COMPRESSED).split("/")
+    parts = topic.removesuffix(COMPRESSED).split("/")
     return parts[-1] == "image_raw" and parts[-2:-1] not in (["left"], ["right"])
 
 

@@ -24,7 +24,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 
-from cmp_tactile_processing.ros.messages.reading import COMPRESSED
+from cmp_tactile_processing.image.compressed import COMPRESSED
 
 # Of ROS itself.
 OTHERS = ("/rosout", "/parameter_events")

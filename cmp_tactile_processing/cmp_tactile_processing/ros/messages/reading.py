@@ -21,9 +21,6 @@ from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
-# What image_transport adds to the topic of an image.
-COMPRESSED = "/compressed"
-
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # A plain number: NumPy looks for long what an enumeration's member may be.
 MISSING = int(measured.Status.MISSING)
