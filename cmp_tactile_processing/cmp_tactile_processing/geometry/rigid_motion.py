@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -59,9 +59,8 @@ def fit_motion(
     a, b = before[known].copy(), after[known].copy()
     if flat:
         a[:, 2] = b[:, 2] = 0.0
-    off = np.empty(a.shape)
-    R, scale, shift, centre = _fit(
-        a, b, max(LEAST_MARKERS, round(KEPT_SHARE * len(a))), scaled, off
+    R, scale, shift, centre, off = _fit(
+        a, b, max(LEAST_MARKERS, round(KEPT_SHARE * len(a))), scaled
     )
     middle = a.mean(axis=0)
     shift = shift + centre + scale * R @ (middle - centre) - middle
@@ -79,61 +78,28 @@ def similarity(
 
     Closed form: Umeyama, IEEE PAMI 13(4), 1991.  scaled: else the scale is 1.
     """
-    used = np.ones(len(a), np.bool_)
-    return _similarity(np.ascontiguousarray(a), np.ascontiguousarray(b), used, scaled)[:3]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _similarity(
-    a: Array, b: Array, used: NDArray[np.bool_], scaled: bool
-) -> tuple[Array, float, Array, Array]:
-    """As `similarity`, of the points that are used; and the centre (3,) of a."""
-    centre_a, centre_b, count = np.zeros(3), np.zeros(3), 0
-    for n in range(len(a)):
-        if used[n]:
-            centre_a += a[n]
-            centre_b += b[n]
-            count += 1
-    centre_a /= count
-    centre_b /= count
-    product, spread = np.zeros((3, 3)), 0.0
-    for n in range(len(a)):
-        if used[n]:
-            for j in range(3):
-                da = a[n, j] - centre_a[j]
-                spread += da * da
-                for i in range(3):
-                    product[i, j] += (b[n, i] - centre_b[i]) * da
-    U, S, Vt = np.linalg.svd(product)
+    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
+    from_centre = a - centre_a
+    U, S, Vt = np.linalg.svd((b - centre_b).T @ from_centre)
     if np.linalg.det(U) * np.linalg.det(Vt) < 0.0:
-        U[:, 2], S[2] = -U[:, 2], -S[2]
-    scale = S.sum() / spread if scaled and spread > 0 else 1.0
-    return U @ Vt, scale, centre_b - centre_a, centre_a
+        U[:, -1], S[-1] = -U[:, -1], -S[-1]
+    spread = float((from_centre**2).sum())
+    scale = float(S.sum()) / spread if scaled and spread > 0 else 1.0
+    return U @ Vt, scale, centre_b - centre_a
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fit(
-    a: Array, b: Array, keep: int, scaled: bool, off: Array
-) -> tuple[Array, float, Array, Array]:
-    """Similarity of the points that it fits best, as `_similarity`; fill off (N, 3), what is left.
+def _fit(a: Array, b: Array, keep: int, scaled: bool) -> tuple[Array, float, Array, Array, Array]:
+    """Similarity of the `keep` points (N, 3) that it fits best, their centre, what is left (N, 3).
 
-    keep: so many points.
+    The shift is that of the centre.
     """
-    used = np.ones(len(a), np.bool_)
-    square = np.empty(len(a))
+    used = np.arange(len(a))
     for _ in range(ROUNDS):
-        R, scale, shift, centre = _similarity(a, b, used, scaled)
-        for n in range(len(a)):
-            square[n] = 0.0
-            for i in range(3):
-                turned = 0.0
-                for j in range(3):
-                    turned += R[i, j] * (a[n, j] - centre[j])
-                off[n, i] = b[n, i] - (centre[i] + shift[i] + scale * turned)
-                square[n] += off[n, i] ** 2
-        used[:] = False
-        used[np.argsort(square, kind="mergesort")[:keep]] = True
-    return R, scale, shift, centre
+        R, scale, shift = similarity(a[used], b[used], scaled=scaled)
+        centre = a[used].mean(axis=0)
+        off = b - (centre + shift + scale * (a - centre) @ R.T)
+        used = np.argsort((off**2).sum(axis=1), kind="stable")[:keep]
+    return R, scale, shift, centre, off
 
 
 def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -141,30 +107,18 @@ def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
     NaN where fewer than five of the nine are known (four at the rim); z, where never known, is 0.
     """
-    mean = np.empty(values.shape)
-    _average(np.ascontiguousarray(values, dtype=np.float64), mean)
-    return mean
+    known = np.isfinite(values[..., :2]).all(axis=-1)
+    count = _sum_around(known.astype(np.float64))
+    least = np.full(known.shape, LEAST_NEIGHBOURS)
+    least[[0, -1]] = least[:, [0, -1]] = LEAST_NEIGHBOURS - 1
+    total = _sum_around(np.where(known[..., None], np.nan_to_num(values, nan=0.0), 0.0))
+    count[count < least] = np.nan
+    return total / count[..., None]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _average(values: Array, mean: Array) -> None:
-    """Fill mean as `local_mean` has it."""
-    rows, cols, axes = values.shape
-    for i in range(rows):
-        for j in range(cols):
-            mean[i, j] = 0.0
-            count = 0
-            for k in range(max(i - 1, 0), min(i + 2, rows)):
-                for m in range(max(j - 1, 0), min(j + 2, cols)):
-                    if math.isfinite(values[k, m, 0]) and math.isfinite(values[k, m, 1]):
-                        count += 1
-                        for axis in range(axes):
-                            value = values[k, m, axis]
-                            mean[i, j, axis] += 0.0 if math.isnan(value) else value
-            at_rim = i == 0 or j == 0 or i == rows - 1 or j == cols - 1
-            enough = count >= (LEAST_NEIGHBOURS - 1 if at_rim else LEAST_NEIGHBOURS)
-            for axis in range(axes):
-                mean[i, j, axis] = mean[i, j, axis] / count if enough else math.nan
+def _sum_around(values: Array) -> Array:
+    """Sum of each marker's values (rows, cols[, d]) and its eight neighbours'."""
+    return np.asarray(cv2.filter2D(values, -1, np.ones((3, 3)), borderType=cv2.BORDER_CONSTANT))
 
 
 def largest_local_mean(values: NDArray[np.float64]) -> float:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
-from cmp_tactile_processing.image.prepared import sample
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.tracking.detector import NominalGrid
+
+Float = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 def local_steps(
@@ -71,7 +74,7 @@ def outside_corners(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(2 * border_of(corners) - inwards)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _steps(
     corners: NDArray[np.float64], nominal: NDArray[np.float64], step: NDArray[np.float64]
 ) -> None:
@@ -91,7 +94,7 @@ def _steps(
                     step[i, j, d] = nominal[i, j, d]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _places(corners: NDArray[np.float64], places: NDArray[np.float64]) -> None:
     rows, cols = corners.shape[:2]
     for i in range(rows):
@@ -112,7 +115,7 @@ def _places(corners: NDArray[np.float64], places: NDArray[np.float64]) -> None:
             places[i, j, 1] = y / count if count else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _between(corners: NDArray[np.float64], places: NDArray[np.float64]) -> None:
     rows, cols = corners.shape[:2]
     for i in range(rows):
@@ -135,7 +138,7 @@ def _between(corners: NDArray[np.float64], places: NDArray[np.float64]) -> None:
                 places[i, j, d] = total / count if count else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distances(
     corners: NDArray[np.float64],
     places: NDArray[np.float64],
@@ -180,112 +183,67 @@ def edge_crossings(
     the diagonal (-, -) to (+, +).  A parabola is fitted to the steepest places of the edges on
     both arms of each gridline, spots left out.
     """
-    crossing = np.full_like(guess, np.nan)
-    _cross(smooth, guess, row_step, col_step, amplitude, crossing)
-    return crossing
+    if not len(guess):
+        return np.empty_like(guess)
+    # Offset along i of the lines that run along j, and the other way round.
+    across_i = _lines(smooth, guess, col_step, row_step, amplitude)
+    across_j = _lines(smooth, guess, row_step, col_step, amplitude)
+    i = j = np.zeros(len(guess))
+    for _ in range(4):
+        i = across_i[:, 0] + j * (across_i[:, 1] + j * across_i[:, 2])
+        j = across_j[:, 0] + i * (across_j[:, 1] + i * across_j[:, 2])
+    near = (np.abs(i) < EDGE_REACH) & (np.abs(j) < EDGE_REACH)
+    crossing = guess + i[:, None] * row_step + j[:, None] * col_step
+    return np.where(near[:, None], crossing, np.nan)
 
 
-@njit(cache=True, nogil=True)
-def _cross(  # noqa: PLR0913, PLR0917 - one array for each property of the corners
-    smooth: NDArray[np.float32],
-    guess: NDArray[np.float64],
-    row_step: NDArray[np.float64],
-    col_step: NDArray[np.float64],
-    amplitude: NDArray[np.float64],
-    crossing: NDArray[np.float64],
-) -> None:
-    for n in range(len(guess)):
-        # Offset along i of the line that runs along j, and the other way round.
-        across_i = _line(smooth, guess[n], col_step[n], row_step[n], amplitude[n])
-        across_j = _line(smooth, guess[n], row_step[n], col_step[n], amplitude[n])
-        i = j = 0.0
-        for _ in range(4):
-            i = across_i[0] + j * (across_i[1] + j * across_i[2])
-            j = across_j[0] + i * (across_j[1] + i * across_j[2])
-        if abs(i) < EDGE_REACH and abs(j) < EDGE_REACH:
-            for d in range(2):
-                crossing[n, d] = guess[n, d] + i * row_step[n, d] + j * col_step[n, d]
+def _lines(
+    smooth: NDArray[np.float32], centre: Float, along: Float, across: Float, amplitude: Float
+) -> Float:
+    """Offset across, slope and bend (n, 3) of gridlines as parabolas in steps along them."""
+    place = np.concatenate([-ARM, ARM])
+    # Towards (+, +) of an even corner it grows dark, towards (-, +) light.
+    rise = -np.sign(place) * amplitude[:, None]
+    offset = _steepest(smooth, centre[:, None] + place[:, None] * along[:, None], across, rise)
+    on_arm = np.isfinite(offset).reshape(len(centre), 2, len(ARM)).sum(axis=-1)
+    known = (on_arm >= LEAST_ON_ARM).all(axis=-1)
+    line = np.full((len(centre), 3), np.nan)
+    line[known] = _robust_parabolas(place, offset[known])
+    return line
 
 
-@njit(cache=True, nogil=True)
-def _line(
-    smooth: NDArray[np.float32],
-    centre: NDArray[np.float64],
-    along: NDArray[np.float64],
-    across: NDArray[np.float64],
-    amplitude: float,
-) -> tuple[float, float, float]:
-    """Offset across, slope and bend of a gridline as a parabola in steps along it."""
-    count = 2 * len(ARM)
-    place, offset = np.empty(count), np.empty(count)
-    for k in range(len(ARM)):
-        for side in range(2):
-            sign = 1.0 if side else -1.0
-            place[2 * k + side] = sign * ARM[k]
-            # Towards (+, +) of an even corner it grows dark, towards (-, +) light.
-            offset[2 * k + side] = _steepest(
-                smooth,
-                centre[0] + sign * ARM[k] * along[0],
-                centre[1] + sign * ARM[k] * along[1],
-                across,
-                -sign * amplitude,
-            )
-    arms = np.zeros(2, dtype=np.int64)
-    for k in range(count):
-        if not np.isnan(offset[k]):
-            arms[k % 2] += 1
-    if arms.min() < LEAST_ON_ARM:
-        return np.nan, np.nan, np.nan
-    return _robust_parabola(place, offset)
+def _steepest(smooth: NDArray[np.float32], at: Float, across: Float, rise: Float) -> Float:
+    """Offset in steps across of the steepest places with the sign of `rise` (n, k); else NaN.
 
-
-@njit(cache=True, nogil=True)
-def _steepest(
-    smooth: NDArray[np.float32], x: float, y: float, across: NDArray[np.float64], rise: float
-) -> float:
-    """Offset in steps across of the steepest place with the sign of `rise`; NaN without one."""
-    value = np.empty(PLACES)
-    spacing = 2.0 * EDGE_REACH / (PLACES - 1)
-    for k in range(PLACES):
-        s = -EDGE_REACH + k * spacing
-        value[k] = sample(smooth, x + s * across[0], y + s * across[1])
-    sign = 1.0 if rise > 0 else -1.0
-    best, top = 0, LEAST_SLOPE * abs(rise)
-    for k in range(2, PLACES - 2):
-        slope = sign * (value[k + 1] - value[k - 1])
-        if slope > top:
-            best, top = k, slope
-    if best == 0:
-        return np.nan
-    left = sign * (value[best] - value[best - 2])
-    right = sign * (value[best + 2] - value[best])
+    at (n, k, 2) px: where the edges are looked for, along across (n, 2) px.
+    """
+    offset, spacing = np.linspace(-EDGE_REACH, EDGE_REACH, PLACES, retstep=True)
+    x, y = np.moveaxis(at[:, :, None] + offset[:, None] * across[:, None, None], -1, 0)
+    value = map_coordinates(smooth, [y, x], output=np.float64, order=1, cval=np.nan)
+    slope = np.where(rise > 0, 1.0, -1.0)[..., None] * (value[..., 2:] - value[..., :-2])
+    inner = np.where(np.isnan(slope), -np.inf, slope)[..., 1:-1]
+    best = inner.argmax(axis=-1)[..., None]
+    left, top, right = (np.take_along_axis(slope, best + k, axis=-1)[..., 0] for k in range(3))
     bend = left - 2.0 * top + right
-    shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return -EDGE_REACH + (best + shift) * spacing if abs(shift) <= 1.0 else np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shift = np.where(bend < 0, 0.5 * (left - right) / bend, 0.0)
+    seen = (top > LEAST_SLOPE * np.abs(rise)) & (np.abs(shift) <= 1.0)
+    return np.where(seen, offset[best[..., 0] + 2] + shift * spacing, np.nan)
 
 
-@njit(cache=True, nogil=True)
-def _robust_parabola(
-    place: NDArray[np.float64], offset: NDArray[np.float64]
-) -> tuple[float, float, float]:
-    """Parabola through most of the points whose offset is known (iterated Cauchy weights)."""
-    known = offset[~np.isnan(offset)]
-    fit = (np.median(known), 0.0, 0.0)
+def _robust_parabolas(place: Float, offset: Float) -> Float:
+    """Parabolas (n, 3) through most of the offsets (n, k) that are known, by Cauchy weights."""
+    known = np.isfinite(offset)
+    value = np.where(known, offset, 0.0)
+    terms = place[:, None] ** np.arange(3)
+    products = (terms[:, :, None] * terms[:, None]).reshape(len(place), 9)
+    prior = np.diag([0.0, (SPREAD / USUAL_SLOPE) ** 2, (SPREAD / USUAL_BEND) ** 2])
+    fit = np.zeros((len(offset), 3))
+    fit[:, 0] = np.nanmedian(offset, axis=1)
     for _ in range(ROUNDS):
-        matrix, right = np.zeros((3, 3)), np.zeros(3)
-        matrix[1, 1] += (SPREAD / USUAL_SLOPE) ** 2
-        matrix[2, 2] += (SPREAD / USUAL_BEND) ** 2
-        for k in range(len(place)):
-            if np.isnan(offset[k]):
-                continue
-            residual = offset[k] - fit[0] - place[k] * (fit[1] + place[k] * fit[2])
-            weight = 1.0 / (1.0 + (residual / SPREAD) ** 2)
-            for a in range(3):
-                right[a] += weight * place[k] ** a * offset[k]
-                for b in range(3):
-                    matrix[a, b] += weight * place[k] ** (a + b)
-        solution = np.linalg.solve(matrix, right)
-        fit = (solution[0], solution[1], solution[2])
+        weight = known / (1.0 + ((value - fit @ terms.T) / SPREAD) ** 2)
+        matrix = (weight @ products).reshape(-1, 3, 3) + prior
+        fit = np.linalg.solve(matrix, ((weight * value) @ terms)[..., None])[..., 0]
     return fit
 
 
@@ -294,8 +252,6 @@ def _robust_parabola(
 # meet evenly only sub-pixel corners show it: a gel's displacement bends little from corner to
 # corner.
 
-Float = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 # Largest second difference of the displacement, in sides, beside missing corners: a seam destroys
 # corners along it.  0.1 is reached near covers, 0.17 under the sharpest contact of the samples.
 LARGEST_BEND = 0.1
@@ -353,7 +309,7 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
     return int(np.count_nonzero(stray))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _measure_bends(
     corners: Float, nominal: Float, steps: tuple[Float, Float], displacement: Float, bend: Float
 ) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
@@ -275,8 +274,7 @@ class _Places:
         chosen = np.linspace(0, len(component.position) - 1, min(SAMPLE, len(component.position)))
         chosen = chosen.astype(np.intp)
         position, number = component.position[chosen], component.number[chosen]
-        misfit = np.empty(len(shift))
-        _measure_misfits(position, number, shift, (nominal.corners, side), misfit)
+        misfit = _misfits(position, number, shift, (nominal.corners, side))
         return cls(shift, misfit, colours)
 
     def others_along(self, best: int) -> tuple[Whole, Whole]:
@@ -364,41 +362,28 @@ def _rival(places: _Places, best: int) -> int | None:
     return rival if misfit[rival] < places.misfit[best] - CLEARLY_BETTER else None
 
 
-@njit(cache=True, nogil=True)
-def _measure_misfits(
-    position: Float, number: Whole, shift: Whole, nominal: tuple[Float, Float], misfit: Float
-) -> None:
-    """Misfit in sides of n corners at each of m places; inf where it is too large to count.
+def _misfits(position: Float, number: Whole, shift: Whole, nominal: tuple[Float, Float]) -> Float:
+    """Misfit (m,) in sides of n corners at each of m places; inf where it is too large to count.
 
     position, number (n, 2); shift (m, 2); nominal: corners (rows, cols, 2) px and sides (rows,
-    cols) px; misfit (m,).
+    cols) px.
     """
-    count = len(position)
-    distance = np.empty(count)
-    rank = int(ANCHOR_QUANTILE * (count - 1))
-    for m in range(len(shift)):
-        # Three corners at first: most places of a small component are far away.
-        least = np.inf
-        for k in range(3):
-            least = min(least, _distance(position, number, shift[m], nominal, k * (count - 1) // 2))
-        misfit[m] = np.inf
-        if least > 2 * LARGEST_SHIFT:
-            continue
-        for k in range(count):
-            distance[k] = _distance(position, number, shift[m], nominal, k)
-        misfit[m] = np.sort(distance)[rank]
+    misfit = np.full(len(shift), np.inf)
+    # Three corners at first: most places of a small component are far away.
+    some = np.linspace(0, len(position) - 1, 3).astype(np.intp)
+    least = _distances(position[some], number[some], shift, nominal).min(axis=1)
+    near = least <= 2 * LARGEST_SHIFT
+    rank = int(ANCHOR_QUANTILE * (len(position) - 1))
+    distance = _distances(position, number, shift[near], nominal)
+    misfit[near] = np.partition(distance, rank, axis=1)[:, rank]
+    return misfit
 
 
-@njit(cache=True, nogil=True)
-def _distance(
-    position: Float, number: Whole, shift: Whole, nominal: tuple[Float, Float], k: int
-) -> float:
-    """Distance in sides of the k-th corner from its nominal one at a place."""
+def _distances(position: Float, number: Whole, shift: Whole, nominal: tuple[Float, Float]) -> Float:
+    """Distances (m, n) in sides of n corners from their nominal ones at m places."""
+    i, j = np.moveaxis(number + shift[:, None], -1, 0)
     corners, side = nominal
-    i, j = number[k, 0] + shift[0], number[k, 1] + shift[1]
-    across = position[k, 0] - corners[i, j, 0]
-    down = position[k, 1] - corners[i, j, 1]
-    return float(np.sqrt(across * across + down * down) / side[i, j])
+    return np.asarray(np.linalg.norm(position - corners[i, j], axis=-1) / side[i, j])
 
 
 def _without_stragglers(component: Component, expected: tuple[int, int]) -> Component:
