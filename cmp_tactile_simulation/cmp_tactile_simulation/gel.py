@@ -15,12 +15,12 @@ from time import monotonic
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium, NoEquilibriumError
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,
@@ -355,7 +355,7 @@ def _images(
     return image.astype(np.intp), sign
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _gather(
     response: NDArray[np.float64], row: NDArray[np.intp], sign: NDArray[np.float64]
 ) -> NDArray[np.float64]:

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.lens import Lens
 from cmp_tactile_processing.sensor.parts import RefractingLayer
@@ -242,7 +242,7 @@ class RayModel:
         return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _trace(
     q: Array,
     lens: tuple[bool, Array],
@@ -272,7 +272,7 @@ def _trace(
             direction_by[n, a, 0], direction_by[n, a, 1] = v_x[a], v_y[a]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel(fastmath={"contract", "arcp", "nsz"})
 def _trace_straight(
     q: Array, lens: Array, pose: tuple[Array, Array], out: tuple[Array, Array, Array, Array]
 ) -> None:
@@ -292,7 +292,7 @@ def _trace_straight(
             direction_by[n, a, 1] = (R[a, 1] - v * along_y) * by_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _turned(R: Array, v: Vector) -> Vector:
     return (
         R[0, 0] * v[0] + R[0, 1] * v[1] + R[0, 2] * v[2],
@@ -301,7 +301,7 @@ def _turned(R: Array, v: Vector) -> Vector:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _carried(
     origin: tuple[Vector, Vector, Vector],
     direction: tuple[Vector, Vector, Vector],
@@ -315,12 +315,12 @@ def _carried(
     return _ahead(o, v, t), _shifted(o_x, v, v_x, t, t_x), _shifted(o_y, v, v_y, t, t_y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _ahead(o: Vector, v: Vector, t: float) -> Vector:
     return o[0] + t * v[0], o[1] + t * v[1], o[2] + t * v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _shifted(o_by: Vector, v: Vector, v_by: Vector, t: float, t_by: float) -> Vector:
     return (
         o_by[0] + t * v_by[0] + t_by * v[0],
@@ -329,7 +329,7 @@ def _shifted(o_by: Vector, v: Vector, v_by: Vector, t: float, t_by: float) -> Ve
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _refracted(v: Vector, v_x: Vector, v_y: Vector, ratio: float) -> tuple[Vector, Vector, Vector]:
     """Snell's law: the part across the plane shrinks by the ratio; NaN for total reflection."""
     x, y = v[0] * ratio, v[1] * ratio
@@ -343,7 +343,7 @@ def _refracted(v: Vector, v_x: Vector, v_y: Vector, ratio: float) -> tuple[Vecto
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _pinhole_direction(
     lens: Array, straight: bool, qx: float, qy: float
 ) -> tuple[Vector, Vector, Vector]:
@@ -364,14 +364,14 @@ def _pinhole_direction(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _across(v: Vector, x: float, y: float) -> Vector:
     """The part of (x, y, 0) that is perpendicular to the unit vector v."""
     along = v[0] * x + v[1] * y
     return x - along * v[0], y - along * v[1], -along * v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _undistorted(lens: Array, xd: float, yd: float) -> tuple[float, float, float, float, float]:
     """Normalised x, y of a distorted point; the distortion's derivative [[a, b], [b, d]] there.
 
@@ -393,7 +393,7 @@ def _undistorted(lens: Array, xd: float, yd: float) -> tuple[float, float, float
     return _newton(lens, xd, yd, (xd * scale, yd * scale))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _newton(
     lens: Array, xd: float, yd: float, start: tuple[float, float]
 ) -> tuple[float, float, float, float, float]:
@@ -424,7 +424,7 @@ def _newton(
     return np.nan, np.nan, a, b, d
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _profile_inverse(
     k: tuple[float, float, float, float], limit: float, value: float
 ) -> tuple[float, float]:
@@ -445,7 +445,7 @@ def _profile_inverse(
     return np.nan, slope
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _equidistant_direction(lens: Array, qx: float, qy: float) -> tuple[Vector, Vector, Vector]:
     """Unit direction of a pixel and its derivatives by x and y; equidistant lens."""
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]

@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 
 # Pixels between those that are looked at, so that an image of any size costs about the same.
@@ -71,7 +71,7 @@ def contrast_of(grey: NDArray[np.uint8]) -> float:
     return float(_contrast(grey, step, np.zeros(256, np.int64)))
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _quantile(histogram: NDArray[np.int64], share: float) -> float:
     """Quantile of counted integers, linear within a bin that reaches half to either side."""
     total = 0
@@ -85,7 +85,7 @@ def _quantile(histogram: NDArray[np.int64], share: float) -> float:
     return float(len(histogram) - 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _contrast(grey: NDArray[np.uint8], step: int, histogram: NDArray[np.int64]) -> float:
     for y in range(step // 2, grey.shape[0], step):
         for x in range(step // 2, grey.shape[1], step):
@@ -93,7 +93,7 @@ def _contrast(grey: NDArray[np.uint8], step: int, histogram: NDArray[np.int64]) 
     return _quantile(histogram, 0.95) - _quantile(histogram, 0.05)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _slope(grey: NDArray[np.uint8], at: int, width: int) -> int:
     """Sum of the differences across a pixel, from pixels outside the high-pass's window."""
     # Unsigned: no index could count from the end.
@@ -103,7 +103,7 @@ def _slope(grey: NDArray[np.uint8], at: int, width: int) -> int:
     return int(across + abs(np.int32(grey[here + down]) - np.int32(grey[here - down])))
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _fourth(grey: NDArray[np.uint8], at: int, step: int) -> int:
     """Fourth difference about a pixel along a step."""
     here, one, two = np.uint64(at), np.uint64(step), np.uint64(2 * step)
@@ -112,7 +112,7 @@ def _fourth(grey: NDArray[np.uint8], at: int, step: int) -> int:
     return int(ends - 4 * beside + 6 * np.int32(grey[here]))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _noise(
     grey: NDArray[np.uint8],
     step: int,
@@ -168,7 +168,7 @@ class ImpulseFilter:
         _replace_impulses(clean, self._median, self._deviation, limit)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rough_noise(grey: NDArray[np.uint8], step: int) -> float:
     """Standard deviation of the noise, rather too large, whatever salt and pepper there is."""
     histogram = np.zeros(1024, np.int64)
@@ -186,7 +186,7 @@ def _rough_noise(grey: NDArray[np.uint8], step: int) -> float:
     return 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _share_standing_out(grey: NDArray[np.uint8], step: int, limit: float) -> float:
     """Share of a lattice of pixels that have no neighbour alike.
 
@@ -216,7 +216,7 @@ def _share_standing_out(grey: NDArray[np.uint8], step: int, limit: float) -> flo
     return count / max(total, 1)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _replace_impulses(
     grey: NDArray[np.uint8], median: NDArray[np.uint8], deviation: NDArray[np.uint8], limit: int
 ) -> None:
@@ -234,7 +234,7 @@ def _replace_impulses(
                     flat[at] = medians[at]
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _from_neighbours(
     grey: NDArray[np.uint8], deviation: NDArray[np.uint8], limit: int, at: int, width: int
 ) -> int:

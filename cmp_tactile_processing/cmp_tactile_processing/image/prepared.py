@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 
 Image = NDArray[np.float32] | NDArray[np.uint8]
 
@@ -30,7 +31,7 @@ class PreparedImage:
     replaced: NDArray[np.bool_] | None = None
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample(image: Image, x: float, y: float) -> float:
     """Bilinear grey level at (x, y); NaN outside."""
     height, width = image.shape
@@ -39,7 +40,7 @@ def sample(image: Image, x: float, y: float) -> float:
     return inner_sample(image, x, y)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def inner_sample(image: Image, x: float, y: float) -> float:
     """Bilinear grey level at (x, y), which lies inside."""
     left, top = int(x), int(y)

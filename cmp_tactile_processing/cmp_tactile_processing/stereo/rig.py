@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.refraction import RayBundle, RayModel
@@ -179,7 +179,7 @@ def _array_sizes(shape: GridShape) -> dict[str, tuple[int, ...]]:
     return sizes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle(
     left: NDArray[np.uint8],
     right: NDArray[np.uint8],
@@ -200,7 +200,7 @@ def _settle(
             position[n], covariance[n], status[n] = np.nan, np.nan, MISSING
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_std(given: NDArray[np.float64], unknown: float, std: NDArray[np.float64]) -> None:
     """Fill std (N,) from that of the corners, and where it is not finite, from the unknown's."""
     for n in range(len(std)):
@@ -235,7 +235,7 @@ def implausible_ray_gap(
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_gaps(
     ray_gap: NDArray[np.float64], status: NDArray[np.uint8], most: float
 ) -> tuple[int, int]:

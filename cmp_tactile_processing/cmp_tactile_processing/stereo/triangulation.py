@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.refraction import RayBundle
@@ -127,7 +127,7 @@ def _arrays(rays: RayBundle, std: NDArray[np.float64]) -> View:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _feet(
     o_left: NDArray[np.float64],
     v_left: NDArray[np.float64],
@@ -152,7 +152,7 @@ def _feet(
     return t_left, t_right, fault
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _common_normals(
     left: tuple[Array, Array], right: tuple[Array, Array], midpoint: Array, gap: Array
 ) -> None:
@@ -170,7 +170,7 @@ def _common_normals(
         gap[n] = math.sqrt(gap2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _triangulate(
     left: View,
     right: View,
@@ -216,7 +216,7 @@ def _triangulate(
             position[n], covariance[n], fault[n] = np.nan, np.nan, NO_RAY
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _add_view(
     view: View, n: int, place: tuple[float, float], weighted: bool, sums: tuple[Array, Array, Array]
 ) -> None:
@@ -260,12 +260,12 @@ def _add_view(
             difference[a, b] += sign * weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _dot(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _invert(m: Array, out: Array) -> None:
     """Inverse of a symmetric (3, 3)."""
     a, b, c, d, e, f = m[0, 0], m[0, 1], m[0, 2], m[1, 1], m[1, 2], m[2, 2]
@@ -276,7 +276,7 @@ def _invert(m: Array, out: Array) -> None:
     out[2, 0], out[2, 1], out[2, 2] = c02 / det, out[1, 2], (a * d - b * b) / det
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _enclose(inverse: Array, spread: Array, out: Array) -> None:
     """out = inverse spread inverse, all symmetric (3, 3)."""
     for a in range(3):

@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.measured import Status
 
 Array: TypeAlias = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Stencils(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fill_stencils(present: NDArray[np.bool_], first: int, stencils: Stencils) -> None:
     """Stencils of all segments of one gridline, into the entries from `first` on.
 
@@ -86,7 +86,7 @@ def fill_stencils(present: NDArray[np.bool_], first: int, stencils: Stencils) ->
         _divide(nodes, count, stencils.divided[entry])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _choose(present: NDArray[np.bool_], segment: int, nodes: NDArray[np.int64]) -> int:
     """Fill the nodes, nearest to the segment's middle first; how many there are, 0 for no curve."""
     count = 0
@@ -109,7 +109,7 @@ def _choose(present: NDArray[np.bool_], segment: int, nodes: NDArray[np.int64]) 
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _divide(nodes: NDArray[np.int64], count: int, divided: Array) -> None:
     """Weights of mean and half the difference of the next two divided differences."""
     degree = min(count, DEGREE_NODES)
@@ -196,7 +196,7 @@ class LineCurves(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def choose_stencils(
     layout: Layout, position: Array, status: NDArray[np.uint8], entries: Index, stencils: Stencils
 ) -> None:
@@ -218,7 +218,7 @@ def choose_stencils(
             fill_stencils(present, first, stencils)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def set_curves(
     layout: Layout, corners: Corners, entries: Index, stencils: Stencils, curves: LineCurves
 ) -> None:
@@ -235,7 +235,7 @@ def set_curves(
         _set_bend((layout, line), entries[line], stencils.product, curves)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _set_points(
     at: tuple[Layout, int],
     corners: Corners,
@@ -279,7 +279,7 @@ def _set_points(
                 curves.along[axis, i] = ends[axis, k + 2] - ends[axis, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _set_spread(
     at: tuple[Layout, int],
     covariance: Array,
@@ -316,7 +316,7 @@ def _set_spread(
             spread[5, i] += LEAST_STD**2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _set_frames(n: int, curves: LineCurves) -> None:
     """Two unit vectors perpendicular to the curve and to each other (Duff et al., 2017)."""
     along, frame, length = curves.along, curves.frame, curves.length
@@ -335,7 +335,7 @@ def _set_frames(n: int, curves: LineCurves) -> None:
         frame[3, i], frame[4, i], frame[5, i] = b, sign + y * y * a, -y
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _turn_spread(curves: LineCurves) -> None:
     """Prior from the covariance of the corners' curve alone."""
     frame, spread, prior = curves.frame, curves.spread, curves.prior
@@ -353,7 +353,7 @@ def _turn_spread(curves: LineCurves) -> None:
         prior[2, i] = x * fx + y * fy + z * fz
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _set_bend(
     at: tuple[Layout, int],
     entries: Index,

@@ -23,9 +23,9 @@ import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.geometry.refraction import RayBundle
 from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
@@ -242,7 +242,7 @@ class LinePlanes(NamedTuple):
         return cls(next(rows), next(rows), next(rows), np.zeros(markers))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def place_lines(
     layout: Layout,
     views: tuple[View, View, Limits, Array],
@@ -275,7 +275,7 @@ def place_lines(
         _judge((layout, line), (left[0], right[0], two_views), (curves.point, planes), out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _set_planes(
     at: tuple[Layout, int], view: View, limits: Limits, curves: LineCurves, plane: Array
 ) -> None:
@@ -315,7 +315,7 @@ def _set_planes(
             plane[4, i] = vx * along[0, i] + vy * along[1, i] + vz * along[2, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _hold(surface: Array, curves: LineCurves, plane: Array) -> None:
     """The known surface in place of a second view: its tangent plane at the curve's points."""
     point, frame = curves.point, curves.frame
@@ -327,7 +327,7 @@ def _hold(surface: Array, curves: LineCurves, plane: Array) -> None:
         plane[3, i] = 1.0 / SURFACE_STD**2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _widen(n: int, plane: Array, curves: LineCurves) -> None:
     """Widen the prior where a view's planes are farther from the curve than variances explain.
 
@@ -354,7 +354,7 @@ def _widen(n: int, plane: Array, curves: LineCurves) -> None:
                 prior[2, i] += factor * bend[2, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _add_planes(planes: LinePlanes) -> None:
     """Normal equations of the two planes of each marker."""
     left, right, seen = planes.left, planes.right, planes.seen
@@ -368,7 +368,7 @@ def _add_planes(planes: LinePlanes) -> None:
         seen[4, i] = w * b * c + x * e * f
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _is_measured(left: Array, right: Array, i: int) -> bool:
     """Whether both views see marker i, and its gridline at a good angle to the epipolar plane."""
     if not (left[3, i] > 0.0 and right[3, i] > 0.0):
@@ -380,7 +380,7 @@ def _is_measured(left: Array, right: Array, i: int) -> bool:
     return bool(triple * triple > LEAST_SINE2 * max(1.0 - cosine * cosine, PARALLEL_SINE2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _trust_both(curves: LineCurves, planes: LinePlanes) -> None:
     """Widen the prior where both views determine it by so much that it has no say any more.
 
@@ -397,7 +397,7 @@ def _trust_both(curves: LineCurves, planes: LinePlanes) -> None:
             prior[2, i] += uu * scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _place(curves: LineCurves, planes: LinePlanes) -> None:
     """Move the points of the curve to the markers' positions.
 
@@ -430,7 +430,7 @@ def _place(curves: LineCurves, planes: LinePlanes) -> None:
         point[2, i] += u * frame[2, i] + v * frame[5, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+@kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _set_std(curves: LineCurves, planes: LinePlanes) -> None:
     """Largest standard deviation across the line.
 
@@ -455,7 +455,7 @@ def _set_std(curves: LineCurves, planes: LinePlanes) -> None:
         std[i] = math.sqrt(larger / (Suu * Svv - Suv * Suv))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _judge(
     at: tuple[Layout, int],
     seen: tuple[Codes, Codes, bool],

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.measured import (
     GridShape,
@@ -112,7 +112,7 @@ class Reference:
         )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _displace(markers: Known, reference: tuple[Array, Array], out: Known) -> None:
     """Fill out: displacement, covariance, status and fault (rows, cols, ...).
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
@@ -279,7 +279,7 @@ class GridTracker:
         self.reset()
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _moved_alike(corners: NDArray[np.float64], last: NDArray[np.float64], limit: float) -> bool:
     """Whether neighbours moved alike between two frames (rows, cols, 2), to `limit` px."""
     rows, cols = corners.shape[:2]
@@ -307,7 +307,7 @@ def curve_residual(corners: NDArray[np.float64]) -> float:
     return float(np.sqrt(total / (count * (1 + 34 / 36)))) if count else float("nan")
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _squares(corners: NDArray[np.float64]) -> tuple[float, int]:
     """Sum of the squared distances in `curve_residual`, and how many there are."""
     rows, cols = corners.shape[:2]

@@ -16,10 +16,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_simulation.indenters.shapes import Indenter
 
 
@@ -243,7 +243,7 @@ def _anchors(problem: Problem, pose: Pose) -> Array:
     return carried
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def response(compliance: Array, at: Index, loaded: Index, force: Array) -> Array:
     """Displacement (k, 3) at nodes `at` under forces (l, 3) on the nodes `loaded`.
 
@@ -263,7 +263,7 @@ def response(compliance: Array, at: Index, loaded: Index, force: Array) -> Array
     return moved
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def condensed_system(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     compliance: Array, nodes: Index, first: Index, test: Array, trial: Array, local: Array
 ) -> NDArray[np.float32]:

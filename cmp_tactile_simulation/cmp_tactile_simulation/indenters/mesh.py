@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import trimesh
-from numba import njit
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_simulation.errors import IndenterError
 
 Array = NDArray[np.float64]
@@ -310,7 +310,7 @@ class HeightField:
         return height + WALL_SLOPE * beyond, np.stack(slope, axis=-1)
 
 
-@njit(cache=True)
+@kernel
 def _lower(height: Array, triangles: Array, corner: Array, resolution: float) -> None:
     """Lower each height, in place, to the lowest of the triangles over or under its point."""
     rows, cols = height.shape
@@ -356,7 +356,7 @@ def _rounded(height: Array, radius: float, resolution: float) -> Array:
     return np.asarray(-_dilated(np.pad(-grown, reach, mode="edge"), ball))
 
 
-@njit(cache=True)
+@kernel
 def _dilated(padded: Array, ball: Array) -> Array:
     """The upper envelope of the ball over each point; padded: by the ball's reach on each side.
 

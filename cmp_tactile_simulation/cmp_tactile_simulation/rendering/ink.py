@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Pattern
@@ -325,7 +325,7 @@ class InkArrays(NamedTuple):
     blobs: NDArray[np.float64] | None
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _stray(ink: Print, strays: NDArray[np.float32], x: float, y: float) -> Any:
     """Where on a flawless print the ink of point (x, y) would be."""
     rows, cols = strays.shape[0], strays.shape[1]
@@ -342,7 +342,7 @@ def _stray(ink: Print, strays: NDArray[np.float32], x: float, y: float) -> Any:
     return x + ax * (1 - v) + bx * v, y + ay * (1 - v) + by * v
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _checkers(ink: Print, x: float, y: float) -> Any:
     u = x / ink.pitch + (ink.cols + 1) / 2
     v = y / ink.pitch + (ink.rows + 1) / 2
@@ -365,7 +365,7 @@ def _checkers(ink: Print, x: float, y: float) -> Any:
     return grey, near * ink.pitch, other
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _dots(ink: Print, x: float, y: float) -> Any:
     u = x / ink.pitch + (ink.cols - 1) / 2
     v = y / ink.pitch + (ink.rows - 1) / 2
@@ -376,12 +376,12 @@ def _dots(ink: Print, x: float, y: float) -> Any:
     return grey, abs(beyond), other
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _flawless(ink: Print, x: float, y: float) -> Any:
     return _checkers(ink, x, y) if ink.kind == CHECKERS else _dots(ink, x, y)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _blotted(ink: Print, blobs: NDArray[np.float64], xy: tuple[float, float], flawless: Any) -> Any:
     """What blobs make of grey, clear distance, other grey and its distance at a point."""
     grey, clear, other, near = flawless
@@ -406,7 +406,7 @@ def _blotted(ink: Print, blobs: NDArray[np.float64], xy: tuple[float, float], fl
     return grey, clear, other, near
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def ink_at(
     ink: Print,
     strays: NDArray[np.float32] | None,
@@ -433,7 +433,7 @@ def ink_at(
     return grey, clear, other, near
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def ink_on(ink: InkArrays, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Greys (n,) at material points (n, 2) m."""
     plain, strays, blobs = ink

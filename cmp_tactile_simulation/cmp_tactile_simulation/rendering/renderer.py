@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, njit
+from numba import get_num_threads
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.elastic.mesh import BlockGeometry
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
@@ -247,7 +248,7 @@ def _points(
 # Draws a lattice of material points into the picture, the nearest in front.
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def rasterize(
     seen: NDArray[np.float64],
     lattice: tuple[NDArray[np.float64], NDArray[np.float64]],
@@ -288,7 +289,7 @@ def rasterize(
             _draw((corner, opposite, along), out, border, band)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _slopes(triangle: Any, kind: Any, area: float) -> Any:
     """Change of a coordinate, 1 for x and 2 for y, along and across a pixel."""
     a, b, c = triangle
@@ -298,7 +299,7 @@ def _slopes(triangle: Any, kind: Any, area: float) -> Any:
     return right / area, down / area
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int, int]) -> None:
     a, b, c = triangle
     qa, qb, qc = a[0], b[0], c[0]

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_simulation.rendering.ink import InkArrays, Print, ink_at
 from cmp_tactile_simulation.rendering.surface import SplineSurface, first_meeting, meet
 
@@ -53,7 +53,7 @@ class Picture(NamedTuple):
     fineness: int
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _mixed(
     ink: Print,
     strays: NDArray[np.float32] | None,
@@ -67,7 +67,7 @@ def _mixed(
     return grey + (other - grey) * max(0.5 - near / side, 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _spread(p: NDArray[np.float64], v: int, u: int) -> Any:
     """First differences of material points across a pixel, and the largest second difference."""
     ux, uy = (p[v + 1, u + 2, 0] - p[v + 1, u, 0]) / 2, (p[v + 1, u + 2, 1] - p[v + 1, u, 1]) / 2
@@ -82,13 +82,13 @@ def _spread(p: NDArray[np.float64], v: int, u: int) -> Any:
     return ux, uy, vx, vy, bend
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _ray(field: NDArray[np.float64], v: int, u: int) -> Any:
     """Entry of a field of rays that may be the same for all pixels."""
     return field[min(v, field.shape[0] - 1), min(u, field.shape[1] - 1)]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def solve(surface: SplineSurface, ink: InkArrays, picture: Picture, rows: tuple[int, int]) -> None:
     """Make the material points of these rows exact where the greys depend on them.
 
@@ -111,7 +111,7 @@ def solve(surface: SplineSurface, ink: InkArrays, picture: Picture, rows: tuple[
                 p[v, u, 0], p[v, u, 1], state[v, u] = x, y, EXACT
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _quadratic(
     p: NDArray[np.float64], pixel: tuple[int, int], c: int, right: float, down: float
 ) -> Any:
@@ -135,7 +135,7 @@ def _quadratic(
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _smooth(
     ink: InkArrays, p: NDArray[np.float64], count: int, pixel: tuple[int, int], out: Any
 ) -> None:
@@ -164,7 +164,7 @@ def _smooth(
             )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _cast(
     surface: SplineSurface,
     ink: InkArrays,
@@ -193,7 +193,7 @@ def _cast(
         out[k // count // per_part, k % count // per_part] += grey / (per_part * per_part)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _starts(picture: Picture, v: int, u: int) -> NDArray[np.float64]:
     """Guesses (9, 2) m for a pixel: the material points in and around it."""
     starts = np.empty((9, 2))
@@ -204,7 +204,7 @@ def _starts(picture: Picture, v: int, u: int) -> NDArray[np.float64]:
     return starts
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _amid(p: NDArray[np.float64], state: NDArray[np.uint8], amid: NDArray[np.bool_]) -> None:
     """Mark those pixels of a row that `solve` found far from any change and that are about as
     large as was taken there; p (3, w + 2, 4), state (3, w + 2), amid (w,).
@@ -222,7 +222,7 @@ def _amid(p: NDArray[np.float64], state: NDArray[np.uint8], amid: NDArray[np.boo
         amid[u] = (state[1, u + 1] == ROUGH) & (sides / 4 < (CLEAR_SIZES - 0.5) * p[1, u + 1, 3])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _kind(
     p: NDArray[np.float64],
     state: NDArray[np.uint8],
@@ -251,7 +251,7 @@ def _kind(
     return SMOOTH if exact and bend <= BENT * side else BROKEN
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _beside(ink: Print, picture: Picture, pixel: tuple[int, int]) -> bool:
     """Whether all that is known around a pixel is housing: the mesh ends beyond the block."""
     v, u = pixel
@@ -265,7 +265,7 @@ def _beside(ink: Print, picture: Picture, pixel: tuple[int, int]) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def shade(
     surface: SplineSurface,
     ink: InkArrays,

@@ -10,9 +10,9 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
@@ -158,7 +158,7 @@ def _interpolation_inverse(count: int) -> NDArray[np.float64]:
     return np.asarray(np.linalg.inv(matrix)[:, 1:-1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _rest_height(kind: int, radius: float, x: float, y: float) -> Any:
     """Height of the rest shape and its slopes along x and y."""
     if kind == PLANE:
@@ -172,13 +172,13 @@ def _rest_height(kind: int, radius: float, x: float, y: float) -> Any:
     return -distance2 / (radius + root), -x / root, -y / root
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _clamped(value: float, low: float, high: float) -> float:
     # Written so that NaN becomes `low`: it may index nothing.
     return min(value, high) if value > low else low
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _basis(t: float) -> Any:
     """The four uniform cubic B-splines at t = 0..1 between two points, then their slopes."""
     m = 1 - t
@@ -188,7 +188,7 @@ def _basis(t: float) -> Any:
     return m * m * m / 6, middle, third, last, -m * m / 2, fall, rise, t * t / 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def surface_point(s: SplineSurface, x: float, y: float) -> Any:
     """Position of material point (x, y) and its derivatives along x and y: nine numbers.
 
@@ -226,7 +226,7 @@ def surface_point(s: SplineSurface, x: float, y: float) -> Any:
     return px, py, pz, ax + 1, ay, az + zx, bx, by + 1, bz + zy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def surface_points(s: SplineSurface, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     """Positions (n, 3) m of material points (n, 2) m."""
     points = np.empty((len(xy), 3))
@@ -246,7 +246,7 @@ SMALLEST_RADIUS = 2e-4
 LONGEST_STEP = 3e-4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def meet(
     s: SplineSurface, origin: NDArray[np.float64], d: NDArray[np.float64], x: float, y: float
 ) -> Any:
@@ -283,7 +283,7 @@ def meet(
     return False, x, y, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def first_meeting(
     s: SplineSurface,
     origin: NDArray[np.float64],
@@ -311,7 +311,7 @@ def first_meeting(
     return found, best_x, best_y, nearest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def first_meetings(
     s: SplineSurface,
     origins: NDArray[np.float64],

@@ -17,10 +17,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.calibration.outcome import Finding, Severity, WithFindings, errors_in
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
@@ -285,7 +285,7 @@ def _resting(time: Array, loaded: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray((time >= begin + SETTLE_S) & (time <= last))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _predicted(time: Array, force: Array, reading: Array, stiffness: float, terms: Array) -> Array:
     """Readings (n,) N: from the force alone, and as they are where that is NaN.
 

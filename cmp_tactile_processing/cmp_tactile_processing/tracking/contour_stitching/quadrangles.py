@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.detector import NominalGrid
 
@@ -88,7 +88,7 @@ def fit_quadrangles(
     return corners[good], quality[good]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fit_all(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
     points: Floats,
     starts: Wholes,
@@ -136,7 +136,7 @@ def _fit_all(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
             quality[n] = good
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _area_and_centre(outline: Floats) -> tuple[float, float, float]:
     """Signed area and centroid of a polygon."""
     x0, y0 = outline[0]
@@ -153,7 +153,7 @@ def _area_and_centre(outline: Floats) -> tuple[float, float, float]:
     return area / 2, x0 + cx / (3 * area), y0 + cy / (3 * area)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _extremes(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
     outline: Floats, x: float, y: float, step: Floats, det: float, ends: Wholes
 ) -> None:
@@ -171,7 +171,7 @@ def _extremes(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
                 ends[c] = k
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _nearest_points(outline: Floats, corners: Floats, ends: Wholes) -> None:
     least = np.full(4, np.inf)
     for k in range(len(outline)):
@@ -182,7 +182,7 @@ def _nearest_points(outline: Floats, corners: Floats, ends: Wholes) -> None:
                 ends[c] = k
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _fit_sides(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
     outline: Floats, ends: Wholes, forward: int, tolerance: float, xy: Floats, lines: Floats
 ) -> float:
@@ -215,7 +215,7 @@ def _fit_sides(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
     return mean
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _fit_line(xy: Floats, tolerance: float, line: Floats) -> float:
     """Line (x, y, dx, dy) through points (n, 2); returns the share of them within a tolerance."""
     # Points count alike at first, then by their distance from the line found so far.
@@ -245,7 +245,7 @@ def _fit_line(xy: Floats, tolerance: float, line: Floats) -> float:
     return on
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _weighted_line(xy: Floats, scale: float, line: Floats) -> None:
     """Least squares, with little weight on points farther than `scale` from the line before."""
     x0, y0 = xy[0]
@@ -268,7 +268,7 @@ def _weighted_line(xy: Floats, scale: float, line: Floats) -> None:
     line[2], line[3] = math.cos(angle), math.sin(angle)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _share_on(xy: Floats, tolerance: float, line: Floats) -> float:
     on = 0
     for p in range(len(xy)):
@@ -277,7 +277,7 @@ def _share_on(xy: Floats, tolerance: float, line: Floats) -> float:
     return on / len(xy)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _cross(lines: Floats, x: float, y: float, outwards: float, corners: Floats) -> bool:
     """Corners (4, 2) where the lines, moved away from (x, y), cross; false where they do not."""
     for k in range(4):
@@ -297,7 +297,7 @@ def _cross(lines: Floats, x: float, y: float, outwards: float, corners: Floats) 
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _is_checker(corners: Floats, step: Floats) -> bool:
     """Whether the sides are about the pattern's, and opposite ones about alike."""
     for k in range(4):

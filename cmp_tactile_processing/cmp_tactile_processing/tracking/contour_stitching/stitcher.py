@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
     CORNER_SIGNS,
@@ -222,7 +222,7 @@ def _pairs(centres: NDArray[np.float64], reach: float) -> NDArray[np.intp]:
     return np.asarray(tree.query_pairs(reach, output_type="ndarray"), dtype=np.intp)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drop_worse(pairs: Wholes, centres: Floats, reach: Floats, keep: Flags) -> None:
     for p in range(len(pairs)):
         better, worse = pairs[p]
@@ -233,7 +233,7 @@ def _drop_worse(pairs: Wholes, centres: Floats, reach: Floats, keep: Flags) -> N
             keep[worse] = False
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _root(parent: Wholes, item: int) -> int:
     while parent[item] != item:
         parent[item] = parent[parent[item]]
@@ -241,7 +241,7 @@ def _root(parent: Wholes, item: int) -> int:
     return item
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _merge(corners: Floats, dark: Flags, pairs: Wholes, limit: Floats) -> tuple[Wholes, int]:
     """Number (n, 4) of the node of each corner, and how many nodes there are."""
     count = 4 * len(corners)
@@ -266,7 +266,7 @@ def _merge(corners: Floats, dark: Flags, pairs: Wholes, limit: Floats) -> tuple[
     return _numbered(partner)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _numbered(partner: Wholes) -> tuple[Wholes, int]:
     """Number (n, 4) of what mutual partners join, and how many numbers there are."""
     count = len(partner)
@@ -288,7 +288,7 @@ def _numbered(partner: Wholes) -> tuple[Wholes, int]:
     return label, nodes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _locate(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
     corners: Floats,
     dark: Flags,
@@ -328,7 +328,7 @@ def _locate(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
         position[node] /= share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _point(label: Wholes, towards: Wholes, merged: Flags, sound: Flags, neighbour: Wholes) -> None:
     """Pointers along the edges of the checkers; none where two checkers give different ones."""
     disputed = np.zeros(neighbour.shape, np.bool_)
@@ -351,7 +351,7 @@ def _point(label: Wholes, towards: Wholes, merged: Flags, sound: Flags, neighbou
             neighbour[node, step] = -1
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _tell(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
     here: int, there: int, step: int, merged: Flags, neighbour: Wholes, disputed: Flags
 ) -> None:
@@ -363,7 +363,7 @@ def _tell(  # noqa: PLR0913, PLR0917 - a kernel fills buffers
         disputed[here, step] = True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _largest_set(merged: Flags, neighbour: Wholes) -> int:
     count = len(merged)
     parent = np.arange(count)

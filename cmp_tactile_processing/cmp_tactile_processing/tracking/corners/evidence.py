@@ -8,9 +8,9 @@ is a corner, which diagonal is dark, and how the lattice is turned.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import inner_sample, sample
 
 # Radii of the two rings in sides of a checker, and samples on each.
@@ -102,7 +102,7 @@ def blur_evidence(
     return float(sharpness), max(0.0, float(min(one, other) / level))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _sum_blur(
     grey: NDArray[np.uint8], lattice: NDArray[np.float64], sign: float, sums: NDArray[np.float64]
 ) -> None:
@@ -131,7 +131,7 @@ def _sum_blur(
             sums[-1] += found[-1]
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _set_step(
     lattice: NDArray[np.float64], i: int, j: int, axis: int, step: NDArray[np.float64]
 ) -> None:
@@ -150,7 +150,7 @@ def _set_step(
         step[d] = step[d] / count if count else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _rings(
     smooth: NDArray[np.float32],
     position: NDArray[np.float64],
@@ -192,7 +192,7 @@ def _rings(
         evidence[n, 3] = total / count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _edges(
     smooth: NDArray[np.float32],
     start: NDArray[np.float64],
@@ -213,7 +213,7 @@ def _edges(
         evidence[n, 0], evidence[n, 1] = weakest, mean
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _is_ring_inside(
     image: NDArray[np.float32],
     position: NDArray[np.float64],
@@ -270,7 +270,7 @@ def find_edges(
     return has_edges
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _set_edges(position: Float, row_step: Float, col_step: Float, ends: Float) -> None:
     """Start, end and the step across (3, m, 2) of all edges along i, then of those along j."""
     count = 0
@@ -284,7 +284,7 @@ def _set_edges(position: Float, row_step: Float, col_step: Float, ends: Float) -
                 count += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count_edges(edges: Float, sign: Float, amplitude: Float, has_edges: NDArray[np.bool_]) -> None:
     """Judge corners by their edges (m, 2) in the order of `_set_edges`."""
     rows, cols = amplitude.shape
@@ -309,14 +309,14 @@ def _count_edges(edges: Float, sign: Float, amplitude: Float, has_edges: NDArray
             has_edges[i, j] = seen[i, j] >= 1 and 2 * seen[i, j] >= known[i, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _curvature(hessian: Float, x: float, y: float) -> float:
     """Second derivative along a direction."""
     bend = hessian[0] * x * x + 2 * hessian[1] * x * y + hessian[2] * y * y
     return float(bend / (x * x + y * y))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def measure_bends(
     hessian: Float, row_step: Float, col_step: Float, sign: Float, bends: Float
 ) -> None:
@@ -336,7 +336,7 @@ def measure_bends(
             bends[1, i, j] = max(abs(_curvature(here, a, b)), abs(_curvature(here, c, d)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def compare(
     bends: Float,
     rings: tuple[Float, Float],

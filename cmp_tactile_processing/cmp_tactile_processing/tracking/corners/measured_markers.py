@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.corners.evidence import (
     LEAST_ENCLOSED_QUALITY,
@@ -355,7 +355,7 @@ class MeasuredMarkers:
         return _Surroundings(*steps, self._sign * _around(self._sign * rings))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _ends_everywhere(
     outside: NDArray[np.float64], border: NDArray[np.float64], rows: int, cols: int
 ) -> bool:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 
 # Rows of the pixels' table.  First the derivatives of the grey level by the model's parameters.
 # About the corner, those of the first six are odd: offsets and curvatures of both edges, slope of
@@ -81,7 +82,7 @@ def work_space(radius_px: float) -> WorkSpace:
     return disc, pixels, np.zeros((ALL + 1, ALL + 1)), np.zeros(ALL), np.zeros(STATE)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _gather(
     image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     position: NDArray[np.float64],
@@ -117,13 +118,13 @@ def _gather(
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _set_sines(p: NDArray[np.float64]) -> None:
     for line in range(2):
         p[P_COS + line], p[P_SIN + line] = np.cos(p[P_ANGLE + line]), np.sin(p[P_ANGLE + line])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> None:
     """Directions along which a saddle is level, which are about those of the edges."""
     mean, half = (hessian[0] + hessian[2]) / 2, (hessian[0] - hessian[2]) / 2
@@ -133,7 +134,7 @@ def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> Non
     _set_sines(p)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _shift(pixels: NDArray[np.float32], count: int, dx: float, dy: float) -> None:
     """Pixels as seen from a corner that has moved by (dx, dy)."""
     right, down = np.float32(dx), np.float32(dy)
@@ -142,7 +143,7 @@ def _shift(pixels: NDArray[np.float32], count: int, dx: float, dy: float) -> Non
         pixels[Y, k] -= down
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True)
 def _profile(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.float64]) -> None:
     """Value and slope of an edge's profile at the pixels."""
     c, s = np.float32(p[P_COS + line]), np.float32(p[P_SIN + line])
@@ -162,7 +163,7 @@ def _profile(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.f
             pixels[PRODUCT, k] = pixels[VALUE, k] * pixels[VALUE + 1, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _by_edge(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.float64]) -> None:
     """Derivatives by an edge's offset, curvature and turn."""
     c, s = np.float32(p[P_COS + line]), np.float32(p[P_SIN + line])
@@ -176,7 +177,7 @@ def _by_edge(pixels: NDArray[np.float32], count: int, line: int, p: NDArray[np.f
         pixels[BEND + line, k] = u * by_turn
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _by_blur(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) -> None:
     c1, s1 = np.float32(p[P_COS]), np.float32(p[P_SIN])
     c2, s2 = np.float32(p[P_COS + 1]), np.float32(p[P_SIN + 1])
@@ -186,7 +187,7 @@ def _by_blur(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) ->
         pixels[BLUR, k] = by_first + (x * s2 - y * c2) * pixels[OFFSET + 1, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _weigh(
     pixels: NDArray[np.float32], count: int, p: NDArray[np.float64], radius: float, most: float
 ) -> None:
@@ -203,14 +204,14 @@ def _weigh(
         pixels[WEIGHT, k] = inner * limit / max(abs(pixels[RESIDUAL, k]), limit)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True)
 def _scale(pixels: NDArray[np.float32], count: int, row: int) -> None:
     """A row times the weights into the scratch row."""
     for k in range(count):
         pixels[SCRATCH, k] = pixels[WEIGHT, k] * pixels[row, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _product(pixels: NDArray[np.float32], count: int, i: int, j: int) -> float:
     total = np.float32(0)
     for k in range(count):
@@ -218,7 +219,7 @@ def _product(pixels: NDArray[np.float32], count: int, i: int, j: int) -> float:
     return float(total)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _set_block(
     pixels: NDArray[np.float32], count: int, i: int, j: int, normal: NDArray[np.float64]
 ) -> None:
@@ -242,7 +243,7 @@ def _set_block(
     normal[i + 2, j], normal[i + 2, j + 1], normal[i + 2, j + 2] = s20, s21, s22
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _set_light(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) -> None:
     """Mean and half contrast by regression on the product of both profiles."""
     f1 = f2 = g1 = gf = np.float32(0)
@@ -257,7 +258,7 @@ def _set_light(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) 
     p[P_MEAN] = (g1 - p[P_HALF] * f1) / count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _factor(a: NDArray[np.float64], first: int, end: int) -> bool:
     """Cholesky factor of a block into its lower half; False if it is not positive definite."""
     for j in range(first, end):
@@ -273,7 +274,7 @@ def _factor(a: NDArray[np.float64], first: int, end: int) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64]) -> float:
     """Solution in place of the right side; by how much it lowers the sum of squares."""
     gain = 0.0
@@ -289,7 +290,7 @@ def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64])
     return gain
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool) -> float:
     """Step of least squares with the prior, with a new normal matrix or the last one.
 
@@ -327,7 +328,7 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool
     return max(squares, 0.0) / max(weights, 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, float]:
     """Where both edges cross once each is offset by its part of the step."""
     c1, s1, c2, s2 = p[P_COS], p[P_SIN], p[P_COS + 1], p[P_SIN + 1]
@@ -335,7 +336,7 @@ def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, flo
     return (step[1] * c1 - step[0] * c2) / sine, (step[1] * s1 - step[0] * s2) / sine
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _update(p: NDArray[np.float64], step: NDArray[np.float64], radius: float) -> None:
     for line in range(2):
         p[P_BEND + line] -= step[BEND + line]
@@ -348,7 +349,7 @@ def _update(p: NDArray[np.float64], step: NDArray[np.float64], radius: float) ->
     p[P_BLUR] = min(max(p[P_BLUR], LEAST_BLUR_PX), radius)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _converge(
     work: WorkSpace, count: int, prior: CornerPrior, tolerance: float
 ) -> tuple[float, float, float]:
@@ -386,7 +387,7 @@ def _converge(
     return np.nan, np.nan, np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _deviation(work: WorkSpace, variance: float) -> float:
     """Standard deviation of the corner per coordinate under noise of that variance, px."""
     _, _, normal, side, p = work
@@ -402,7 +403,7 @@ def _deviation(work: WorkSpace, variance: float) -> float:
     return float(np.sqrt(variance * spread / 2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def refine_by_model(
     image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     prior: CornerPrior,

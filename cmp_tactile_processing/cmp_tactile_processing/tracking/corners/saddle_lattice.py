@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.corners.evidence import edge_evidence, ring_evidence
 from cmp_tactile_processing.tracking.detector import CornerGraph, NominalGrid
@@ -72,7 +72,7 @@ def _nearest_corners(nominal: NominalGrid, shape: tuple[int, int]) -> NDArray[np
     return np.asarray(nearest.reshape(rows, cols), dtype=np.intp)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _look_up(
     position: NDArray[np.float64],
     nearest: NDArray[np.intp],
@@ -86,7 +86,7 @@ def _look_up(
             steps[0][n, d], steps[1][n, d] = nominal[0][index, d], nominal[1][index, d]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _keep_corners(
     position: NDArray[np.float64],
     row_step: NDArray[np.float64],
@@ -106,7 +106,7 @@ def _keep_corners(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn(
     row_step: NDArray[np.float64], col_step: NDArray[np.float64], evidence: NDArray[np.float64]
 ) -> None:
@@ -133,7 +133,7 @@ def _drop_without_edge(
     _drop_absent(edges, amplitude, neighbour)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _set_edges(
     position: NDArray[np.float64],
     neighbour: NDArray[np.intp],
@@ -155,7 +155,7 @@ def _set_edges(
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drop_absent(
     edges: NDArray[np.float64], amplitude: NDArray[np.float64], neighbour: NDArray[np.intp]
 ) -> None:
@@ -176,7 +176,7 @@ def _drop_absent(
                 neighbour[there, (towards + 2) % 4] = -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drop_weak(amplitude: NDArray[np.float64], neighbour: NDArray[np.intp]) -> None:
     """Remove the pointers, in place, of corners that are much weaker than a neighbour."""
     weak = np.empty(len(amplitude), dtype=np.bool_)
@@ -229,7 +229,7 @@ class _Buckets:
         return pointer
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill(
     position: NDArray[np.float64],
     per_cell: float,
@@ -243,7 +243,7 @@ def _fill(
         first[row, col] = n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _point(  # noqa: PLR0913, PLR0917 - arrays of one structure
     position: NDArray[np.float64],
     even: NDArray[np.bool_],
@@ -277,7 +277,7 @@ def _point(  # noqa: PLR0913, PLR0917 - arrays of one structure
                         other = following[other]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _keep_mutual(pointer: NDArray[np.intp]) -> None:
     for n in range(len(pointer)):
         for towards in range(4):
@@ -325,7 +325,7 @@ class SaddleResponse:
         return np.array(self._found[:count])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel(fastmath=True)
 def _respond(smooth: NDArray[np.float32], radius: int, response: NDArray[np.float32]) -> None:
     """Even second harmonic of the ring's eight samples, less its odd part; 8 a^2 for a corner
     whose dark and light quadrants differ by a + a."""
@@ -348,7 +348,7 @@ def _respond(smooth: NDArray[np.float32], radius: int, response: NDArray[np.floa
             out[x] = straight * straight + diagonal * diagonal - odd_weight * odd
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _local_maxima(
     response: NDArray[np.float32],
     reach: int,
@@ -383,7 +383,7 @@ def _local_maxima(
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel_part(fastmath=True)
 def _highest_of_columns(
     response: NDArray[np.float32], top: int, bottom: int, highest: NDArray[np.float32]
 ) -> None:
@@ -396,7 +396,7 @@ def _highest_of_columns(
             highest[x] = max(highest[x], row[x])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel_part(fastmath=True)
 def _highest_to_the_right(
     values: NDArray[np.float32], count: int, highest: NDArray[np.float32]
 ) -> None:
@@ -410,7 +410,7 @@ def _highest_to_the_right(
             inner[x] = max(inner[x], shifted[x])
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _is_outdone(
     highest: NDArray[np.float32], value: np.float32, left: int, right: int, reach: int
 ) -> bool:
@@ -426,7 +426,7 @@ def _is_outdone(
     return outdone
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _last_place(
     response: NDArray[np.float32], block: tuple[int, int, int, int], value: np.float32
 ) -> tuple[int, int]:
@@ -439,7 +439,7 @@ def _last_place(
     return left, top
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _is_peak(response: NDArray[np.float32], x: int, y: int, reach: int, value: np.float32) -> bool:
     if response[y - 1, x] > value or response[y + 1, x] >= value:
         return False
@@ -452,7 +452,7 @@ def _is_peak(response: NDArray[np.float32], x: int, y: int, reach: int, value: n
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _vertex(before: float, top: float, after: float) -> float:
     bend = before - 2.0 * top + after
     return 0.5 * (before - after) / bend if bend < 0 else 0.0

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.tracking.corners.model import CornerPrior, refine_by_model, work_space
 
@@ -108,7 +108,7 @@ class SaddlePointFit:
         return SaddlePoints(*saddles)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _take_where_alike(
     modelled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
@@ -164,7 +164,7 @@ def gradient_gain(window_px: float, smoothing_px: float) -> float:
     return float(np.linalg.norm(along) * np.linalg.norm(across))
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _axis(at: float, window: float, weights: NDArray[np.float32]) -> tuple[int, int, float, float]:
     """Weights (3, m) that fit 1, t - mu and t^2 - alpha t - beta to the pixels about `at`.
 
@@ -200,7 +200,7 @@ def _axis(at: float, window: float, weights: NDArray[np.float32]) -> tuple[int, 
     return first, count, float(mu), float(alpha)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _fold(
     image: NDArray[np.float32],
     place: tuple[int, int, int, int],
@@ -221,7 +221,7 @@ def _fold(
             folded[2, j] += w2 * value
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel_part(fastmath=True)
 def _sums(
     in_x: NDArray[np.float32], folded: NDArray[np.float32], columns: int
 ) -> tuple[float, float, float, float, float]:
@@ -237,7 +237,7 @@ def _sums(
     return float(c10), float(c01), float(c20), float(c11), float(c02)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _quadratic(
     image: NDArray[np.float32], x: float, y: float, window: float, work: QuadraticWork
 ) -> tuple[float, float, float, float, float]:
@@ -252,14 +252,14 @@ def _quadratic(
     return slope_x, slope_y, 2 * c20, c11, 2 * c02
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _room(image: NDArray[np.float32], x: float, y: float) -> float:
     """Widest window about a place that the image holds; negative or NaN outside."""
     height, width = image.shape
     return float(min(x, y, width - 1 - x, height - 1 - y))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _search(
     image: NDArray[np.float32],
     start: tuple[float, float, float],
@@ -297,7 +297,7 @@ def _search(
     return none
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def find_saddles(
     image: NDArray[np.float32],
     starts: tuple[NDArray[np.float64], NDArray[np.float64]],

@@ -6,9 +6,9 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.tracking.detector import Component, CornerGraph, NominalGrid
 
 Whole = NDArray[np.int64]
@@ -108,7 +108,7 @@ def traverse(graph: CornerGraph) -> list[Component]:
     return GridlinePointers().unstrained_components(graph)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _answered_pointers(neighbour: Whole, inner: NDArray[np.bool_], pointers: Whole) -> None:
     """Pointers between inner corners of which either end points at the other."""
     for node in range(len(neighbour)):
@@ -123,7 +123,7 @@ def _answered_pointers(neighbour: Whole, inner: NDArray[np.bool_], pointers: Who
             pointers[node, towards] = other if answered else -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drop_strained(
     position: NDArray[np.float64],
     row_step: NDArray[np.float64],
@@ -145,7 +145,7 @@ def _drop_strained(
                     pointers[other, (towards + 2) % 4] = -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _drop_open_squares(pointers: Whole, kept: Whole) -> None:
     """`kept`: the pointers less those of squares that do not close: one of their sides is false."""
     for node in range(len(pointers)):
@@ -166,7 +166,7 @@ def _drop_open_squares(pointers: Whole, kept: Whole) -> None:
             kept[other, first] = kept[same, (first + 2) % 4] = -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _number_sets(
     kept: Whole, even: NDArray[np.bool_], walked: Whole, queue: Whole, slots: Whole
 ) -> None:
@@ -179,7 +179,7 @@ def _number_sets(
             _leave_out_twins(walked, members, slots)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _walk(kept: Whole, walked: Whole, queue: Whole, start: int) -> int:
     walked[start, _I] = walked[start, _J] = 0
     walked[start, _SET] = _NUMBERED
@@ -199,7 +199,7 @@ def _walk(kept: Whole, walked: Whole, queue: Whole, start: int) -> int:
     return tail
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _leave_out_contradicted(kept: Whole, walked: Whole, members: Whole) -> None:
     """Members whose number clashes with a neighbour's."""
     for node in members:
@@ -212,7 +212,7 @@ def _leave_out_contradicted(kept: Whole, walked: Whole, members: Whole) -> None:
                 walked[node, _SET] = _LEFT_OUT
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _leave_out_minority(even: NDArray[np.bool_], walked: Whole, members: Whole) -> None:
     """Members whose colours clash with their number, as most others' do not."""
     agreeing = 0
@@ -224,7 +224,7 @@ def _leave_out_minority(even: NDArray[np.bool_], walked: Whole, members: Whole) 
             walked[node, _SET] = _LEFT_OUT
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _leave_out_twins(walked: Whole, members: Whole, slots: Whole) -> None:
     """Members that bear the same number as another."""
     mask = len(slots) - 1
@@ -246,7 +246,7 @@ def _leave_out_twins(walked: Whole, members: Whole, slots: Whole) -> None:
             slot = (slot + 1) & mask
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _connected_parts(kept: Whole, walked: Whole, order: Whole, begin: Whole) -> int:
     """Numbered corners in parts that hang together: order[begin[p]:begin[p + 1]]; their count."""
     tail = parts = 0
@@ -329,7 +329,7 @@ def in_order(corners: Float, nominal: NominalGrid) -> bool:
     return bool(along_rows and _in_order(corners.swapaxes(0, 1), nominal.corners.swapaxes(0, 1)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _in_order(corners: Float, nominal: Float) -> bool:
     rows, cols = corners.shape[:2]
     for i in range(rows):
@@ -410,7 +410,7 @@ def drop_loose_corners(corners: NDArray[np.float64], nominal: NDArray[np.float64
     corners[loose] = np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _find_loose(
     displacement: NDArray[np.float64], nominal: NDArray[np.float64], loose: NDArray[np.bool_]
 ) -> None:
@@ -423,7 +423,7 @@ def _find_loose(
             loose[i, j] = pairs[0] <= pairs[1]
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _votes(
     displacement: NDArray[np.float64],
     nominal: NDArray[np.float64],

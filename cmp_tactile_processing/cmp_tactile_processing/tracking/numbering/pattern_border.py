@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 
 Float = NDArray[np.float64]
@@ -110,7 +110,7 @@ def _side(counts: Float, pairs: int) -> BorderSide:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _measure_profiles(
     picture: NDArray[np.float32] | NDArray[np.uint8], lines: Float, profile: Float
 ) -> None:
@@ -135,7 +135,7 @@ def _measure_profiles(
             profile[j, k + 1] = _mean_between(picture, ends)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _mean_difference(lines: Float, j: int, d: int, reach: int) -> float:
     """Mean near j of the step from line 1 to line 0 (reach 1), or of its change (reach 3)."""
     count, total = 0, 0.0
@@ -149,7 +149,7 @@ def _mean_difference(lines: Float, j: int, d: int, reach: int) -> float:
     return total / count if count else np.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _two_ends(
     line: Float, outwards: Float, bend: Float, place: tuple[int, float], ends: Float
 ) -> None:
@@ -161,7 +161,7 @@ def _two_ends(
             ends[k, d] = line[first + k, d] + moved
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _mean_between(picture: NDArray[np.float32] | NDArray[np.uint8], ends: Float) -> float:
     """Mean of bilinear samples between two points; NaN where one lies outside."""
     height, width = picture.shape
@@ -179,7 +179,7 @@ def _mean_between(picture: NDArray[np.float32] | NDArray[np.uint8], ends: Float)
     return total / len(_ACROSS)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _count(profile: Float, dark: bool, floor: float, counts: Float) -> None:
     """Count what the pairs of neighbouring cells show; dark: of the first cell beyond the line."""
     counts[:] = 0.0
@@ -204,12 +204,12 @@ def _count(profile: Float, dark: bool, floor: float, counts: Float) -> None:
     _fit_edge(profile, used, counts)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _over(profile: Float, j: int, part: tuple[int, int]) -> float:
     return float(np.mean(profile[j, part[0] : part[1]]))
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _contrast(profile: Float, sign: float, j: int, floor: float) -> float:
     """Mean difference of the checkers within near cells j and j + 1; NaN where there is none."""
     total, count = 0.0, 0
@@ -224,7 +224,7 @@ def _contrast(profile: Float, sign: float, j: int, floor: float) -> float:
     return total / count
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _fit_edge(profile: Float, used: NDArray[np.bool_], counts: Float) -> None:
     """Where the outermost checkers end: mean depth, its drift along the line, its scatter."""
     count = len(profile)

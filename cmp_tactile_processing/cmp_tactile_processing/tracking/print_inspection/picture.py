@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.kernels import kernel
 
 Image = NDArray[np.float32]
 # Standard deviations of the blur that are tried, px; neighbours differ so little that the rest is
@@ -314,7 +315,7 @@ def _roughness(rows: int, cols: int) -> NDArray[np.float64]:
     return np.kron(parts[0], np.eye(cols)) + np.kron(np.eye(rows), parts[1])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _fill_places(
     nodes: NDArray[np.float64],
     first: float,

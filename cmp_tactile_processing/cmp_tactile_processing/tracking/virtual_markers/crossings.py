@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LEAST_CORNER,
     UNKNOWN_CORNER,
@@ -33,7 +33,7 @@ ENTRIES = 5
 DISAGREEMENT = 2.5
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _line_at(c: Array, end: int, seen: tuple[float, float, float], line: Array) -> None:
     """Set (weight, offset, normal x, y) of a segment's line at one of its corners.
 
@@ -57,7 +57,7 @@ def _line_at(c: Array, end: int, seen: tuple[float, float, float], line: Array) 
     line[2 + axis], line[3 - axis] = -slope * scale, scale
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _agree(first: Array, second: Array) -> bool:
     """Whether the line on both sides of a corner is one."""
     same_way = first[2] * second[2] + first[3] * second[3] > 0
@@ -65,7 +65,7 @@ def _agree(first: Array, second: Array) -> bool:
     return bool(apart * apart < DISAGREEMENT**2 * (1 / first[0] + 1 / second[0]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def gather_lines(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     curve: Array, counts: Index, size: Array, end_std: Array, fits: Fits, sides: Array, found: Array
 ) -> None:

@@ -13,9 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.measured import Status
 
 Array = NDArray[np.float64]
@@ -101,7 +101,7 @@ class MarkerBasis(NamedTuple):
         return cls(values, np.ascontiguousarray(pairs))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -> None:
     """What a measured column sees of each unknown."""
     for s in range(lanes):
@@ -129,7 +129,7 @@ def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -
             slope_before, slope = slope, 2 * cosine * slope - slope_before
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _accumulate(columns: Array, longest: int, first: int, lanes: int, work: FitScratch) -> None:
     """Normal equations of the measured columns."""
     normal, right, row, scale = work.normal, work.right, work.row, work.pivot
@@ -142,7 +142,7 @@ def _accumulate(columns: Array, longest: int, first: int, lanes: int, work: FitS
             value = columns[1, column, first + s]
             work.energy[0, s] += columns[2, column, first + s] * value * value
         entry = 0
-        for a in range(UNKNOWNS):
+        for a in range(len(work.right)):
             for s in range(lanes):
                 scale[0, s] = columns[2, column, first + s] * row[a, s]
                 right[a, s] += scale[0, s] * columns[1, column, first + s]
@@ -152,80 +152,80 @@ def _accumulate(columns: Array, longest: int, first: int, lanes: int, work: FitS
                 entry += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _entry(a: int, b: int) -> int:
     """Place of an entry of a symmetric matrix in its lower triangle, row by row."""
     return a * (a + 1) // 2 + b if a >= b else b * (b + 1) // 2 + a
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _sweep(k: int, lanes: int, work: FitScratch) -> None:
     """Solve the symmetric matrix for its k-th unknown; all swept, it is its negative inverse."""
     matrix, pivot, determinant = work.covariance, work.pivot, work.determinant
     diagonal = _entry(k, k)
     for s in range(lanes):
         determinant[0, s] *= matrix[diagonal, s] * work.prior[k, s]
-        pivot[UNKNOWNS, s] = -1 / matrix[diagonal, s]
-    for a in range(UNKNOWNS):
+        pivot[-1, s] = -1 / matrix[diagonal, s]
+    for a in range(len(work.right)):
         entry = _entry(a, k)
         for s in range(lanes):
             pivot[a, s] = matrix[entry, s]
-            matrix[entry, s] *= -pivot[UNKNOWNS, s]
-    for a in range(UNKNOWNS):
+            matrix[entry, s] *= -pivot[-1, s]
+    for a in range(len(work.right)):
         for b in range(a + 1):
             if k not in (a, b):
                 entry, beside = _entry(a, b), _entry(a, k)
                 for s in range(lanes):
                     matrix[entry, s] -= matrix[beside, s] * pivot[b, s]
     for s in range(lanes):
-        matrix[diagonal, s] = pivot[UNKNOWNS, s]
+        matrix[diagonal, s] = pivot[-1, s]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _invert(lanes: int, work: FitScratch) -> None:
     """Covariance, the inverse of normal + 1 / prior, by sweeping one unknown after the other.
 
     determinant: of (normal + 1 / prior) times the priors.
     """
     matrix = work.covariance
-    for entry in range(ENTRIES):
+    for entry in range(len(work.normal)):
         for s in range(lanes):
             matrix[entry, s] = work.normal[entry, s]
     work.determinant[:] = 1.0
-    for k in range(UNKNOWNS):
+    for k in range(len(work.right)):
         for s in range(lanes):
             matrix[_entry(k, k), s] += 1 / work.prior[k, s]
-    for k in range(UNKNOWNS):
+    for k in range(len(work.right)):
         _sweep(k, lanes, work)
-    for entry in range(ENTRIES):
+    for entry in range(len(work.normal)):
         for s in range(lanes):
             matrix[entry, s] = -matrix[entry, s]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _solve(lanes: int, work: FitScratch) -> None:
-    for a in range(UNKNOWNS):
+    for a in range(len(work.right)):
         for s in range(lanes):
             work.solution[a, s] = 0.0
-        for b in range(UNKNOWNS):
+        for b in range(len(work.right)):
             entry = _entry(a, b)
             for s in range(lanes):
                 work.solution[a, s] += work.covariance[entry, s] * work.right[b, s]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _is_clean(lanes: int, work: FitScratch) -> bool:
     """Whether all that the fits leave unexplained is less than one outlier would leave."""
     for s in range(lanes):
         left = work.energy[0, s]
-        for a in range(UNKNOWNS):
+        for a in range(len(work.right)):
             left -= work.solution[a, s] * work.right[a, s]
         if left > OUTLIER**2:
             return False
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _drop_outliers(
     columns: Array, counts: Index, longest: int, first: int, work: FitScratch
 ) -> int:
@@ -238,7 +238,7 @@ def _drop_outliers(
         _set_rows(columns, column, first, lanes, work.row)
         for s in range(lanes):
             fitted = 0.0
-            for k in range(UNKNOWNS):
+            for k in range(len(work.right)):
                 fitted += work.row[k, s] * work.solution[k, s]
             weight = columns[2, column, first + s]
             if weight * (columns[1, column, first + s] - fitted) ** 2 > OUTLIER**2:
@@ -248,7 +248,7 @@ def _drop_outliers(
     return dropped
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _drop_short(columns: Array, counts: Index, longest: int, first: int, lanes: int) -> None:
     for s in range(first, first + lanes):
         if counts[s] < LEAST_COLUMNS:
@@ -257,7 +257,7 @@ def _drop_short(columns: Array, counts: Index, longest: int, first: int, lanes: 
                 columns[2, column, s] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _set_markers(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     basis: MarkerBasis, deviation: Array, variance: Array, first: int, lanes: int, work: FitScratch
 ) -> None:
@@ -265,27 +265,27 @@ def _set_markers(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
     for marker in range(basis.values.shape[0]):
         for s in range(lanes):
             total = 0.0
-            for a in range(UNKNOWNS):
+            for a in range(len(work.right)):
                 total += basis.values[marker, a] * work.solution[a, s]
             deviation[marker, first + s] = total
         for s in range(lanes):
             total = 0.0
-            for entry in range(ENTRIES):
+            for entry in range(len(work.normal)):
                 total += basis.pairs[marker, entry] * work.covariance[entry, s]
             variance[marker, first + s] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@kernel_part(fastmath=True)
 def _set_evidence(evidence: Array, first: int, lanes: int, work: FitScratch) -> None:
     """Log evidence of one roughness less a constant of the segment."""
     for s in range(lanes):
         explained = 0.0
-        for a in range(UNKNOWNS):
+        for a in range(len(work.right)):
             explained += work.solution[a, s] * work.right[a, s]
         evidence[first + s] = (explained - math.log(work.determinant[0, s])) / 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_segments(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     size: Array,
     end_std: Array,
@@ -331,7 +331,7 @@ def fit_segments(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
             _set_markers(basis, fits.deviation[model], fits.variance[model], first, lanes, work)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def share_of_models(counts: Index, fits: Fits) -> None:
     """How likely each roughness is in this frame: a few rounds of expectation maximisation."""
     evidence, share = fits.evidence, fits.share
@@ -381,7 +381,7 @@ class Markers(NamedTuple):
         return cls(np.empty((a, b, n, 2)), status, np.empty((a, b, n)))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def set_sizes(curve: Array, corner_std: Array, size: Array, end_std: Array) -> None:
     """Length and tilt (2, s) of the segments of curve (a, b, 4, 2); std (2, s) of their ends.
 
@@ -399,7 +399,7 @@ def set_sizes(curve: Array, corner_std: Array, size: Array, end_std: Array) -> N
             end_std[1, s] = corner_std[i, j + 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _is_near(columns: Array, count: int, s: int, t: float, near: float) -> bool:
     seen = column = 0
     while seen < count:
@@ -411,7 +411,7 @@ def _is_near(columns: Array, count: int, s: int, t: float, near: float) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def mixture(
     deviation: Array, variance: Array, evidence: Array, share: Array, at: tuple[int, int]
 ) -> tuple[float, float]:
@@ -428,7 +428,7 @@ def mixture(
     return mean, max(square / total - mean * mean, 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def place_markers(
     curve: Array,
     counts: Index,

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridShape
@@ -232,7 +232,7 @@ class _Gridlines:
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def set_tangents(corners: Array, tangent: Array) -> None:
     """Tangents along axis 1 of corners (a, b, 2), px per segment; NaN where nothing is known.
 
@@ -265,7 +265,7 @@ def set_tangents(corners: Array, tangent: Array) -> None:
                 tangent[i, j, axis] = value
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_curves(corners: Array, tangent: Array, curve: Array) -> None:
     """Coefficients of the cubic of each segment along axis 1, into curve (a, b-1, 4, 2).
 
@@ -313,7 +313,7 @@ class Zone(NamedTuple):
     noise: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _gridline_point(
     grey: NDArray[np.float32], base: int, stride: int
 ) -> tuple[float, float, float]:
@@ -336,7 +336,7 @@ def _gridline_point(
     return best + (left - right) / 2 / bend, top, bend
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _corrected(
     pixels: Pixels, zone: Zone, axis: int, along: float, across: float
 ) -> tuple[float, float]:
@@ -360,7 +360,7 @@ def _corrected(
     return row + first * (1 - share) + second * share, std
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _correct_segment(
     pixels: Pixels, segments: Segments, zone: Zone, at: tuple[int, int, float], markers: Markers
 ) -> None:
@@ -390,7 +390,7 @@ def _correct_segment(
             markers.std[i, j, marker] = std * tilt
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def correct_markers(
     pixels: Pixels, segments: Segments, corner_std: Array, zone: Zone, markers: Markers
 ) -> None:

@@ -10,8 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -112,7 +113,7 @@ WINDOW_TAPS = _window_taps()
 BELL = _bell_table()
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _turn(curve: Array, turned: Array) -> int:
     """Copy a segment's cubic with (along, across) for (x, y) or (y, x); returns along's axis.
 
@@ -129,7 +130,7 @@ def _turn(curve: Array, turned: Array) -> int:
     return axis
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _at(curve: Array, along: float, guess: float) -> tuple[float, float, float, float]:
     """Parameter, across, both speeds of a turned cubic where it passes `along`: a Newton step."""
     here = ((curve[3, 0] * guess + curve[2, 0]) * guess + curve[1, 0]) * guess + curve[0, 0]
@@ -141,7 +142,7 @@ def _at(curve: Array, along: float, guess: float) -> tuple[float, float, float, 
     return t, across, speed_along, speed_across
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+@kernel_part(fastmath=True, forceinline=True)
 def _moments(grey: NDArray[np.float32], base: int, stride: int, phase: int) -> tuple[float, float]:
     """Windowed gradient around a phase of the pixel `base`, and its first moment."""
     zeroth = first = 0.0
@@ -153,7 +154,7 @@ def _moments(grey: NDArray[np.float32], base: int, stride: int, phase: int) -> t
     return zeroth, first
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _profile_variance(pixels: Pixels, axis: int, along: int, place: float) -> float:
     """Variance of the gradient's profile within the window around a place in a column, px^2."""
     stride, base = (1, along * pixels.width) if axis == 1 else (pixels.width, along)
@@ -168,7 +169,7 @@ def _profile_variance(pixels: Pixels, axis: int, along: int, place: float) -> fl
     return second / zeroth - (first / zeroth) ** 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _peak(pixels: Pixels, axis: int, along: int, start: float, gain: float) -> tuple[float, float]:
     """Place of the gradient's peak in a column, NaN for none, and the gradient there.
 
@@ -194,7 +195,7 @@ def _peak(pixels: Pixels, axis: int, along: int, start: float, gain: float) -> t
     return math.nan, 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) -> None:
     """Strength and blur half way along each segment, where an edge is at its clearest.
 
@@ -224,7 +225,7 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
                 result[1, i, j] = profile / (1 + (speed_across / speed_along) ** 2)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=NAN_SAFE, forceinline=True)
+@kernel_part(fastmath=NAN_SAFE, forceinline=True)
 def _pull(
     normal_along: float, normal_across: float, distance: float, slope: float, blur: float
 ) -> tuple[float, float, float]:
@@ -271,7 +272,7 @@ def _pull(
     return -second / (third * scale), share, lean
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _set_normals(segments: Segments, i: int, j: int, axis: int, normals: Array) -> None:
     """Normals (2, 3) of the gridlines that cross at both ends: along, across, offset."""
     for end in range(2):
@@ -291,7 +292,7 @@ def _set_normals(segments: Segments, i: int, j: int, axis: int, normals: Array) 
         normals[end, 2] = start[axis] * along + start[1 - axis] * across
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _is_doubtful(doubtful: NDArray[np.bool_], t: float) -> bool:
     n = len(doubtful)
     if n == 0:
@@ -300,7 +301,7 @@ def _is_doubtful(doubtful: NDArray[np.bool_], t: float) -> bool:
     return bool(doubtful[min(max(marker, 0), n - 1)])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=NAN_SAFE, forceinline=True)
+@kernel_part(fastmath=NAN_SAFE, forceinline=True)
 def _measure_column(
     pixels: Pixels,
     edges: Edges,
@@ -347,7 +348,7 @@ def _measure_column(
     return t, deviation, variance, flattening, lean / speed_along, ridge - across
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@kernel_part(forceinline=True)
 def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     pixels: Pixels, edges: Edges, segments: Segments, i: int, j: int, turned: Array,
     normals: Array, columns: Array,
@@ -388,7 +389,7 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def measure(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     pixels: Pixels, edges: Edges, segments: Segments, scratch: tuple[Array, Array],
     counts: Index, columns: Array,
