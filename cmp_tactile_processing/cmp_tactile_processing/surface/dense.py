@@ -268,17 +268,16 @@ class _Curve:
             status[taken] = np.where(
                 off[taken] > 0,
                 DenseStatus.EXTRAPOLATED,
-                self._between(index[part], self.places[taken]),
+                _between(steps[part], self.places[taken]),
             )
         return weights, status
 
-    def _between(self, index: NDArray[np.intp], places: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """MEASURED on a known point and between two that are neighbours, else INTERPOLATED."""
-        steps = self.steps[index]
-        after = np.searchsorted(steps, places).clip(0, len(steps) - 1)
-        before = np.maximum(after - 1, 0)
-        fine = (steps[after] == places) | (index[after] - index[before] == 1)
-        return np.where(fine, DenseStatus.MEASURED, DenseStatus.INTERPOLATED).astype(np.uint8)
+
+def _between(steps: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """MEASURED between known points that are a pitch apart at most, else INTERPOLATED."""
+    after = np.searchsorted(steps, places).clip(0, len(steps) - 1)
+    near = (steps[after] == places) | (steps[after] - steps[after - 1] <= 1 + ROUNDING)
+    return np.where(near, DenseStatus.MEASURED, DenseStatus.INTERPOLATED).astype(np.uint8)
 
 
 def _weights_through(
