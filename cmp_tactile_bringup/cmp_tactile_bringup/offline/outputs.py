@@ -13,14 +13,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.writer import Writer
 from numpy.typing import NDArray
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Options
 from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
+from cmp_tactile_driver.bags.mcap_writer import McapFile, qos_yaml
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -31,28 +39,20 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
-CHUNK_BYTES = 4 << 20
 ROWS_IN_MEMORY = 4096
 # What a player needs to offer late listeners the last message, as rosbag2 writes it.
-LATCHED = """\
-- history: keep_last
-  depth: 1
-  reliability: reliable
-  durability: transient_local
-  deadline:
-    sec: 9223372036
-    nsec: 854775807
-  lifespan:
-    sec: 9223372036
-    nsec: 854775807
-  liveliness: automatic
-  liveliness_lease_duration:
-    sec: 9223372036
-    nsec: 854775807
-  avoid_ros_namespace_conventions: false
-"""
-
-
+FOREVER = QosTime(2**63 // 10**9, 2**63 % 10**9 - 1)
+LATCHED = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=1,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.TRANSIENT_LOCAL,
+    deadline=FOREVER,
+    lifespan=FOREVER,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
 Row = Sequence[float | str]
 
 
@@ -69,38 +69,30 @@ class ResultBag:
         self._sensor, self._grids = sensor, tuple(grids)
         self._make = bag_messages()
         self._rectification = Rectification(sensor)
-        self._file = path.open("wb")
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._writer.start("ros2", "cmp_tactile process")
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, tuple[int, str]] = {}
-        self._counts: dict[str, int] = {}
-        self._began = False
+        self._file = McapFile(path, compressed=True)
+        self._channels: dict[str, int] = {}
 
     def __enter__(self) -> ResultBag:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        try:
-            if error[0] is None:
-                self._writer.finish()
-        finally:
-            self._file.close()
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
 
     def describe(self, facts: Mapping[str, str], description: bytes) -> None:
         """Say what the results were made with; description: the file of the sensor."""
-        self._writer.add_metadata("cmp_tactile", dict(facts))
-        self._writer.add_attachment(0, 0, "sensor.yaml", "application/yaml", description)
+        self._file.describe("cmp_tactile", facts)
+        self._file.attach("sensor.yaml", "application/yaml", description)
 
     def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
         """Write what the next frame showed."""
-        if not self._began:
-            self._began = True
+        if not self._channels:
             transforms = making.static_transforms(self._make, self._sensor, self._rectification)
             message = self._make.new(TF_MESSAGE, transforms=transforms)
             self._write("/tf_static", TF_MESSAGE, message, frame)
         for name, kind, message in self._messages(frame.stamp_ns, result):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
+        if self._file.chunk_is_full:
+            self._file.flush()
 
     def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
         make, sensor = self._make, self._sensor
@@ -119,21 +111,14 @@ class ResultBag:
         yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
-        channel = self._channel(topic, kind)
-        sequence = self._counts[topic] = self._counts.get(topic, -1) + 1
-        data = bytes(simulation_typestore().serialize_cdr(message, kind))
-        self._writer.add_message(channel, frame.time_ns, data, frame.stamp_ns, sequence)
-
-    def _channel(self, topic: str, kind: str) -> int:
+        store = simulation_typestore()
         if topic not in self._channels:
-            if kind not in self._schemas:
-                text, _ = simulation_typestore().generate_msgdef(kind, ros_version=2)
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+            text, _ = store.generate_msgdef(kind, ros_version=2)
             latched = topic == "/tf_static" or topic.endswith("/camera_info")
-            qos = {"offered_qos_profiles": LATCHED if latched else ""}
-            number = self._writer.register_channel(topic, "cdr", self._schemas[kind], qos)
-            self._channels[topic] = (number, kind)
-        return self._channels[topic][0]
+            qos = qos_yaml([LATCHED] if latched else [])
+            self._channels[topic] = self._file.add_channel(topic, kind, text, qos)
+        data = bytes(store.serialize_cdr(message, kind))
+        self._file.write(self._channels[topic], frame.time_ns, frame.stamp_ns, data)
 
 
 @contextmanager

@@ -152,7 +152,8 @@ def _draw_displacement(axes: Axes, surface: Surface, scales: _Scales) -> None:
     position, reference = surface.position * 1e3, surface.reference * 1e3
     seen = np.isfinite(position).all(axis=-1)
     axes.tricontourf(
-        *position[seen][:, :2].T,
+        position[seen][:, 0],
+        position[seen][:, 1],
         _depth_mm(surface)[seen],
         levels=np.linspace(0.0, scales.depth.vmax or 1.0, 41),
         cmap=style.DEPTH_MAP,
@@ -173,8 +174,10 @@ def _draw_force(axes: Axes, frame: FrameResult, scales: _Scales) -> None:
     """Pressure in colour where the gel has moved to, outlines, centres, shear as arrows."""
     force, places = frame.force, _places(frame)
     pressure = np.nan_to_num(_pressure_kpa(force))
-    look = {"cmap": style.PRESSURE_MAP, "norm": scales.pressure, "shading": "gouraud"}
-    axes.pcolormesh(*np.moveaxis(places, -1, 0), pressure, **look)
+    x, y = np.moveaxis(places, -1, 0)
+    axes.pcolormesh(
+        x, y, pressure, cmap=style.PRESSURE_MAP, norm=scales.pressure, shading="gouraud"
+    )
     for contact in force.contacts:
         edge = np.concatenate([contact.outline, contact.outline[:1]])[:, :2] * 1e3
         axes.plot(*edge.T, color=style.SERIES[0], lw=2)
