@@ -42,7 +42,7 @@ pytestmark = pytest.mark.ros
 RATE_HZ = 20.0
 # Messages carry float32: half a unit in the last place of 512 px, 0.02 m and 0.5 N.
 ATOL_PX, ATOL_M, ATOL_N = 3.1e-5, 1e-9, 3e-8
-PICTURES = ("overview", "frame", "displacement", "shape", "knock", "force", "wrench", "contacts")
+PICTURES = ("overview", "wrench", "contacts")
 FRAMES = 20
 
 

@@ -28,4 +28,9 @@ class OutputError(CmpTactileError):
 
 
 class TaskError(CmpTactileError):
-    """A recording that could not be processed; the text is what another process found."""
+    """A recording that could not be processed, there or in another process.
+
+    trace: where in the code that was found, in several lines; empty where it is not known.
+    """
+
+    trace = ""

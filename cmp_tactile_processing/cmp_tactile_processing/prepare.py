@@ -20,11 +20,9 @@ from cmp_tactile_processing.cache.compiled import installing, when_compiling
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.surface.dense import SurfaceInterpolator
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -45,9 +43,6 @@ def prepare_tracking(sensor: SensorDescription) -> None:
         GridTracker(sensor, view)
     StereoRig(sensor)
     ReferenceKeeper(Reference.nominal(sensor))
-    pattern = sensor.pattern
-    cell = SurfaceGrid(2, 2, (pattern.pitch, pattern.pitch))
-    SurfaceInterpolator(pattern.shape, pattern.pitch, cell)
 
 
 def prepare_forces(sensor: SensorDescription, progress: Progress | None = None) -> None:

@@ -152,18 +152,14 @@ def write_environment_file(layout: Layout, build_env: Mapping[str, str], with_ro
     With wheels it holds the finished variables, so that it costs nothing to source; beside a ROS 2
     installation it sources that and the workspace as any ROS 2 workspace does.
     """
-    own_folders = f"{layout.install / 'bin'}:{layout.venv / 'bin'}"
+    sourcing = [f". {shlex.quote(str(layout.install / 'setup.sh'))}"]
     lines = [
         f"CMP_TACTILE_BUILT_AT={shlex.quote(str(layout.root))}",
-        *(_sourcing_lines(layout) if with_ros else _finished_lines(layout, build_env)),
-        *_prepend("PATH", own_folders),
+        *(sourcing if with_ros else _finished_lines(layout, build_env)),
+        *_prepend("PATH", f"{layout.install / 'bin'}:{layout.venv / 'bin'}"),
         f"export VIRTUAL_ENV={shlex.quote(str(layout.venv))}",
     ]
     replace_file(layout.environment_file, "\n".join(lines) + "\n")
-
-
-def _sourcing_lines(layout: Layout) -> list[str]:
-    return [f". {shlex.quote(str(layout.install / 'setup.sh'))}"]
 
 
 def _finished_lines(layout: Layout, build_env: Mapping[str, str]) -> list[str]:

@@ -12,6 +12,7 @@ import sys
 import sysconfig
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from cmp_tactile_setup.steps import SetupError, say
@@ -28,13 +29,14 @@ _TOO_OLD = frozenset(
 )
 
 
-@dataclass(frozen=True)
-class _Tool:
-    """Something to install: in words, and the package that has it."""
-
-    what: str
-    debian: str
-    fedora: str
+# What it is, the commands that may be it, the variable that names another, and the packages of
+# Debian and of Fedora that have it.
+_TOOLS = (
+    ("C compiler", ("cc", "gcc", "clang"), "CC", "gcc", "gcc"),
+    ("C++ compiler", ("c++", "g++", "clang++"), "CXX", "g++", "gcc-c++"),
+    ("make", ("make", "gmake"), "", "make", "make"),
+    ("cmake", ("cmake",), "", "cmake", "cmake"),
+)
 
 
 def check_checkout_path(root: Path) -> None:
@@ -127,59 +129,38 @@ def check_tools(*, for_venv: bool, for_wheels: bool) -> None:
     for_venv: a virtual environment is to be made, too.  for_wheels: extension modules are compiled
     for the running Python rather than for that of an installed ROS 2.
     """
-    missing = _missing_build_tools()
+    python = f"python{_dotted(sys.version_info[:2])}"
+    missing = [
+        (what, *packages)
+        for what, names, variable, *packages in _TOOLS
+        if not _has(names, variable)
+    ]
     if for_venv:
-        missing += _missing_venv()
-    if for_wheels:
-        missing += _missing_python_headers()
+        absent = (name for name in ("ensurepip", "venv") if find_spec(name) is None)
+        missing += [(f"Python's module {n}", f"{python}-venv", "python3-libs") for n in absent]
+    header = Path(sysconfig.get_path("include"), "Python.h")
+    if for_wheels and not header.is_file():
+        missing.append((f"Python's C headers ({header})", f"{python}-dev", "python3-devel"))
     if missing:
-        what = ", ".join(tool.what for tool in missing)
-        debian = " ".join(dict.fromkeys(tool.debian for tool in missing))
-        fedora = " ".join(dict.fromkeys(tool.fedora for tool in missing))
-        raise SetupError(
-            f"not found: {what}; install with 'sudo apt install {debian}' (Debian, Ubuntu) or "
-            f"'sudo dnf install {fedora}' (Fedora)"
+        what, debian, fedora = (
+            list(dict.fromkeys(column)) for column in zip(*missing, strict=True)
         )
-
-
-def _missing_build_tools() -> list[_Tool]:
-    missing = []
-    if not _has_compiler("CC", ("cc", "gcc", "clang")):
-        missing.append(_Tool("C compiler", "gcc", "gcc"))
-    if not _has_compiler("CXX", ("c++", "g++", "clang++")):
-        missing.append(_Tool("C++ compiler", "g++", "gcc-c++"))
-    if not (shutil.which("make") or shutil.which("gmake")):
-        missing.append(_Tool("make", "make", "make"))
-    version = _cmake_version()
-    if version is None:
-        missing.append(_Tool("cmake", "cmake", "cmake"))
-    elif version < CMAKE_OLDEST:
+        raise SetupError(
+            f"not found: {', '.join(what)}; install with 'sudo apt install {' '.join(debian)}' "
+            f"(Debian, Ubuntu) or 'sudo dnf install {' '.join(fedora)}' (Fedora)"
+        )
+    cmake = [str(shutil.which("cmake")), "--version"]
+    done = subprocess.run(cmake, capture_output=True, text=True, check=False)
+    version = _version_numbers(done.stdout)
+    if version < CMAKE_OLDEST:
         raise SetupError(
             f"cmake {_dotted(version)} is too old: install {_dotted(CMAKE_OLDEST)} or newer, from "
             "your distribution or with 'pip install cmake'"
         )
-    return missing
 
 
-def _missing_venv() -> list[_Tool]:
-    try:
-        import ensurepip  # noqa: F401
-        import venv  # noqa: F401
-    except ImportError as error:
-        package = f"python{_dotted(sys.version_info[:2])}-venv"
-        return [_Tool(f"Python's module {error.name}", package, "python3-libs")]
-    return []
-
-
-def _missing_python_headers() -> list[_Tool]:
-    header = Path(sysconfig.get_path("include"), "Python.h")
-    if header.is_file():
-        return []
-    package = f"python{_dotted(sys.version_info[:2])}-dev"
-    return [_Tool(f"Python's C headers ({header})", package, "python3-devel")]
-
-
-def _has_compiler(variable: str, names: tuple[str, ...]) -> bool:
+def _has(names: tuple[str, ...], variable: str) -> bool:
+    """Whether one of the commands is there, or the one that the variable names, which must be."""
     chosen = shlex.split(os.environ.get(variable, ""))
     if chosen and not shutil.which(chosen[0]):
         raise SetupError(
@@ -187,14 +168,6 @@ def _has_compiler(variable: str, names: tuple[str, ...]) -> bool:
             f"install it or unset {variable}"
         )
     return bool(chosen) or any(shutil.which(name) for name in names)
-
-
-def _cmake_version() -> tuple[int, int] | None:
-    cmake = shutil.which("cmake")
-    if cmake is None:
-        return None
-    done = subprocess.run([cmake, "--version"], capture_output=True, text=True, check=False)
-    return _version_numbers(done.stdout)
 
 
 def _version_numbers(text: str) -> tuple[int, int]:

@@ -15,9 +15,8 @@ from cmp_tactile_bringup.commands.options import Choice, Command, Number, argume
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-    from cmp_tactile_bringup.offline.processor import Task
-    from cmp_tactile_bringup.offline.workers import Display
+    from cmp_tactile_bringup.offline.display import Display
+    from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome, Task
 
 MOST_REFERENCE_FRAMES = 1000
 MOST_JOBS = 256
@@ -134,7 +133,7 @@ class Process(Command):
     def run(self) -> int:
         """Process all inputs; returns 1 where one, or frames of one, could not be used."""
         from cmp_tactile_bringup.offline.jobs import plan_jobs
-        from cmp_tactile_bringup.offline.result_files import require_parquet
+        from cmp_tactile_bringup.offline.outputs import require_parquet
         from cmp_tactile_bringup.terminal.output import output_console
 
         self.check_exclusive("jobs", "scheduler")
@@ -171,8 +170,9 @@ def _options(arguments: Process) -> Options:
 
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
-    from cmp_tactile_bringup.offline.processor import Task
-    from cmp_tactile_bringup.offline.workers import Display
+    from cmp_tactile_bringup.errors import TaskError
+    from cmp_tactile_bringup.offline.display import Display
+    from cmp_tactile_bringup.offline.jobs import Task
 
     options, tasks, complete = _options(arguments), list[Task](), list[bool]()
     for job in jobs:
@@ -183,6 +183,8 @@ def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool
             tasks.append(Task(replace(job, sensor=sensor), options, arguments.overwrite))
 
     def report(number: int, result: Outcome | Exception) -> None:
+        if arguments.debug and isinstance(result, TaskError):
+            console.print(result.trace, markup=False, highlight=False)
         complete.append(_report(console, tasks[number].job, result))
 
     with Display([task.job.name for task in tasks], console, report) as display:
@@ -201,19 +203,19 @@ def _sensor_of(job: Job, given: str | None) -> str | Exception:
 
 
 def _run(tasks: list[Task], arguments: Process, display: Display) -> None:
-    debug, jobs = arguments.debug, min(arguments.jobs or _default_jobs(), len(tasks))
+    jobs = min(arguments.jobs or _default_jobs(), len(tasks))
     if tasks and arguments.scheduler:
         from cmp_tactile_bringup.offline.cluster import run_on_cluster
 
-        run_on_cluster(tasks, display, arguments.scheduler, debug=debug)
+        run_on_cluster(tasks, display, arguments.scheduler)
     elif jobs > 1:
         from cmp_tactile_bringup.offline.workers import run_in_processes
 
-        run_in_processes(tasks, display, jobs, debug=debug)
+        run_in_processes(tasks, display, jobs)
     else:
         from cmp_tactile_bringup.offline.workers import run_here
 
-        run_here(tasks, display, debug=debug)
+        run_here(tasks, display)
 
 
 def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:

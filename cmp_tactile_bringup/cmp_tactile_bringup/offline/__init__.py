@@ -1,5 +1,5 @@
 """Recordings through the pipeline into files, without a running ROS.
 
 In reading order: what is asked for (`jobs`), one recording (`processor`), what is written
-(`result_files`), and where the work is done (`workers`, `cluster`).
+(`outputs`, `result_files`), and where the work is done (`workers`, `cluster`, `display`).
 """

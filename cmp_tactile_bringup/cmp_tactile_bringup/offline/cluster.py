@@ -1,79 +1,81 @@
 """Jobs on an existing cluster, through dask.distributed.
 
 Its workers need this software and, under the same paths, the recordings, the sensor description
-and the folder of the results.
+and the folder of the results.  joblib's own backend for dask waits for ever for a task whose worker
+dies, so the tasks are given to dask itself.
 """
 
 from __future__ import annotations
 
-import sys
 import uuid
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import ClusterError, TaskError
-from cmp_tactile_bringup.offline.jobs import Outcome
-from cmp_tactile_bringup.offline.processor import Task, result_of
+from cmp_tactile_bringup.offline.display import Display
+from cmp_tactile_bringup.offline.jobs import Outcome, Task
+from cmp_tactile_bringup.offline.processor import run_guarded
 from cmp_tactile_bringup.offline.result_files import software_version
-from cmp_tactile_bringup.offline.workers import Display
+from cmp_tactile_bringup.recordings.library import is_packaged
 
 SECONDS_TO_CONNECT = 10
 SECONDS_FOR_WORKERS = 30
-EXPECTED = "expected cmp_tactile_bringup as it is where the command was given"
 
 
-def require_distributed() -> None:
-    """Raise ClusterError where dask.distributed is not installed."""
-    try:
-        import distributed  # noqa: F401  only whether it is there
-    except ImportError as error:
-        msg = f"--scheduler: found no dask ({error}), expected it: `pip install distributed`"
-        raise ClusterError(msg) from None
-
-
-def run_on_cluster(tasks: Sequence[Task], display: Display, address: str, *, debug: bool) -> None:
+def run_on_cluster(tasks: Sequence[Task], display: Display, address: str) -> None:
     """Run the tasks on the workers of the scheduler at an address.
 
+    Those that have begun go on to their end after an interrupt, and are found finished next time.
     Raises ClusterError without a scheduler, and without a worker that can do them.
     """
-    require_distributed()
-    # As dask's own code does where classes of a program's own are to be sent.
-    import cloudpickle
+    topic = f"cmp_tactile-{uuid.uuid4().hex}"
+    with _connected(address) as client:
+        _check_workers(client, address)
+        from distributed import as_completed
 
-    for task in tasks:
-        Path(task.job.folder).mkdir(parents=True, exist_ok=True)
-    # As source: workers may lack this package, and then say so.
-    here = sys.modules[__name__]
-    cloudpickle.register_pickle_by_value(here)
-    try:
-        with _connected(address) as client, client.as_current():
-            _check_workers(client, address)
-            _gather(client, tasks, display, debug=debug)
-    finally:
-        cloudpickle.unregister_pickle_by_value(here)
+        client.subscribe_topic(topic, lambda event: display.show(*event[1]))
+        futures = {}
+        for number, task in enumerate(tasks):
+            Path(task.job.folder).mkdir(parents=True, exist_ok=True)
+            futures[client.submit(_run_on_worker, number, task, topic, pure=False)] = number
+        for future in as_completed(list(futures)):
+            number, error = futures[future], future.exception()
+            if error is not None:
+                reason = f"on the cluster: {type(error).__name__}: {error}"
+                display.end(number, TaskError(f"{tasks[number].job.label}: {reason}"))
+            else:
+                display.end(number, future.result())
 
 
 def _connected(address: str) -> Any:
-    from distributed import Client
-
     try:
-        return Client(address, timeout=SECONDS_TO_CONNECT, set_as_default=False)
+        from distributed import Client
+
+        return Client(address, timeout=SECONDS_TO_CONNECT)
+    except ImportError as error:
+        msg = f"--scheduler: found no dask ({error}), expected it: `pip install distributed`"
     except (OSError, ValueError) as error:
         msg = f"{address}: found no dask scheduler, expected one such as tcp://host:8786: {error}"
-        raise ClusterError(msg) from None
+    raise ClusterError(msg)
 
 
 def _check_workers(client: Any, address: str) -> None:
+    def version() -> str:
+        # Sent as source, as all functions within functions are: the package may be absent there.
+        from cmp_tactile_bringup.offline.result_files import software_version
+
+        return software_version()
+
     try:
         client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
     except TimeoutError:
         msg = f"{address}: found no worker within {SECONDS_FOR_WORKERS} s, expected one or more"
         raise ClusterError(msg) from None
-    for worker, found in client.run(_installed_version).items():
-        if found.startswith("error: "):
-            msg = f"worker {worker}: {found.removeprefix('error: ')}"
+    for worker, found in client.run(version, on_error="return").items():
+        if isinstance(found, Exception):
+            expected = "expected cmp_tactile_bringup as it is where the command was given"
+            msg = f"worker {worker}: found no software ({found}), {expected}"
             raise ClusterError(msg)
         theirs, ours = set(found.split(", ")), set(software_version().split(", "))
         if theirs != ours:
@@ -82,56 +84,22 @@ def _check_workers(client: Any, address: str) -> None:
             raise ClusterError(msg)
 
 
-def _gather(client: Any, tasks: Sequence[Task], display: Display, *, debug: bool) -> None:
-    from distributed import as_completed
-
-    topic = f"cmp_tactile-{uuid.uuid4().hex}"
-    client.subscribe_topic(topic, lambda event: display.show(*event[1]))
-    futures = {
-        client.submit(_run_on_worker, asdict(task), number, topic, key=f"{topic}-{number}"): number
-        for number, task in enumerate(tasks)
-    }
-    try:
-        for future in as_completed(list(futures)):
-            number = futures[future]
-            error = future.exception()
-            if error is None:
-                result: Outcome | Exception = result_of(future.result(), debug=debug)
-            else:
-                reason = f"{type(error).__name__}: {error}"
-                result = TaskError(f"{tasks[number].job.label}: on the cluster: {reason}")
-            display.end(number, result)
-    except BaseException:
-        # Those that have begun go on to their end, and are found finished the next time.
-        client.cancel(list(futures))
-        raise
-
-
-def _installed_version(expected: str = EXPECTED) -> str:
-    """The software of a worker, or "error: " and why there is none.
-
-    Sent as source: nothing of the package may be named here but within the function.
-    """
-    try:
-        from cmp_tactile_bringup.offline.result_files import software_version
-    except ImportError as error:
-        return f"error: found no software ({error}), {expected}"
-    return software_version()
-
-
-def _run_on_worker(
-    values: dict[str, Any], number: int, topic: str, expected: str = EXPECTED
-) -> dict[str, Any]:
-    """Run a task; reports (number, event, value) to the topic.  Sent as source, as above."""
+def _run_on_worker(number: int, task: Task, topic: str) -> Outcome | TaskError:
     from distributed import get_worker
 
     worker = get_worker()
-    try:
-        from cmp_tactile_bringup.offline.processor import run_with_shared_files
-    except ImportError as error:
-        return {"error": f"{worker.address}: found no software ({error}), {expected}"}
+    error = unseen_file(task, worker.address)
+    if error:
+        return TaskError(error)
+    return run_guarded(task, lambda event, value: worker.log_event(topic, (number, event, value)))
 
-    def report(event: str, value: Any) -> None:
-        worker.log_event(topic, (number, event, value))
 
-    return run_with_shared_files(values, worker.address, report)
+def unseen_file(task: Task, worker: str) -> str:
+    """Which file or folder of the task this machine does not have; empty where all are there."""
+    for place in map(Path, (task.job.source, task.job.sensor, task.job.folder)):
+        if not place.exists() and not is_packaged(place):
+            return (
+                f"{place}: found no such file or folder on the worker {worker}, expected a file "
+                "system that all machines share, with the same paths"
+            )
+    return ""

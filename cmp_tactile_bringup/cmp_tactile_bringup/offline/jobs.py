@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +84,15 @@ class Job:
 
 
 @dataclass(frozen=True)
+class Task:
+    """A job with its sensor chosen, and how it is to be done."""
+
+    job: Job
+    options: Options
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
 class Outcome:
     """frames: processed.  finished_before: the results were there, made from the same.
 
@@ -97,18 +106,11 @@ class Outcome:
     reference: str = ""
     finished_before: bool = False
 
-    def as_record(self) -> dict[str, Any]:
-        """All but whether it was finished before."""
-        values = asdict(self)
-        del values["finished_before"]
-        return values
-
     @classmethod
     def from_record(cls, values: dict[str, Any]) -> Outcome:
-        """What `as_record` gave, finished before; KeyError or TypeError for anything else."""
-        known = {item.name: values[item.name] for item in fields(cls) if item.name in values}
-        known["doubts"] = tuple(map(str, values["doubts"]))
-        return cls(**(known | {"finished_before": True}))
+        """Of an earlier run, from `dataclasses.asdict`; KeyError or TypeError for anything else."""
+        known = values | {"doubts": tuple(map(str, values["doubts"])), "finished_before": True}
+        return cls(**known)
 
 
 def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:

@@ -13,26 +13,22 @@ import math
 import os
 import subprocess
 import sys
-import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 import cmp_tactile_processing
 from cmp_tactile_bringup.errors import OutputError, TaskError
-from cmp_tactile_bringup.offline import result_files
-from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
+from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome, Task
+from cmp_tactile_bringup.offline.outputs import Outputs
 from cmp_tactile_bringup.offline.result_files import ResultFiles
 from cmp_tactile_bringup.recordings import results
-from cmp_tactile_bringup.recordings.library import is_packaged, recorded_source
+from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal.output import error_line, processor_name
 from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, calibration_mismatch
 from cmp_tactile_driver.bags.recording import (
@@ -62,12 +58,12 @@ STAMP_FAULTS = {
 TOO_FEW = "too few frames to say whether the gel is still"
 Report = Callable[[str, Any], None]
 """Takes what a task reports: "stage" with what is done before the first frame and its share,
-"total" with the number of frames that it expects (None: unknown), "frames" with how many more were
+"total" with the number of frames that it expects (None: unknown), "frames" with how many are
 processed."""
 
 COMPILING = "compiling, once per version of the software"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-SECONDS_BETWEEN_REPORTS = 0.2
+FRAMES_BETWEEN_REPORTS = 10
 
 
 class Processor:
@@ -93,9 +89,10 @@ class Processor:
         whole = self._options.start_s == 0 and math.isinf(self._options.end_s)
         return _declared_frames(self._recording, Path(self._job.source)) if whole else None
 
-    def run(self, folder: Path, on_frame: Callable[[], None]) -> Outcome:
+    def run(self, folder: Path, on_frames: Callable[[int], None]) -> Outcome:
         """Process every frame and write the files into a folder, each named by its suffix.
 
+        on_frames: called now and then with how many frames are done, and at the end.
         Raises FrameSourceError where no frame can be used, ReferenceFramesError where the frames
         that should give the reference cannot.
         """
@@ -103,7 +100,7 @@ class Processor:
         self._take_reference(pipeline)
         watch, stamps = _Doubts(self._sensor, self._recording), _Stamps()
         count = 0
-        with _Files(folder, self._job, self._sensor, self._options) as files:
+        with Outputs(folder, self._job, self._sensor, self._options) as files:
             for frame in self._frames():
                 stamp_fault = stamps.add(frame)
                 if stamp_fault == frame_watch.Stamp.BACK.value:
@@ -113,7 +110,9 @@ class Processor:
                 watch.add(result)
                 files.append(frame, result, stamp_fault)
                 count += 1
-                on_frame()
+                if not count % FRAMES_BETWEEN_REPORTS:
+                    on_frames(count)
+        on_frames(count)
         doubts = (*watch.doubts, *stamps.doubts, self._doubt_of_reference(pipeline))
         problems = (self._recording.health.summary, watch.problem)
         return Outcome(
@@ -139,36 +138,6 @@ class Processor:
         pipeline.set_reference([frame.image for frame in frames], frames[-1].stamp_ns)
         # The recording is then gone through from its beginning, as if they had been others.
         pipeline.reset()
-
-
-class _Files(ExitStack):
-    """All files of a job; a context manager."""
-
-    def __init__(self, folder: Path, job: Job, sensor: SensorDescription, options: Options) -> None:
-        super().__init__()
-        # What is open already is closed where another cannot be opened.
-        with ExitStack() as stack:
-            grids = options.grids_of(tuple(sensor.views))
-            self._bag = stack.enter_context(result_files.ResultBag(folder / ".mcap", sensor, grids))
-            facts = {"software": result_files.software_version(), "reference": options.reference}
-            self._bag.describe(facts, Path(job.sensor).read_bytes())
-            self._tables = [stack.enter_context(result_files.csv_table(folder / "_wrench.csv"))]
-            if options.parquet:
-                table = result_files.parquet_table(folder / "_wrench.parquet")
-                self._tables.append(stack.enter_context(table))
-            self._arrays: results.ArrayLog | None = None
-            if options.arrays:
-                self._arrays = stack.enter_context(results.ArrayLog(folder / ".npz"))
-            self.push(stack.pop_all())
-
-    def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
-        """Write what came of the next frame."""
-        self._bag.append(frame, result)
-        row = results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault)
-        for append in self._tables:
-            append(row)
-        if self._arrays is not None:
-            self._arrays.append(_arrays(frame.stamp_ns, result))
 
 
 class _Doubts:
@@ -269,36 +238,6 @@ def _declared_frames(recording: Recording, source: Path) -> int | None:
     return None
 
 
-def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
-    """What is kept of a frame; float32 keeps 1e-4 px and 1e-9 m."""
-    surface = result.surface
-    values: dict[str, NDArray[Any]] = {"stamp_ns": np.array(stamp_ns, np.int64)}
-    for name, grid in (("left", result.left), ("right", result.right)):
-        if grid is not None:
-            values |= {f"{name}_{key}": array for key, array in results.grid_arrays(grid).items()}
-    values |= {
-        "reference": surface.reference,
-        "position": surface.position,
-        "displacement": surface.displacement,
-        "status": surface.status,
-        "ray_gap": surface.ray_gap,
-        "row_position": surface.row_position,
-        "col_position": surface.col_position,
-        **results.force_arrays(result.force),
-    }
-    single = np.float32
-    return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}
-
-
-@dataclass(frozen=True)
-class Task:
-    """A job with its sensor chosen, and how it is to be done."""
-
-    job: Job
-    options: Options
-    overwrite: bool = False
-
-
 def run_task(task: Task, report: Report) -> Outcome:
     """Make the results of a job, or find that they are made.
 
@@ -320,9 +259,7 @@ def run_task(task: Task, report: Report) -> Outcome:
         report("total", processor.expected_frames)
         folder = files.begin()
         try:
-            count = _FrameCount(report)
-            outcome = processor.run(folder, count.add)
-            count.report()
+            outcome = processor.run(folder, lambda count: report("frames", count))
             files.complete(outcome)
         except OSError as error:
             if error.filename is not None:
@@ -334,59 +271,15 @@ def run_task(task: Task, report: Report) -> Outcome:
     return outcome
 
 
-class _FrameCount:
-    """Reports frames a few times a second, not each by itself."""
-
-    def __init__(self, report: Report) -> None:
-        self._report = report
-        self._frames, self._next_s = 0, 0.0
-
-    def add(self) -> None:
-        """A frame was processed."""
-        self._frames += 1
-        if time.monotonic() >= self._next_s:
-            self.report()
-
-    def report(self) -> None:
-        """Report those that are not reported yet."""
-        if self._frames:
-            self._report("frames", self._frames)
-        self._frames, self._next_s = 0, time.monotonic() + SECONDS_BETWEEN_REPORTS
-
-
-def run_remotely(values: dict[str, Any], report: Report) -> dict[str, Any]:
-    """Run a task, given as dataclasses.asdict has it, in another process; for `result_of`.
-
-    No error of the task leaves this.
-    """
-    task = Task(Job(**values["job"]), Options(**values["options"]), values["overwrite"])
+def run_guarded(task: Task, report: Report) -> Outcome | TaskError:
+    """As `run_task`; no error of the task leaves this."""
     try:
-        return asdict(run_task(task, report))
-    except Exception as error:  # noqa: BLE001  it is reported where the task came from
+        return run_task(task, report)
+    except Exception as error:  # noqa: BLE001  the others are to be processed all the same
         line = error_line(error, "; --debug shows where").removeprefix("error: ")
-        return {"error": line, "traceback": traceback.format_exc()}
-
-
-def run_with_shared_files(values: dict[str, Any], address: str, report: Report) -> dict[str, Any]:
-    """As `run_remotely`, once it is sure that the worker sees the files of the task."""
-    job = values["job"]
-    for place in (job["source"], job["sensor"], job["folder"]):
-        if not Path(place).exists() and not is_packaged(Path(place)):
-            msg = (
-                f"{place}: found no such file or folder on the worker {address}, expected a file "
-                "system that all machines share, with the same paths"
-            )
-            return {"error": msg}
-    return run_remotely(values, report)
-
-
-def result_of(values: dict[str, Any], *, debug: bool) -> Outcome | TaskError:
-    """What came of a task that ran remotely.  debug: print its traceback."""
-    if "error" not in values:
-        return Outcome(**values)
-    if debug:
-        sys.stderr.write(values.get("traceback", ""))
-    return TaskError(values["error"])
+        failure = TaskError(line)
+        failure.trace = traceback.format_exc()
+        return failure
 
 
 def compile_elsewhere(sensor: Path, stage: Callable[[str, float], None]) -> None:

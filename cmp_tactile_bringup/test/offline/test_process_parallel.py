@@ -5,15 +5,15 @@ import shutil
 import signal
 import subprocess
 import sys
-from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from contextlib import contextmanager
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline.workers import Display
+from cmp_tactile_bringup.offline.display import Display
 
 MADE = (".mcap", "_wrench.csv")
 
@@ -26,17 +26,6 @@ def error_lines(capsys):
     return [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
 
 
-def workers():
-    """Numbers of the processes that this one has at work."""
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == os.getpid() and b"offline.workers" in (folder / "cmdline").read_bytes():
-                found.append(int(folder.name))
-    return found
-
-
 def same_files(folder, other, names):
     for name in names:
         for suffix in MADE:
@@ -47,46 +36,49 @@ def same_files(folder, other, names):
 def test_processes_give_the_same_bytes_and_one_that_dies_takes_only_its_own(
     recording, images, tmp_path, capsys, monkeypatch
 ):
-    """As where the system ends a process that wants too much memory."""
+    """As where the system ends a process that wants too much memory, whenever it is tried."""
     (tmp_path / "empty").mkdir()
     shutil.copy(images / "2.png", images.parent / "last.png")
-    show = Display.frames
+    show = Display.show
 
-    def kill_at_the_first_frame_of_the_bag(self, number, count):
-        show(self, number, count)
-        if number == 1:
-            for worker in workers_of_the_bag() - {os.getpid()}:
+    def kill_the_process_of_the_bag(self, number, event, value):
+        show(self, number, event, value)
+        if number == 1 and event == "frames":
+            for worker in holders_of_the_lock() - {os.getpid()}:
                 os.kill(worker, signal.SIGKILL)
 
-    def workers_of_the_bag():
-        (lock,) = (tmp_path / "out").glob(".grasp.lock")
-        number = lock.stat().st_ino
+    def holders_of_the_lock():
+        numbers = [lock.stat().st_ino for lock in (tmp_path / "out").glob(".grasp.lock")]
         rows = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
-        return {int(row[4]) for row in rows if row[5].endswith(f":{number}")}
+        return {int(row[4]) for row in rows for n in numbers if row[5].endswith(f":{n}")}
 
-    monkeypatch.setattr(Display, "frames", kill_at_the_first_frame_of_the_bag)
+    monkeypatch.setattr(Display, "show", kill_the_process_of_the_bag)
     sources = (images, recording.bag, tmp_path / "empty", images.parent / "last.png")
     assert process(*sources, "--output", tmp_path / "out", "--jobs", 2) == 1
     # As they end.
     errors = sorted(error_lines(capsys), key=lambda line: "empty" in line)
     assert len(errors) == 2
-    assert f"{recording.bag}: its process was ended by SIGKILL; was there enough" in errors[0]
+    assert (
+        f"{recording.bag}: its process ended before it was done, twice; was there enough"
+        in errors[0]
+    )
     assert "empty: found no image" in errors[1]
     assert not (tmp_path / "out" / "grasp.mcap").exists()
-    assert not workers()
+    assert not active_children()
     assert process(images, sources[3], "--output", tmp_path / "here", "--jobs", 1) == 0
     same_files(tmp_path / "here", tmp_path / "out", ("images", "last"))
 
 
 def test_ctrl_c_ends_all_processes(images, recording, tmp_path, monkeypatch):
-    def interrupt(self, number, count):
-        raise KeyboardInterrupt
+    def interrupt(self, number, event, value):
+        if event == "frames":
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr(Display, "frames", interrupt)
+    monkeypatch.setattr(Display, "show", interrupt)
     sources = (recording.bag, images)
     assert process(*sources, "--output", tmp_path / "out", "--jobs", 2) == 130
-    assert not workers()
-    assert not list((tmp_path / "out").glob("grasp*"))
+    assert not active_children()
+    assert not list((tmp_path / "out").glob("*grasp*"))
 
 
 def test_a_worker_runs_nothing_of_the_current_folder(tmp_path, monkeypatch, capsys):
@@ -176,13 +168,11 @@ def test_no_scheduler_and_no_dask_are_reported(images, tmp_path, capsys, monkeyp
 
 def test_files_that_a_worker_does_not_see_are_named(tmp_path):
     """The machines of a cluster must share their files."""
-    from cmp_tactile_bringup.offline.jobs import Job, Options
-    from cmp_tactile_bringup.offline.processor import Task, result_of, run_with_shared_files
+    from cmp_tactile_bringup.offline.cluster import unseen_file
+    from cmp_tactile_bringup.offline.jobs import Job, Options, Task
 
     job = Job("bag", str(tmp_path / "bag"), str(tmp_path), "bag", str(tmp_path))
-    found = run_with_shared_files(asdict(Task(job, Options())), "tcp://far:1", print)
-    error = result_of(found, debug=False)
-    assert str(error).startswith(
+    assert unseen_file(Task(job, Options()), "tcp://far:1").startswith(
         f"{tmp_path / 'bag'}: found no such file or folder on the worker tcp://far:1, expected"
     )
 

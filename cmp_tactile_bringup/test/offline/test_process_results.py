@@ -10,7 +10,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.offline.result_files import ResultBag
+from cmp_tactile_bringup.offline.outputs import ResultBag
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor

@@ -12,7 +12,7 @@ import pytest
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.offline.workers import Display
+from cmp_tactile_bringup.offline.display import Display
 
 FILES = [".mcap", "_process.json", "_wrench.csv"]
 
@@ -118,12 +118,12 @@ def test_complete_files_that_were_not_all_moved_are_moved_the_next_time(
 
 
 def test_ctrl_c_ends_with_130_and_leaves_what_is_finished(images, tmp_path, monkeypatch):
-    def interrupt(self, number, count):
-        if number == 1:
+    def interrupt(self, number, event, value):
+        if number == 1 and event == "frames":
             raise KeyboardInterrupt
 
     out = tmp_path / "out"
-    monkeypatch.setattr(Display, "frames", interrupt)
+    monkeypatch.setattr(Display, "show", interrupt)
     sources = (images / "0.png", images, images / "1.png")
     assert process(*sources, "--output", out, "--jobs", 1) == 130
     assert [path.name for path in sorted(out.iterdir())] == [f"0{suffix}" for suffix in FILES]
@@ -173,16 +173,14 @@ def test_a_bag_that_ends_in_the_middle_gives_what_is_left_of_it(recording, tmp_p
 
 def test_a_recording_that_changes_while_it_is_read_is_read_again(images, tmp_path, monkeypatch):
     """Else what was read before the change would count as what is there now."""
-    from cmp_tactile_bringup.offline import result_files
+    show = Display.show
 
-    digest = result_files._content_digest
+    def changed_meanwhile(self, number, event, value):
+        show(self, number, event, value)
+        if event == "frames":
+            (images / "0.png").write_bytes((images / "2.png").read_bytes())
 
-    def changed_meanwhile(source):
-        found = digest(source)
-        (images / "0.png").write_bytes((images / "2.png").read_bytes())
-        return found
-
-    monkeypatch.setattr(result_files, "_content_digest", changed_meanwhile)
+    monkeypatch.setattr(Display, "show", changed_meanwhile)
     assert process(images / "0.png", "--output", tmp_path / "out") == 0
     monkeypatch.undo()
     assert process(images / "0.png", "--output", tmp_path / "out") == 1

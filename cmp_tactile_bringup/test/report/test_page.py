@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import re
 from dataclasses import replace
 from html.parser import HTMLParser
 from io import BytesIO
@@ -15,12 +14,12 @@ from matplotlib.text import Text
 from PIL import Image
 
 from cmp_tactile_bringup.report.evaluation import DemoResults, evaluate, table_rows
-from cmp_tactile_bringup.report.figures.contact import force_figure, shape_figure
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, true_states, wrench_figure
+from cmp_tactile_bringup.report.figures.overview import overview_figure
 from cmp_tactile_bringup.report.write import report_steps, write_report
 from cmp_tactile_processing.measured import ForceFlag, SlipEstimate, SlipState
 
-FIGURES = ("frame", "displacement", "shape", "knock", "force", "wrench", "contacts")
+FIGURES = ("wrench", "contacts")
 VOID = {"meta", "img"}
 
 
@@ -127,7 +126,7 @@ def words_of(figure):
 
 
 def test_figures_say_what_they_hide(results):
-    """Frames without a slip state, flags, the smoothed peak, and the factor of heights."""
+    """Frames without a slip state, and flags."""
     frames = list(results.frames)
     frames[2] = replace(
         frames[2],
@@ -137,15 +136,6 @@ def test_figures_say_what_they_hide(results):
     words = words_of(contact_figure(replace(results, frames=tuple(frames))))
     assert "not known" in words
     assert "a load reaches the edge of the marker area" in words
-    index = frames[2].index
-    assert re.search(
-        r"Peak: [\d.]+ kPa, \d+% below the true one: smoothed",
-        words_of(force_figure(results, index)),
-    )
-    frames[2] = replace(frames[2], force=replace(frames[2].force, force=3 * frames[2].force.force))
-    above = words_of(force_figure(replace(results, frames=tuple(frames)), index))
-    assert re.search(r"Peak: [\d.]+ kPa, \d+% above the true one(?!: smoothed)", above)
-    assert re.search(r"Heights x \d+", words_of(shape_figure(results, index)))
 
 
 def _unknown(force):
@@ -175,7 +165,7 @@ def test_forces_that_are_nowhere_known_leave_their_figures(results):
     assert "few_markers" in words
     assert len(figure.axes) == 3  # number, area, flags
     assert "came without error bars" in words_of(wrench_figure(unknown))
-    assert force_figure(unknown, frames[2].index).axes
+    assert overview_figure(unknown, frames[2].index).axes
     rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
     assert rows["True Fz within ±2 std"] == "no error bar came with it"
     assert rows["Flags set, frames"] == f"few_markers in {len(frames)}"
@@ -204,13 +194,12 @@ def test_slip_and_friction_are_drawn_beside_their_truth(results):
 
 
 def test_outlines_lie_over_the_pressure_where_the_gel_has_moved_to(results):
-    """The measured outline and the true edge of a dragged contact: both moved with the gel."""
+    """Of a dragged contact: both moved with the gel."""
     frame = results.frames[2]
-    figure = force_figure(results, frame.index)
-    (line,) = [item for item in figure.axes[0].lines if item.get_label() == "outline of a contact"]
-    outline = np.asarray(line.get_xydata()[:-1])
+    panel = overview_figure(results, frame.index).axes[2]
+    outline = np.asarray(panel.lines[0].get_xydata()[:-1])
     np.testing.assert_allclose(outline, frame.force.contacts[0].outline[:, :2] * 1e3)
-    (mesh,) = [c for c in figure.axes[0].collections if isinstance(c, QuadMesh)]
+    (mesh,) = [item for item in panel.collections if isinstance(item, QuadMesh)]
     places = mesh.get_coordinates().reshape(-1, 2)
     moved = np.linalg.norm(places - frame.force.position[:, :2] * 1e3, axis=1)
     # The drag of the short grasp, mm, of which the nodes in contact bear the most.

@@ -16,7 +16,7 @@ from rosbags.interfaces import Qos
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.errors import CmpTactileError
 
-FLUSH_PERIOD_S = 0.5
+SYNC_PERIOD_S = 0.5
 MESSAGE_LIMIT = 20_000
 
 
@@ -164,24 +164,18 @@ class BagRecorder:
 
     def _run(self) -> None:
         problem = ""
-        try:
-            self._write_all()
-        except CmpTactileError as error:
-            problem = str(error)
-        except Exception as error:  # noqa: BLE001  whoever watches must learn of it
-            traceback.print_exc()
-            problem = f"{type(error).__name__}: {error}"
-        try:
-            self._writer.close()
-        except CmpTactileError as error:
-            problem = problem or str(error)
-        except Exception as error:  # noqa: BLE001  as above
-            traceback.print_exc()
-            problem = problem or f"{type(error).__name__}: {error}"
+        for step in (self._write_all, self._writer.close):
+            try:
+                step()
+            except CmpTactileError as error:  # noqa: PERF203  one after the other
+                problem = problem or str(error)
+            except Exception as error:  # noqa: BLE001  whoever watches must learn of it
+                traceback.print_exc()
+                problem = problem or f"{type(error).__name__}: {error}"
         with self._condition:
             self._size, self._files = self._writer.size, self._writer.file_count
             # What was written last may have found no room on the disk.
-            lost = self._messages - (self._writer.counts - self._writer.repeated)
+            lost = self._messages - self._writer.counts
             self._dropped.update(lost)
             self._messages -= lost
             self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
@@ -192,9 +186,9 @@ class BagRecorder:
             self._queue.size = 0
 
     def _write_all(self) -> None:
-        flush_at = time.monotonic() + FLUSH_PERIOD_S
+        sync_at = time.monotonic() + SYNC_PERIOD_S
         while True:
-            items, split = self._next_items(flush_at)
+            items, split = self._next_items(sync_at)
             if split:
                 self._writer.split()
             if items is None:
@@ -203,9 +197,9 @@ class BagRecorder:
                 self._write(tap, log_ns, message)
                 with self._condition:
                     self._queue.size -= size
-            if time.monotonic() >= flush_at:
-                self._writer.flush()
-                flush_at = time.monotonic() + FLUSH_PERIOD_S
+            if time.monotonic() >= sync_at:
+                self._writer.sync()
+                sync_at = time.monotonic() + SYNC_PERIOD_S
             with self._condition:
                 self._size, self._files = self._writer.size, self._writer.file_count
 

@@ -116,93 +116,70 @@ def marker_array_bytes(markers: Sequence[DrawnMarker], header: Header, lifetime_
     The markers move with their frame: they are true of the gel wherever the finger is by now.
     """
     stream = _Stream()
-    stream.pack("I", len(markers))
+    stream.numbers("I", len(markers))
     for marker in markers:
-        _write_marker(stream, marker, header, lifetime_s)
+        _write(stream, marker, marker.action, header, lifetime_s)
     return stream.content()
 
 
 def delete_all(header: Header) -> bytes:
     """The serialised MarkerArray that deletes all markers of its topic."""
     stream = _Stream()
-    stream.pack("I", 1)
-    _write_start(stream, DrawnMarker("", 0), header, Marker.DELETEALL)
-    _write_rest(stream, DrawnMarker("", 0), 0.0)
+    stream.numbers("I", 1)
+    _write(stream, DrawnMarker("", 0), Marker.DELETEALL, header, 0.0)
     return stream.content()
 
 
-def _write_marker(stream: _Stream, marker: DrawnMarker, header: Header, lifetime_s: float) -> None:
-    action = marker.action
-    _write_start(stream, marker, header, action)
-    gone = DrawnMarker(marker.namespace, marker.kind, marker.number)
-    _write_rest(stream, marker if action == Marker.ADD else gone, lifetime_s)
-
-
-def _write_start(stream: _Stream, marker: DrawnMarker, header: Header, action: int) -> None:
-    """The fields of Marker.msg in their order: header, ns, id, type, action."""
-    stream.pack_aligned("iI", header.stamp.sec, header.stamp.nanosec)
-    stream.string(header.frame_id)
-    stream.string(marker.namespace)
-    stream.pack_aligned("iii", marker.number, marker.kind, action)
-
-
-def _write_rest(stream: _Stream, marker: DrawnMarker, lifetime_s: float) -> None:
-    """From pose on; textures and meshes are empty."""
-    stream.align(8)
-    stream.pack("3d4d3d", *marker.position, 0.0, 0.0, 0.0, 1.0, *marker.scale)
-    stream.pack("4f", *marker.colour)
-    stream.pack("iI", *divmod(round(lifetime_s * NS_PER_S), NS_PER_S))
-    stream.pack("?", True)
-    stream.sequence(marker.points, "<f8")
-    stream.sequence(marker.colours, "<f4")
-    stream.string("")
-    # texture: stamp, frame_id, format, data; uv_coordinates.
-    stream.pack_aligned("iI", 0, 0)
-    stream.string("")
-    stream.string("")
-    stream.pack_aligned("II", 0, 0)
-    stream.string(marker.text)
-    # mesh_resource; mesh_file: filename, data; mesh_use_embedded_materials.
-    stream.string("")
-    stream.string("")
-    stream.pack_aligned("I", 0)
-    stream.pack("?", False)
+def _write(
+    stream: _Stream, marker: DrawnMarker, action: int, header: Header, lifetime_s: float
+) -> None:
+    """The fields of Marker.msg in their order; textures and meshes are empty."""
+    if action != Marker.ADD:
+        marker = DrawnMarker(marker.namespace, marker.kind, marker.number)
+    stream.numbers("iI", header.stamp.sec, header.stamp.nanosec)
+    stream.strings(header.frame_id, marker.namespace)
+    stream.numbers("iii", marker.number, marker.kind, action)
+    stream.numbers("3d4d3d", *marker.position, 0.0, 0.0, 0.0, 1.0, *marker.scale)
+    stream.numbers("4f", *marker.colour)
+    stream.numbers("iI", *divmod(round(lifetime_s * NS_PER_S), NS_PER_S))
+    stream.numbers("?", True)  # frame_locked
+    stream.rows(marker.points, "<f8")
+    stream.rows(marker.colours, "<f4")
+    # texture_resource; texture: stamp, frame_id, format, data; uv_coordinates.
+    stream.strings("")
+    stream.numbers("iI", 0, 0)
+    stream.strings("", "")
+    stream.numbers("II", 0, 0)
+    # text; mesh_resource; mesh_file: filename, data; mesh_use_embedded_materials.
+    stream.strings(marker.text, "", "")
+    stream.numbers("I", 0)
+    stream.numbers("?", False)
 
 
 class _Stream:
     """CDR: every number begins at a multiple of its size."""
 
     def __init__(self) -> None:
-        self._parts: list[bytes] = [ENCAPSULATION]
-        self._size = 0
+        self._content = bytearray()
 
     def content(self) -> bytes:
-        return b"".join(self._parts)
+        return ENCAPSULATION + self._content
 
-    def _add(self, part: bytes) -> None:
-        self._parts.append(part)
-        self._size += len(part)
+    def numbers(self, form: str, *values: float) -> None:
+        """Numbers of one size, as `struct` names them."""
+        self._add(struct.pack(f"<{form}", *values), struct.calcsize(form[-1]))
 
-    def align(self, size: int) -> None:
-        missing = -self._size % size
-        if missing:
-            self._add(bytes(missing))
+    def strings(self, *texts: str) -> None:
+        for text in texts:
+            data = text.encode() + b"\0"
+            self.numbers("I", len(data))
+            self._add(data, 1)
 
-    def pack(self, form: str, *values: float) -> None:
-        self._add(struct.pack("<" + form, *values))
-
-    def pack_aligned(self, form: str, *values: int) -> None:
-        self.align(4)
-        self.pack(form, *values)
-
-    def string(self, text: str) -> None:
-        data = text.encode() + b"\0"
-        self.pack_aligned("I", len(data))
-        self._add(data)
-
-    def sequence(self, rows: NDArray[Any], form: str) -> None:
+    def rows(self, rows: NDArray[Any], form: str) -> None:
         """A sequence of structures, each of the numbers of one row."""
-        self.pack_aligned("I", len(rows))
+        self.numbers("I", len(rows))
         if len(rows):
-            self.align(np.dtype(form).itemsize)
-            self._add(np.ascontiguousarray(rows, form).tobytes())
+            self._add(np.ascontiguousarray(rows, form).tobytes(), np.dtype(form).itemsize)
+
+    def _add(self, data: bytes, size: int) -> None:
+        self._content += bytes(-len(self._content) % size) + data

@@ -1,0 +1,227 @@
+"""What is written of a recording: its bag and its tables, without ROS.
+
+MCAP with the topics of a running sensor; force and moment over time as CSV, and as Parquet with
+types and units.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.offline.jobs import Job, Options
+from cmp_tactile_bringup.offline.result_files import software_version
+from cmp_tactile_bringup.recordings import results
+from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
+from cmp_tactile_driver.bags.mcap_writer import McapFile, qos_yaml
+from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.pipeline import PipelineResult
+from cmp_tactile_processing.ros.messages import making
+from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, FORCE_FIELD, GRID, SURFACE
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+ROWS_IN_MEMORY = 4096
+# What a player needs to offer late listeners the last message, as rosbag2 writes it.
+FOREVER = QosTime(2**63 // 10**9, 2**63 % 10**9 - 1)
+LATCHED = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=1,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.TRANSIENT_LOCAL,
+    deadline=FOREVER,
+    lifespan=FOREVER,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+Row = Sequence[float | str]
+
+
+class ResultBag:
+    """Writes one MCAP file; the same results give the same bytes.
+
+    Topics and frames are those of the nodes.  Messages bear the stamp of their frame and lie at the
+    time at which it was recorded, so that the file plays along with the recording.  A context
+    manager; the file is whole once that is left without an error.
+    """
+
+    def __init__(self, path: Path, sensor: SensorDescription, grids: Sequence[str]) -> None:
+        """grids: the views of which grids are written."""
+        self._sensor, self._grids = sensor, tuple(grids)
+        self._make = bag_messages()
+        self._rectification = Rectification(sensor)
+        self._file = McapFile(path, compressed=True)
+        self._channels: dict[str, int] = {}
+
+    def __enter__(self) -> ResultBag:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def describe(self, facts: Mapping[str, str], description: bytes) -> None:
+        """Say what the results were made with; description: the file of the sensor."""
+        self._file.describe("cmp_tactile", facts)
+        self._file.attach("sensor.yaml", "application/yaml", description)
+
+    def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
+        """Write what the next frame showed."""
+        if not self._channels:
+            transforms = making.static_transforms(self._make, self._sensor, self._rectification)
+            message = self._make.new(TF_MESSAGE, transforms=transforms)
+            self._write("/tf_static", TF_MESSAGE, message, frame)
+        for name, kind, message in self._messages(frame.stamp_ns, result):
+            self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
+        if self._file.chunk_is_full:
+            self._file.flush()
+
+    def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
+        make, sensor = self._make, self._sensor
+        gel = make.header(stamp, making.gel_frame(sensor))
+        for view, grid in (("left", result.left), ("right", result.right)):
+            if grid is None:
+                continue
+            header = make.header(stamp, making.rectified_frame(sensor, view))
+            info = make.camera_info(self._rectification.info(view), header)
+            yield f"{view}/camera_info", CAMERA_INFO, info
+            if view in self._grids:
+                header = make.header(stamp, making.view_frame(sensor, view))
+                yield f"{view}/grid", GRID, make.grid(grid, header)
+        yield "surface", SURFACE, make.surface(result.surface, gel)
+        yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)
+        yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
+
+    def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
+        store = simulation_typestore()
+        if topic not in self._channels:
+            text, _ = store.generate_msgdef(kind, ros_version=2)
+            latched = topic == "/tf_static" or topic.endswith("/camera_info")
+            qos = qos_yaml([LATCHED] if latched else [])
+            self._channels[topic] = self._file.add_channel(topic, kind, text, qos)
+        data = bytes(store.serialize_cdr(message, kind))
+        self._file.write(self._channels[topic], frame.time_ns, frame.stamp_ns, data)
+
+
+@contextmanager
+def csv_table(path: Path) -> Iterator[Callable[[Row], object]]:
+    """Appends rows of COLUMNS to a CSV file; numbers are written with all their digits."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        yield writer.writerow
+
+
+@contextmanager
+def parquet_table(path: Path) -> Iterator[Callable[[Row], object]]:
+    """Appends rows of COLUMNS to a Parquet file; NaN stays NaN.
+
+    Each column's metadata has its `unit`.  Raises OutputError where pyarrow is not installed.
+    """
+    require_parquet()
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    types = {name: pa.type_for_alias(COLUMN_TYPES.get(name, "double")) for name in COLUMNS}
+    schema = pa.schema(
+        pa.field(name, types[name], nullable=False, metadata={"unit": unit_of(name)})
+        for name in COLUMNS
+    )
+    rows: list[Row] = []
+
+    def flush() -> None:
+        columns = zip(*rows, strict=True)
+        arrays = [pa.array(values, item.type) for values, item in zip(columns, schema, strict=True)]
+        writer.write_batch(pa.record_batch(arrays, schema))
+        rows.clear()
+
+    def append(row: Row) -> None:
+        rows.append(row)
+        if len(rows) == ROWS_IN_MEMORY:
+            flush()
+
+    with pq.ParquetWriter(path, schema) as writer:
+        yield append
+        if rows:
+            flush()
+
+
+def require_parquet() -> None:
+    """Raise OutputError where Parquet cannot be written."""
+    try:
+        import pyarrow.parquet  # noqa: F401  only whether it is there
+    except ImportError as error:
+        msg = (
+            f"--parquet: found no pyarrow ({error}), expected it installed: "
+            "`pip install pyarrow`; the CSV file has the same columns"
+        )
+        raise OutputError(msg) from None
+
+
+class Outputs(ExitStack):
+    """All files of a job; a context manager."""
+
+    def __init__(self, folder: Path, job: Job, sensor: SensorDescription, options: Options) -> None:
+        super().__init__()
+        # What is open already is closed where another cannot be opened.
+        with ExitStack() as stack:
+            grids = options.grids_of(tuple(sensor.views))
+            self._bag = stack.enter_context(ResultBag(folder / ".mcap", sensor, grids))
+            facts = {"software": software_version(), "reference": options.reference}
+            self._bag.describe(facts, Path(job.sensor).read_bytes())
+            self._tables = [stack.enter_context(csv_table(folder / "_wrench.csv"))]
+            if options.parquet:
+                table = parquet_table(folder / "_wrench.parquet")
+                self._tables.append(stack.enter_context(table))
+            self._arrays: results.ArrayLog | None = None
+            if options.arrays:
+                self._arrays = stack.enter_context(results.ArrayLog(folder / ".npz"))
+            self.push(stack.pop_all())
+
+    def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
+        """Write what came of the next frame."""
+        self._bag.append(frame, result)
+        row = results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault)
+        for append in self._tables:
+            append(row)
+        if self._arrays is not None:
+            self._arrays.append(_arrays(frame.stamp_ns, result))
+
+
+def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
+    """What is kept of a frame; float32 keeps 1e-4 px and 1e-9 m."""
+    surface = result.surface
+    values: dict[str, NDArray[Any]] = {"stamp_ns": np.array(stamp_ns, np.int64)}
+    for name, grid in (("left", result.left), ("right", result.right)):
+        if grid is not None:
+            values |= {f"{name}_{key}": array for key, array in results.grid_arrays(grid).items()}
+    values |= {
+        "reference": surface.reference,
+        "position": surface.position,
+        "displacement": surface.displacement,
+        "status": surface.status,
+        "ray_gap": surface.ray_gap,
+        "row_position": surface.row_position,
+        "col_position": surface.col_position,
+        **results.force_arrays(result.force),
+    }
+    single = np.float32
+    return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}
