@@ -8,6 +8,8 @@ from typing import Any, TypeVar, overload
 from numba import njit
 from numba.extending import register_jitable
 
+# Nobody calls them by address; a division by zero gives what NumPy gives.
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -18,9 +20,9 @@ def kernel(**options: Any) -> Callable[[Function], Function]: ...
 def kernel(function: Any = None, **options: Any) -> Any:
     """A function that Python calls: compiled at its first call, kept in the cache, without the GIL.
 
-    A division by zero gives what NumPy gives.  options: those of `numba.njit`, such as `fastmath`.
+    options: those of `numba.njit`, such as `fastmath`.
     """
-    decorate = njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    decorate = njit(cache=True, **OPTIONS, **options)
     return decorate if function is None else decorate(function)
 
 
@@ -33,5 +35,5 @@ def kernel_part(function: Any = None, **options: Any) -> Any:
 
     Called from Python it is not compiled, but runs as any function.  options: as for `kernel`.
     """
-    decorate = register_jitable(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
+    decorate = register_jitable(**OPTIONS, **options)
     return decorate if function is None else decorate(function)

@@ -107,13 +107,14 @@ def local_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
     NaN where fewer than five of the nine are known (four at the rim); z, where never known, is 0.
     """
-    known = np.isfinite(values[..., :2]).all(axis=-1)
+    known = np.logical_and(*np.isfinite(np.moveaxis(values[..., :2], -1, 0)))
     count = _sum_around(known.astype(np.float64))
     least = np.full(known.shape, LEAST_NEIGHBOURS)
     least[[0, -1]] = least[:, [0, -1]] = LEAST_NEIGHBOURS - 1
-    total = _sum_around(np.where(known[..., None], np.nan_to_num(values, nan=0.0), 0.0))
+    values = np.nan_to_num(values, nan=0.0)
+    values[~known] = 0.0
     count[count < least] = np.nan
-    return total / count[..., None]
+    return _sum_around(values) / count[..., None]
 
 
 def _sum_around(values: Array) -> Array:

@@ -191,7 +191,7 @@ def _median(stack: NDArray[np.float64]) -> NDArray[np.float64]:
     count = np.isfinite(stack).sum(axis=0, keepdims=True)
     low = np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=0)
     high = np.take_along_axis(ordered, np.minimum(count // 2, len(stack) - 1), axis=0)
-    return np.where(2 * count >= len(stack), (low + high) / 2, np.nan)[0]
+    return np.asarray(np.where(2 * count >= len(stack), (low + high) / 2, np.nan)[0])
 
 
 def _shake(stack: NDArray[np.float64]) -> float:
