@@ -11,35 +11,36 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pipeline_speed as speed
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
-from pipeline_speed import WARM_UP, Times
+from pipeline_speed import WARM_UP, Chain, Times
 
-from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer
-from cmp_tactile_simulation.hard_frames.case import pattern_rig
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
+from hard_frames.case import pattern_rig
 from paper.sequence import PrintedGel
 
 RESULTS = Path(__file__).parent / "results"
 RADIUS, FRICTION, CONTACT_NODES = 6e-3, 0.6, 32
 DEPTHS = np.linspace(3e-4, 5e-4, 12)
-SCRATCH, FOLLOWED = "a view, from scratch", "a view, followed"
-STEREO, FORCE, WHOLE = "triangulation", "force and slip", "frame to force (clock)"
+FOLLOWED = "a view, followed"
+# What is kept, and how its names begin among all times.
+NAMES = {
+    "a view, from scratch": speed.SCRATCH,
+    FOLLOWED: speed.FOLLOWED,
+    "triangulation": speed.TRIANGULATION,
+    "force and slip": speed.FORCE,
+    "frame to force (clock)": speed.CLOCK,
+}
 # Corners along a side, and from which on the pattern counts for more than the image.
 SIDES, LARGE = (10, 14, 20, 28, 36, 48, 60), 28
 
@@ -56,36 +57,23 @@ def presses() -> tuple[LinearElastomer, list[NDArray[np.float64]]]:
     return gel, moved
 
 
-class Chain:
-    """All stages of one sensor, and what its camera sees of each depth."""
+def frames_of(
+    rig: SensorDescription, gel: LinearElastomer, moved: list[NDArray[np.float64]]
+) -> list[NDArray[np.uint8]]:
+    """What the camera sees of each depth."""
+    camera = PrintedGel(rig, "cmp")
+    surfaces = (DeformedSurface(rig.pattern, gel.observers, one) for one in moved)
+    return [camera.image(surface, number) for number, surface in enumerate(surfaces)]
 
-    def __init__(self, side: int, gel: LinearElastomer, moved: list[NDArray[np.float64]]) -> None:
-        rig = pattern_rig(side, side)
-        camera = PrintedGel(rig, "cmp")
-        surfaces = (DeformedSurface(rig.pattern, gel.observers, one) for one in moved)
-        self.frames = [camera.image(surface, number) for number, surface in enumerate(surfaces)]
-        self.stereo, self.stage, self.pipeline = StereoRig(rig), ForceStage(rig), Pipeline(rig)
-        self.reference = Reference.nominal(rig)
-        self.trackers = {name: GridTracker(rig, name) for name in self.stereo.views}
 
-    def measure(self, times: Times) -> None:
-        """Add the times of all frames in their order."""
-        self.stage.reset()
-        self.pipeline.reset()
-        for number, frame in enumerate(self.frames):
-            keep, grids = times if number >= WARM_UP else Times(), {}
-            for name, view in self.stereo.views.items():
-                track, cut = self.trackers[name].track, split_frame(frame, view.placement)
-                grids[name] = keep.take(FOLLOWED, track, cut, clock=time.thread_time)
-                self.trackers[name].reset()
-                keep.take(SCRATCH, track, cut, clock=time.thread_time)
-            triangulate = self.stereo.triangulate
-            markers = keep.take(STEREO, triangulate, *grids.values(), clock=time.thread_time)
-            surface = self.reference.surface(markers)
-            field = keep.take(FORCE, self.stage.process, surface, number, clock=time.thread_time)
-            if not np.isfinite(field.wrench).all():
-                raise SystemExit(f"no force: {field.flags!r}")
-            keep.take(WHOLE, self.pipeline.process, frame, number, clock=time.perf_counter)
+def figures_of(times: Times) -> dict[str, float]:
+    """Medians, ms, by the names that are kept; all frames are in contact."""
+    found = {name: [] for name in NAMES}
+    for name, seconds in times.found.items():
+        for kept, beginning in NAMES.items():
+            if name.startswith(beginning):
+                found[kept] += seconds
+    return {name: round(1e3 * float(np.median(one)), 2) for name, one in found.items()}
 
 
 def growth(figures: dict[str, dict[str, float]], least: int = 0) -> dict[str, float]:
@@ -94,7 +82,7 @@ def growth(figures: dict[str, dict[str, float]], least: int = 0) -> dict[str, fl
     corners = np.log([int(side) ** 2 for side in sides])
     return {
         name: round(float(np.polyfit(corners, np.log([figures[s][name] for s in sides]), 1)[0]), 3)
-        for name in (SCRATCH, FOLLOWED, STEREO, FORCE, WHOLE)
+        for name in NAMES
     }
 
 
@@ -124,16 +112,18 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder for JSON and figure")
     arguments = parser.parse_args()
     gel, moved = presses()
-    chains = {str(side): Chain(side, gel, moved) for side in SIDES}
+    rigs = {str(side): pattern_rig(side, side) for side in SIDES}
+    chains = {side: Chain(rig) for side, rig in rigs.items()}
+    frames = {side: frames_of(rig, gel, moved) for side, rig in rigs.items()}
     found = {side: Times() for side in chains}
     # All in each round, so that a machine that slows down slows down all of them.
     for round_number in range(arguments.rounds + 1):
         for side, chain in chains.items():
-            chain.measure(found[side] if round_number else Times())
-    figures = {
-        side: {name: round(1e3 * float(np.median(one)), 2) for name, one in times.found.items()}
-        for side, times in found.items()
-    }
+            chain.reset()
+            for number, frame in enumerate(frames[side]):
+                counts = round_number and number >= WARM_UP
+                chain.measure(frame, number, found[side] if counts else Times())
+    figures = {side: figures_of(times) for side, times in found.items()}
     result: dict[str, dict[str, Any]] = {"median_ms": figures, "growth": growth(figures)}
     result["growth_of_large"] = growth(figures, LARGE)
     text = json.dumps(result, indent=1)

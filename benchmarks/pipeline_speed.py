@@ -1,42 +1,60 @@
 #!/usr/bin/env python3
 """Time of a frame from the image to force and slip, offline, beside peers on the same frames.
 
-Peers see both views of every frame that is timed: OpenCV's classic detector with cornerSubPix, its
-sector based one (SB), mrgingham where it is installed, and the paper's contour stitching.  Ratios
-are against the first; milliseconds are those of this machine.
+Each frame goes in turn through OpenCV's classic detector with cornerSubPix, through `Pipeline`, and
+through its stages one by one, so that what slows the machine slows all of them.  Ratios are over
+OpenCV in the same run: on both views, for a single view on that view.  Times are those of the
+processor, but for the one that is said to be of the clock.  --peers adds OpenCV's sector based
+detector (SB), mrgingham where it is installed, and the paper's contour stitching; --compile what
+compiling all kernels takes from nothing on one core.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import resource
+import subprocess
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from tracking.detectors import Ours, Peer, peers
 
-from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
-from cmp_tactile_driver.bags.reader import RecordedFrame
-from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 Image = NDArray[np.uint8]
-PEER = "OpenCV classic + cornerSubPix, both views"
+BOTH, ONE = ", both views", ", one view"
+PEER = "OpenCV classic + cornerSubPix"
+FRAME, CLOCK = "processor time of a frame to force and slip", "the same by the clock"
+FOLLOWED, SCRATCH = f"tracked, followed{ONE}", f"tracked, from scratch{ONE}"
+TRIANGULATION, FORCE = "triangulation with covariance", "force and slip"
+IN_CONTACT, WITHOUT = ", in contact", ", without contact"
+HELD, CHANGING = " of a held contact", " of a changing contact"
 # Frames after which the caches of processor and stages are warm.
 WARM_UP = 3
+# A contact is held where markers move less than this from frame to frame, RMS, m: noise is below.
+STILL_M = 5e-6
+# Of the frames that all peers see, one in so many; of those for OpenCV where it takes long, s.
+SOME, SELDOM, SLOW_S = 4, 10, 0.2
 
 
 class Times:
@@ -51,148 +69,209 @@ class Times:
         """What the work returns; its time is kept."""
         began = clock()
         result = work(*given)
-        self.found.setdefault(name, []).append(clock() - began)
+        self.add(name, clock() - began)
         return result
 
+    def add(self, name: str, seconds: float) -> None:
+        """Keep a duration."""
+        self.found.setdefault(name, []).append(seconds)
+
     def table(self) -> dict[str, dict[str, float]]:
-        """Median and 99 % of every name in ms, and the median over that of the peer."""
-        peer = float(np.median(self.found[PEER]))
+        """Median and 99 % of every name in ms, and both over the median of OpenCV's."""
+        peer = {view: float(np.median(self.found[PEER + view])) for view in (BOTH, ONE)}
         rows = {}
         for name, seconds in self.found.items():
-            median, most = np.percentile(seconds, [50, 99])
+            median, most = (float(value) for value in np.percentile(seconds, [50, 99]))
+            base = peer[ONE if name.endswith(ONE) else BOTH]
             rows[name] = {
-                "median_ms": 1e3 * float(median),
-                "p99_ms": 1e3 * float(most),
-                "ratio": float(median) / peer,
+                "median_ms": round(1e3 * median, 3),
+                "p99_ms": round(1e3 * most, 3),
+                "ratio": round(median / base, 3),
+                "p99_ratio": round(most / base, 3),
                 "frames": len(seconds),
             }
         return rows
 
 
-class Scene:
-    """A simulated recording: frames, stamps, and which of them are in contact."""
+@contextmanager
+def one_opencv_thread() -> Iterator[None]:
+    """OpenCV with one thread, as its processor time is that of this thread."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
 
-    def __init__(self, name: str) -> None:
-        self.recording: Recording = find_recording(name)
-        self.sensor = SensorDescription.load(self.recording.sensor)
-        bag = self.recording.bag
-        played = open_recording(bag, topic="", frame_rate=30, frame_id="", expected_size=None)
-        frames = [item for item in played.messages() if isinstance(item, RecordedFrame)]
-        self.frames = [(item.image, item.stamp_ns) for item in frames]
-        self.touches = [
-            bool(np.any(self.recording.true_force(number).force)) for number in range(len(frames))
+
+class Chain:
+    """`Pipeline` of a sensor, its stages one by one, and a peer on the same frames."""
+
+    def __init__(self, sensor: SensorDescription) -> None:
+        self.sensor = sensor
+        self.pipeline, self.stereo = Pipeline(sensor), StereoRig(sensor)
+        self.trackers = {name: GridTracker(sensor, name) for name in self.stereo.views}
+        self.cold = {name: GridTracker(sensor, name) for name in self.stereo.views}
+        self.reference, self.stage = Reference.nominal(sensor), ForceStage(sensor)
+        self._before: Surface | None = None
+
+    def reset(self) -> None:
+        """Forget earlier frames."""
+        for each in (self.pipeline, self.stage, *self.trackers.values()):
+            each.reset()
+        self._before = None
+
+    def views(self, image: Image) -> dict[str, Image]:
+        """Both views, cut out."""
+        views = self.stereo.views.items()
+        return {name: split_frame(image, view.placement) for name, view in views}
+
+    def measure(self, image: Image, stamp: int, times: Times, peer: Peer | None = None) -> None:
+        """Add the times of the next frame."""
+        views = self.views(image)
+        grids = self._track(views, times)
+        if peer is not None:
+            take_peer(peer, self.sensor, views, grids, times)
+        force = self._stages(grids, stamp, times)
+        state = IN_CONTACT if force.contact.any() else WITHOUT
+        used, began = time.process_time(), time.perf_counter()
+        self.pipeline.process(image, stamp)
+        times.add(FRAME + state, time.process_time() - used)
+        times.add(CLOCK + state, time.perf_counter() - began)
+
+    def _track(self, views: Mapping[str, Image], times: Times) -> dict[str, Grid]:
+        grids = {}
+        for name, cut in views.items():
+            self.cold[name].reset()
+            times.take(SCRATCH, self.cold[name].track, cut, clock=time.thread_time)
+            track = self.trackers[name].track
+            grids[name] = times.take(FOLLOWED, track, cut, clock=time.thread_time)
+        return grids
+
+    def _stages(self, grids: Mapping[str, Grid], stamp: int, times: Times) -> Any:
+        both = grids.get("left"), grids.get("right")
+        triangulate = self.stereo.triangulate
+        markers = times.take(TRIANGULATION, triangulate, *both, clock=time.thread_time)
+        surface = self.reference.surface(markers)
+        began = time.thread_time()
+        force = self.stage.process(surface, stamp)
+        used = time.thread_time() - began
+        held = HELD if self._is_still(surface) else CHANGING
+        times.add(FORCE + (held if force.contact.any() else WITHOUT), used)
+        return force
+
+    def _is_still(self, surface: Surface) -> bool:
+        before, self._before = self._before, surface
+        if before is None:
+            return False
+        moved = np.linalg.norm(surface.position - before.position, axis=-1)
+        return bool(np.sqrt(np.nanmean(moved**2)) < STILL_M)
+
+
+def take_peer(
+    peer: Peer | Ours,
+    sensor: SensorDescription,
+    views: Mapping[str, Image],
+    grids: Mapping[str, Grid],
+    times: Times,
+) -> None:
+    """Add a peer's times on each view and on both."""
+    with one_opencv_thread():
+        seconds = [
+            peer.detect(sensor, name, cut, grids[name]).seconds for name, cut in views.items()
         ]
+    for each in seconds:
+        times.add(peer.name + ONE, each)
+    times.add(peer.name + BOTH, sum(seconds))
 
 
-def whole_pipeline(scene: Scene, times: Times, rounds: int) -> None:
-    """`Pipeline.process`: by the clock on the wall, and in processor time of all its threads."""
-    pipeline = Pipeline(scene.sensor)
+def measure(given: Input, rounds: int, *, with_peers: bool = False) -> dict[str, dict[str, float]]:
+    """The table of an input: rounds over all of its frames, after one that is not counted."""
+    chain, times, classic = Chain(given.sensor), Times(), peers()[0]
+    frames = list(given.frames())
     for round_number in range(rounds + 1):
-        pipeline.reset()
-        for number, ((image, stamp), touches) in enumerate(
-            zip(scene.frames, scene.touches, strict=True)
-        ):
+        chain.reset()
+        for number, (image, stamp) in enumerate(frames):
             keep = times if round_number and number >= WARM_UP else Times()
-            state = "in contact" if touches else "without contact"
-            used = time.process_time()
-            keep.take(
-                f"Pipeline.process, {state}", pipeline.process, image, stamp,
-                clock=time.perf_counter,
-            )  # fmt: skip
-            keep.found.setdefault(f"processor time of a frame, {state}", []).append(
-                time.process_time() - used
-            )
+            slow = max(times.found.get(PEER + BOTH, [0.0])) > SLOW_S
+            peer = None if slow and number % SELDOM else classic
+            chain.measure(image, stamp, keep, peer)
+    if with_peers:
+        _all_peers(chain, [image for image, _ in frames], times)
+    return times.table()
 
 
-def tracked(scene: Scene, times: Times, rounds: int) -> Iterator[tuple[dict[str, Grid], int, bool]]:
-    """Time both views, followed and from scratch; the grids of the last round are yielded."""
-    views = StereoRig(scene.sensor).views
-    trackers = {name: GridTracker(scene.sensor, name) for name in views}
-
-    def both(cuts: dict[str, Image]) -> dict[str, Grid]:
-        return {name: trackers[name].track(cut) for name, cut in cuts.items()}
-
-    for round_number in range(rounds + 1):
-        for number, (image, stamp) in enumerate(scene.frames):
-            cuts = {name: split_frame(image, view.placement) for name, view in views.items()}
-            keep = times if round_number and number >= WARM_UP else Times()
-            grids = keep.take("both views, followed", both, cuts, clock=time.thread_time)
-            if round_number == rounds:
-                yield grids, stamp, scene.touches[number]
-    for image, _ in scene.frames:
-        cuts = {name: split_frame(image, view.placement) for name, view in views.items()}
-        for tracker in trackers.values():
-            tracker.reset()
-        times.take("both views, from scratch", both, cuts, clock=time.thread_time)
+def _all_peers(chain: Chain, images: list[Image], times: Times) -> None:
+    """The other peers on some of the frames: they are slow."""
+    stitching = Ours("contour stitching", follow=False, detector="contour_stitching")
+    for rival in (*peers()[1:], stitching):
+        for image in images[::SOME]:
+            views = chain.views(image)
+            grids = {name: chain.trackers[name].track(cut) for name, cut in views.items()}
+            take_peer(rival, chain.sensor, views, grids, times)
 
 
-def stereo_and_force(scene: Scene, times: Times, rounds: int) -> None:
-    """Tracking, and with its grids triangulation and force."""
-    rig, reference = StereoRig(scene.sensor), Reference.nominal(scene.sensor)
-    surfaces: list[tuple[Surface, int, bool]] = []
-    for grids, stamp, touches in tracked(scene, times, rounds):
-        for _ in range(rounds):
-            markers = times.take(
-                "triangulation with covariance", rig.triangulate, grids.get("left"),
-                grids.get("right"), clock=time.thread_time,
-            )  # fmt: skip
-        surfaces.append((reference.surface(markers), stamp, touches))
-    stage = ForceStage(scene.sensor)
-    for round_number in range(rounds + 1):
-        stage.reset()
-        before = False
-        for number, (surface, stamp, touches) in enumerate(surfaces):
-            keep = times if round_number and number >= WARM_UP else Times()
-            state = "a held contact" if before else "the first frame of a contact"
-            name = f"force and slip, {state if touches else 'no contact'}"
-            keep.take(name, stage.process, surface, stamp, clock=time.thread_time)
-            before = touches
+def compiling(sensor: str) -> dict[str, float]:
+    """Processor time, s, of preparing a sensor with an empty cache of compiled code on one core.
+
+    Without what the same takes with a full one; functions: how many are then in the cache.
+    """
+    with tempfile.TemporaryDirectory(prefix="compiled_") as folder:
+        cold, warm = (_prepared(sensor, folder) for _ in range(2))
+        functions = sum(1 for _ in Path(folder).rglob("*.nbi"))
+    return {"compiling_s": round(cold - warm, 1), "functions": functions}
 
 
-def detectors(scene: Scene, times: Times) -> None:
-    """Peers and contour stitching on both views of the frames in contact."""
-    views = StereoRig(scene.sensor).views
-    rivals: Sequence[Peer | Ours] = [
-        *peers(),
-        Ours("contour stitching", follow=False, detector="contour_stitching"),
-    ]
-    tracker = {name: GridTracker(scene.sensor, name) for name in views}
-    for (image, _), touches in zip(scene.frames, scene.touches, strict=True):
-        if not touches:
-            continue
-        cuts = {name: split_frame(image, view.placement) for name, view in views.items()}
-        truth = {name: tracker[name].track(cut) for name, cut in cuts.items()}
-        for rival in rivals:
-            seconds = sum(
-                rival.detect(scene.sensor, name, cut, truth[name]).seconds
-                for name, cut in cuts.items()
-            )
-            times.found.setdefault(f"{rival.name}, both views", []).append(seconds)
+def _prepared(sensor: str, folder: str) -> float:
+    command = python_command("cmp_tactile_processing.prepare", sensor)
+    core = min(os.sched_getaffinity(0))
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(
+        ["taskset", "-c", str(core), *command],  # noqa: S607
+        env={**os.environ, "NUMBA_CACHE_DIR": folder},
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def keep(path: Path, figures: Mapping[str, Any]) -> None:
+    """Write figures into a file of results; what it has of other inputs stays there."""
+    known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    path.write_text(json.dumps({**known, **figures}, indent=1) + "\n", encoding="utf-8")
+
+
+def _show(name: str, rows: Mapping[str, Mapping[str, float]], console: Console) -> None:
+    table = Table("", "median ms", "99 % ms", "over OpenCV", "frames", title=name)
+    for row, values in rows.items():
+        table.add_row(
+            row, f"{values['median_ms']:.2f}", f"{values['p99_ms']:.2f}",
+            f"{values['ratio']:.2f}", str(values["frames"]),
+        )  # fmt: skip
+    console.print(table)
 
 
 def main() -> None:
     """Measure, print, and keep."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scene", nargs="+", default=["grasp", "slip"], help="(%(default)s)")
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    add_options(parser)
     parser.add_argument("--rounds", type=int, default=3, help="(%(default)d)")
+    parser.add_argument("--peers", action="store_true", help="all detectors, not the classic alone")
+    parser.add_argument("--compile", action="store_true", help="compile all kernels, too")
     parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
     arguments = parser.parse_args()
-    figures, console = {}, Console()
-    for name in arguments.scene:
-        scene, times = Scene(name), Times()
-        detectors(scene, times)
-        whole_pipeline(scene, times, arguments.rounds)
-        stereo_and_force(scene, times, arguments.rounds)
-        figures[name] = times.table()
-        table = Table("", "median ms", "99 % ms", "over OpenCV classic", "frames", title=name)
-        for row, values in figures[name].items():
-            table.add_row(
-                row, f"{values['median_ms']:.2f}", f"{values['p99_ms']:.2f}",
-                f"{values['ratio']:.2f}", str(values["frames"]),
-            )  # fmt: skip
-        console.print(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    console, inputs = Console(), chosen(arguments)
+    for given in inputs:
+        rows = measure(given, arguments.rounds, with_peers=arguments.peers)
+        _show(given.name, rows, console)
+        if arguments.json:
+            keep(arguments.json, {given.name: rows})
+    if arguments.compile:
+        found = compiling(inputs[0].sensor_file)
+        console.print(found)
+        if arguments.json:
+            keep(arguments.json, {"compiling": found})
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import speed_tables
 from documents import assert_printed, shown_after
 
 from cmp_tactile_bringup.recordings.simulated import find_recording
@@ -35,6 +36,7 @@ from cmp_tactile_simulation.scenes.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parent.parent
 NO_TIMES = np.array([])
+OFFLINE, LIVE = speed_tables.read("pipeline_speed"), speed_tables.read("real_time")
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +106,17 @@ def test_the_line_of_the_live_grasp():
     states = Simulation(live_scene(load_scene("grasp"), LiveSettings())).states()
     forces = [state.contact.resultant[2] for state in islice(states, 20)]
     assert min(abs(force - pressed) for force in forces) < 0.005
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("README.md", speed_tables.summary_rows(OFFLINE, LIVE)),
+        ("docs/figures.md", speed_tables.summary_rows(OFFLINE, LIVE)),
+        ("docs/composition.md", speed_tables.live_rows(LIVE) + speed_tables.offline_rows(OFFLINE)),
+    ],
+)
+def test_figures_of_speed_are_those_of_the_last_measurement(name, rows):
+    """Make the rows anew with `python3 test/plugins/speed_tables.py` after a measurement."""
+    lines = (ROOT / name).read_text("utf-8").splitlines()
+    assert [row for row in rows if row not in lines] == []

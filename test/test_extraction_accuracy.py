@@ -14,19 +14,19 @@ from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from hard_frames.case import (
     PatternCase,
     PatternStudio,
     deformation_of,
     pattern_rig,
 )
-from cmp_tactile_simulation.hard_frames.grid_score import (
+from hard_frames.grid_score import (
     displacement_errors,
     join_scores,
     score_grid,
 )
-from cmp_tactile_simulation.hard_frames.library import cases_of, flawed_pairs, misdescribed
-from cmp_tactile_simulation.rendering.camera import CameraSettings
+from hard_frames.library import cases_of, flawed_pairs, misdescribed
 
 # RMSE and largest distance of a corner in a clean frame, px.
 CLEAN_RMSE, CLEAN_MAX = 0.012, 0.08
@@ -148,7 +148,7 @@ def test_displacement_of_one_flawed_print(sensor, studio, trackers):
 
 @pytest.mark.parametrize("kind", ["rest", "twist", "spheres"])
 def test_fused_corners_are_nearer_than_their_saddles(sensor, studio, trackers, kind):
-    """By a tenth at least; benchmarks/tracking/limit.py finds 18 to 25 %."""
+    """By a tenth at least; 18 to 25 % were measured."""
     bent = deformation_of(kind, sensor.pattern)
     frame = studio.photograph(PatternCase(kind, sensor, bent))
     squares = []

@@ -31,15 +31,15 @@ from cmp_tactile_processing.sensor.parts import (
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth
+from hard_frames.case import (
     PatternCase,
     PatternStudio,
     Zone,
     deform,
     pattern_rig,
 )
-from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.renderer import OpticalTruth
 
 CAP = PatternSurface("sphere_cap", 0.027)
 DISTORTION = (-0.1, 0.02, 0.0, 0.0, 0.0)

@@ -1,7 +1,6 @@
 """Markers in 3-D of frames with exact truth, from the image to the dense surface.
 
-Frames are made by the simulator; `benchmarks/stereo/optics.py` measures the same on many more
-frames and on those of an independent renderer.
+Frames are made by the simulator.
 """
 
 from dataclasses import replace
@@ -17,14 +16,14 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import DenseStatus, interpolate
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
+from hard_frames.case import (
     PatternCase,
     PatternStudio,
     deform,
     deformation_of,
 )
-from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 # Mean distance of the corners from the truth, m: clean frames, hard ones, and through a distorting
 # lens, a plate and the gel.

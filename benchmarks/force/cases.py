@@ -133,10 +133,7 @@ class _Solved:
 
     def times(self, factor: float) -> _Solved:
         return replace(
-            self,
-            newton=self.newton * factor,
-            force=self.force * factor,
-            moved=self.moved * factor,
+            self, newton=self.newton * factor, force=self.force * factor, moved=self.moved * factor
         )
 
 

@@ -1,4 +1,4 @@
-"""Force from the displacement of the markers: how exactly, how certain, how fast.
+"""Force from the displacement of the markers: how exactly and how certainly.
 
 Truth comes from the simulator's contact solver on another mesh. Without options everything is
 measured and written as tables (some minutes); --limits prints a row for each
@@ -31,44 +31,12 @@ TITLES = {
     "certainty": "Error bars",
     "floor": "Noise alone, and small loads",
     "rendered": "End to end, from rendered frames",
-    "speed": "Speed, one core",
 }
-
-NOTES = """\
-Truth: contacts of rigid indenters with friction, solved by the simulator on contact nodes 0.35 mm
-apart (the force nodes of the inverse: 0.69 mm) and a mesh of its own; noise 2 um in plane and 5 um
-in depth. Errors are those that 95 % of the frames stay below: of Fz, of the tangential force Ft and
-of the torque about the gel's origin as lengths, and L2 = |f - f_true| / |f_true| over all nodes and
-components, where the true force is shared out to the nodes by the same hats. *oracle*: the least
-mean L2 of a smoothing inverse that knows where the truth acts, and the best weight: what it
-misses, no choice of contact nodes is likely to reach with these nodes and this noise. At 10 N edge
-and ring are little better with a quarter of the noise: the spacing of the nodes limits them.
-*20 N* and *50 N* are the contact of 10 N times 2 and 5, on a gel that stays linear.
-
-How exact the truth is: with elements 0.6 as wide, and more of them in depth, the displacement
-changes by 0.06 to 0.22 % (ring at 1 N: 0.45 %), at most 0.23 standard deviations of the noise, and
-the Fz that is reconstructed from it by 0.04 % at most. Contact nodes 0.28 mm apart change the true
-distribution, as the same indenter then touches other nodes, by 1 to 4 % (ring at 1 N: 7 %).
-"""
-
-PEERS = """\
-## What others publish
-
-Published by others, of **real sensors** with real noise, calibration and drift; ours are of
-simulation alone and cannot be compared as they stand. What calibration adds to ours is the part
-*wrong description of the gel*.
-
-| | published error | range | where |
-|---|---|---|---|
-| iFEM, event camera | MAE 0.14 / 0.10 / 0.93 N in x / y / z | 4 / 4 / 20 N, 100 Hz | real sensor |
-| 9DTact | MAE 0.30 / 0.35 / 0.28 N in x / y / z | | real sensor |
-| DenseTact | 2.9 % | | real sensor |
-"""
 
 
 def write_markdown(rows: Sequence[Row], notes: Sequence[str], path: Path) -> None:
     """All rows, a table for each part."""
-    lines = ["# Force", "", *(f"- {note}" for note in notes), "", NOTES]
+    lines = ["# Force", "", *(f"- {note}" for note in notes), "", _text("notes.md")]
     for part in dict.fromkeys(row.part for row in rows):
         lines += [f"## {TITLES[part]}", "", "| | limit | measured | met |", "|---|---|---|---|"]
         verdict = {None: "-", True: "yes", False: "**no**"}
@@ -77,7 +45,11 @@ def write_markdown(rows: Sequence[Row], notes: Sequence[str], path: Path) -> Non
                 cells = (row.name, row.limit, row.measured, verdict[row.met])
                 lines.append("| " + " | ".join(cells) + " |")
         lines.append("")
-    path.write_text("\n".join([*lines, PEERS]), encoding="utf-8")
+    path.write_text("\n".join([*lines, _text("published.md")]), encoding="utf-8")
+
+
+def _text(name: str) -> str:
+    return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
 OUTPUT = Path("benchmark_output")

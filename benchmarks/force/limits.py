@@ -18,7 +18,6 @@ from sweeps import (
     by_load,
     by_missing,
     by_noise,
-    measure_speed,
     rendered_errors,
 )
 
@@ -37,26 +36,12 @@ class Row:
     met: bool | None
 
 
-class LimitParts:
-    """A run of several parts: the method `_NAME` yields the lines of part NAME."""
-
-    PARTS: ClassVar[tuple[str, ...]] = ()
-
-    def rows(self, parts: Sequence[str] = ()) -> Iterable[Row]:
-        """The lines of these parts, one after the other; all where none is named."""
-        for part in self.PARTS:
-            if not parts or part in parts:
-                yield from getattr(self, f"_{part}")()
-
-
 # Depth at which the corrected model is judged, m, and its limit, share of Fz.
 JUDGED_DEPTH, LARGE_PRESS_SHARE = 0.44e-3, 0.025
-FIRST_MS, TWO_PASS_MS = 1.0, 10.0
-BUILD_S, LOAD_S, CACHE_MB = 60.0, 1.0, 100.0
 
 
 @dataclass
-class ForceRun(LimitParts):
+class ForceRun:
     """Measures all parts."""
 
     sensor: SensorDescription
@@ -64,8 +49,14 @@ class ForceRun(LimitParts):
 
     PARTS: ClassVar[tuple[str, ...]] = (
         "case", "load", "noise", "missing", "description", "large_press",
-        "certainty", "floor", "rendered", "speed",
+        "certainty", "floor", "rendered",
     )  # fmt: skip
+
+    def rows(self, parts: Sequence[str] = ()) -> Iterable[Row]:
+        """The lines of these parts, one after the other; all where none is named."""
+        for part in self.PARTS:
+            if not parts or part in parts:
+                yield from getattr(self, f"_{part}")()
 
     @cached_property
     def _model(self) -> ForceModel:
@@ -150,22 +141,6 @@ class ForceRun(LimitParts):
             )
             name, limit = f"{error.name}, {error.newton:g} N", f"Fz {error.limit:.3f} N"
             yield Row("rendered", name, limit, measured, bool(error.fz <= error.limit))
-
-    def _speed(self) -> Iterator[Row]:
-        """On one core."""
-        speed = measure_speed(self.sensor, self._cases)
-        for name, value, limit in (
-            ("first pass by itself, ms", speed.first_ms, FIRST_MS),
-            ("frame of one pass (two_pass off), ms", speed.one_pass_ms, TWO_PASS_MS),
-            ("frame without contact, ms", speed.rest_ms, TWO_PASS_MS),
-            ("two passes, 5 N on a sphere, ms", speed.two_pass_ms, TWO_PASS_MS),
-            ("model built, s", speed.build_s, BUILD_S),
-            ("model loaded from its cache, s", speed.load_s, LOAD_S),
-            ("cache, MB", speed.cache_mb, CACHE_MB),
-        ):
-            yield Row("speed", name, f"{limit:g}", f"{value:.3g}", bool(value <= limit))
-        data = "not available" if np.isnan(speed.corrected_ms) else f"{speed.corrected_ms:.3g}"
-        yield Row("speed", "with large-press correction, ms", "-", data, None)
 
     def _judged(self, points: Iterable[Point]) -> Iterator[Row]:
         for point in points:

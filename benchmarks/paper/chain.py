@@ -16,7 +16,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.grid_score import GridScore, join_scores, score_grid
+from hard_frames.grid_score import GridScore, join_scores, score_grid
 from paper.gel import Mechanics
 
 
@@ -116,11 +116,6 @@ def score_markers(grids: Mapping[str, Grid], truth: Mapping[str, Grid]) -> Marke
     """Count markers of both views that are found and that bear wrong numbers."""
     score = join_scores(_score(grids[name], truth[name]) for name in truth)
     return MarkerScore(score.visible, score.found_visible, score.wrong)
-
-
-def position_error(surface: Surface, truth: Surface) -> NDArray[np.float64]:
-    """Measured minus true position (rows, cols, 3), m; NaN where missing."""
-    return np.asarray(surface.position - truth.position)
 
 
 def displacement_error(surface: Surface, truth: Surface) -> NDArray[np.float64]:

@@ -223,10 +223,7 @@ def _components(links: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], NDArray
 
 
 def _grown(
-    seed: int,
-    links: NDArray[np.intp],
-    degree: NDArray[np.intp],
-    label: dict[int, tuple[int, int]],
+    seed: int, links: NDArray[np.intp], degree: NDArray[np.intp], label: dict[int, tuple[int, int]]
 ) -> list[int]:
     taken = {(0, 0)}
     label[seed] = (0, 0)

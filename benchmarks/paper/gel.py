@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_processing.cache.files import locked
+from cmp_tactile_processing.cache.files import atomic_path, locked
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -19,11 +19,10 @@ from cmp_tactile_simulation.recording.run import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Motion, Scene
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
-from paper.experiment import Workplace
-from paper.store import read, write
+from paper.lab import Workplace
 
 # What is kept of the true ForceField of each frame.
-OF_FIELDS = ("force", "contact", "wrench", "contact_area", "centre_of_pressure")
+OF_FIELDS = ("contact", "wrench")
 
 
 @dataclass(frozen=True)
@@ -32,9 +31,7 @@ class Mechanics:
 
     observers: grid over the top of the gel on which `displacement` (F, rows, cols, 3) of the
     marker surface is known.  phase (F,): names of the motion's phases.  rate: frames/s.
-    node_position (N, 3): contact nodes at rest; force (F, N, 3) on the gel and contact (F, N).
-    wrench (F, 6), contact_area (F,), centre_of_pressure (F, 3): as in ForceField.
-    pose_position (F, 3), pose_rotation (F, 3, 3): T_gel_indenter.
+    node_position (N, 3): contact nodes at rest; contact (F, N).  wrench (F, 6): as in ForceField.
     """
 
     observers: SurfaceGrid
@@ -42,13 +39,8 @@ class Mechanics:
     phase: NDArray[np.str_]
     displacement: NDArray[np.float64]
     node_position: NDArray[np.float64]
-    force: NDArray[np.float64]
     contact: NDArray[np.bool_]
     wrench: NDArray[np.float64]
-    contact_area: NDArray[np.float64]
-    centre_of_pressure: NDArray[np.float64]
-    pose_position: NDArray[np.float64]
-    pose_rotation: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.displacement)
@@ -70,11 +62,13 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     path = place.folder / f"mechanics-{scene.name}-{_key(scene)}.npz"
     path.parent.mkdir(parents=True, exist_ok=True)
     with locked(path.with_suffix(".lock")):
-        arrays = read(path)
-        if arrays is None:
+        if not path.exists():
             with threadpool_limits(1, "blas"):
-                arrays = _solved(scene, place)
-            write(path, arrays)
+                solved = _solved(scene, place)
+            with atomic_path(path) as beside, beside.open("wb") as file:
+                np.savez(file, allow_pickle=False, **solved)
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = dict(stored)
     rows, cols = arrays["displacement"].shape[1:3]
     extent = arrays.pop("extent")
     observers = SurfaceGrid(rows, cols, (float(extent[0]), float(extent[1])))
@@ -85,6 +79,7 @@ def _key(scene: Scene) -> str:
     """Of all that the contact depends on."""
     sensor = scene.sensor
     facts = (
+        OF_FIELDS,
         simulator_version(),
         sensor.elastomer,
         sensor.pattern.surface,
@@ -102,11 +97,10 @@ def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
     simulation = _simulation(scene, place)
     motion = Motion(scene.motion)
     fields: list[ForceField] = []
-    displacement, poses, phases = [], [], []
+    displacement, phases = [], []
     for state in simulation.states():
         displacement.append(simulation.elastomer.marker_displacement(state.contact.force))
         fields.append(force_field(simulation.contact, state.contact, scene.sensor))
-        poses.append(state.contact.pose)
         phases.append(motion.phase(state.frame).name)
     observers = simulation.elastomer.observers
     return {
@@ -115,8 +109,6 @@ def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
         "displacement": np.array(displacement),
         "node_position": simulation.elastomer.node_position,
         **{name: np.array([getattr(item, name) for item in fields]) for name in OF_FIELDS},
-        "pose_position": np.array([pose.position for pose in poses]),
-        "pose_rotation": np.array([pose.rotation for pose in poses]),
     }
 
 

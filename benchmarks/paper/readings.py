@@ -125,6 +125,8 @@ READINGS = (
     Reading("exact_corners", "exact markers, corners only", None, corners_only=True),
 )
 MEASURED = tuple(reading for reading in READINGS if reading.method is not None)
+# Keys of those of dots.
+DOTS = tuple(r.key for r in MEASURED if r.method is not None and r.method.pattern_type == "dmp")
 
 
 class BothPrints:

@@ -15,7 +15,7 @@ from cmp_tactile_simulation.rendering.ink import Checkerboard, Dots
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from paper.chain import Chain, Measurement, displacement_error, position_error
+from paper.chain import Chain, Measurement
 from paper.gel import Mechanics
 
 # Of a dot, as a share of the pitch: see results/paper_dot_tuning.md.
@@ -35,20 +35,16 @@ class PrintedGel:
     """A camera on a sensor with one print.
 
     pattern_type: cmp (checkers) or dmp (dots at the places of the corners, `dot_diameter` of the
-    pitch wide).  seed: of the noise; frames differ in it by their number.
+    pitch wide).  Frames differ in noise by their number.
     """
 
     def __init__(
         self,
         sensor: SensorDescription,
         pattern_type: str,
-        camera: CameraSettings | None = None,
-        seed: int = 0,
         dot_diameter: float = DOT_DIAMETER,
     ) -> None:
         self.sensor = sensor
-        self._camera = camera or CameraSettings()
-        self._seed = seed
         ink = (
             Checkerboard(sensor.pattern)
             if pattern_type == "cmp"
@@ -69,12 +65,8 @@ class PrintedGel:
         self, rendered: RenderedFrame, number: int, camera: CameraSettings | None = None
     ) -> NDArray[np.uint8]:
         """The camera's frame (H, W) of what was rendered, under other settings where given."""
-        rng = random_stream(Purpose.FRAME_NOISE, self._seed, number)
-        return expose([rendered], camera or self._camera, rng, self._seed)
-
-    def true_surface(self, surface: DeformedSurface) -> Surface:
-        """The markers in 3-D alone, in less time than `truth`."""
-        return self._truth.surface(surface)
+        rng = random_stream(Purpose.FRAME_NOISE, 0, number)
+        return expose([rendered], camera or CameraSettings(), rng, 0)
 
     def truth(self, surface: DeformedSurface) -> Truth:
         """What is true of the frame of a surface."""
@@ -117,15 +109,11 @@ class RenderedSequence:
         """What is true of a frame."""
         return self._gel.truth(self._surfaces[index])
 
-    def true_surface(self, index: int) -> Surface:
-        """The markers in 3-D in a frame."""
-        return self._gel.true_surface(self._surfaces[index])
-
-    def exposed(self, draw: int, camera: CameraSettings | None = None) -> Exposure:
+    def exposed(self, draw: int) -> Exposure:
         """All frames with one draw of noise."""
         first = draw * FRAMES_OF_A_DRAW
         frames = [self._rest] * REST_FRAMES + self._rendered
-        images = [self._gel.exposed(frame, first + k, camera) for k, frame in enumerate(frames)]
+        images = [self._gel.exposed(frame, first + k) for k, frame in enumerate(frames)]
         return Exposure(images[:REST_FRAMES], images[REST_FRAMES:])
 
 
@@ -157,16 +145,3 @@ def with_steps_between(
             surfaces.append(DeformedSurface(sensor.pattern, mechanics.observers, moved))
         before = after
     return surfaces
-
-
-def steps_to(
-    mechanics: Mechanics, frame: int, sensor: SensorDescription, steps: int
-) -> list[DeformedSurface]:
-    """Surfaces on a straight way from rest to a frame."""
-    return with_steps_between(mechanics, [frame], sensor, steps)
-
-
-def error_stack(surface: Surface, truth: Surface) -> NDArray[np.float32]:
-    """Errors of displacement and of position (2, rows, cols, 3), m; NaN where missing."""
-    pair = displacement_error(surface, truth), position_error(surface, truth)
-    return np.stack(pair).astype(np.float32)

@@ -1,18 +1,19 @@
 #!/usr/bin/env python3
 """From frame to wrench at the rates of a gripper: latency, losses, processor time, memory, start.
 
-setup/run python3 benchmarks/ros/real_time.py [--json FILE] [--only one_60 ...]
+setup/run python3 benchmarks/ros/real_time.py [--json FILE] [--input ...] [--only one_60 ...]
 
 The sensors of the graph in cameras.py run as `standalone` and the launch files run them: a process
-for each, the newest frame first.  A recording of the packaged grasp is published at the rate,
-stamped as it is, by each sensor's camera driver.  This process listens to the wrenches over DDS, as
-a gripper's controller does.  The time of a wrench is that at which it arrives here.
+for each, the newest frame first.  A recording is published at the rate, stamped as it is, by each
+sensor's camera driver.  This process listens to the wrenches over DDS, as a gripper's controller
+does.  The time of a wrench is that at which it arrives here.  What the container adds is its
+processor time of a frame, the camera driver's included, less that of `Pipeline` in this process on
+the same frames at the same rate.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -33,21 +34,30 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo
 
-from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
-from cmp_tactile_driver.bags.reader import BagReader
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from inputs import Input, add_options, chosen
+from pipeline_speed import BOTH, PEER, Chain, Times, keep, take_peer
+from tracking.detectors import peers
+
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.sources.frames import encoding_of
 from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
+from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
 GRAPH = Path(__file__).parent / "cameras.py"
+# What the container adds to `Pipeline` is measured at this rate.
+PACE_HZ = 30.0
 # The first start compiles.
 SILENCE_S = 300.0
 # Wrenches before the measurement: the first touch makes pages and caches warm.
 WARM_UP = 120
+# OpenCV is timed on one frame in so many.
+OPENCV_FRAMES = 3
+PIPELINE = "pipeline"
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -118,17 +128,16 @@ class Wrenches(Node):
 
 @contextmanager
 def container(
-    scene: str,
+    recording: Input,
     names: Sequence[str],
     rate: float,
     queue: str = "newest",
     environment: Mapping[str, str] | None = None,
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Sensors of these names, all of which get the frames of one recording."""
-    recording = find_recording(scene)
     with tempfile.TemporaryDirectory(prefix="frames_") as folder:
         bag = _plain_frames(recording, Path(folder) / "bag")
-        given = {"input": bag, "sensor": recording.sensor, "names": " ".join(names)}
+        given = {"input": bag, "sensor": recording.sensor_file, "names": " ".join(names)}
         given |= {"frame_rate": rate, "frame_queue": queue}
         arguments = [f"{name}:={value}" for name, value in given.items()]
         process = subprocess.Popen(
@@ -144,14 +153,14 @@ def container(
                 sys.exit(f"the container ended with {process.returncode}")
 
 
-def _plain_frames(recording: Recording, folder: Path) -> Path:
+def _plain_frames(recording: Input, folder: Path) -> Path:
     """The frames without compression: a camera's frames need not be decoded."""
     with BagWriter(folder) as bag:
         bag.add_topic("/image_raw", "sensor_msgs/msg/Image")
-        for frame in BagReader(recording.bag).frames():
-            header = header_at(Time(nanoseconds=frame.stamp_ns).to_msg(), frame.frame_id)
-            data = serialize_message(image_to_msg(frame.image, encoding_of(frame.image), header))
-            bag.write("/image_raw", frame.stamp_ns, data)
+        for image, stamp in recording.frames():
+            header = header_at(Time(nanoseconds=stamp).to_msg(), "camera")
+            data = serialize_message(image_to_msg(image, encoding_of(image), header))
+            bag.write("/image_raw", stamp, data)
     return folder
 
 
@@ -193,7 +202,7 @@ def memory_mb(pid: int) -> float:
     return float(text.partition("\nPss:")[2].split()[0]) / 1024
 
 
-def run(scene: str, case: Case) -> dict[str, float]:
+def run(recording: Input, case: Case) -> dict[str, float]:
     """The figures of a case."""
     node = Wrenches(case.names)
     executor = SingleThreadedExecutor()
@@ -202,7 +211,7 @@ def run(scene: str, case: Case) -> dict[str, float]:
         with (
             tempfile.TemporaryDirectory(prefix="home_") as home,
             container(
-                scene, case.names, case.rate, environment=_fresh(home) if case.fresh else None
+                recording, case.names, case.rate, environment=_fresh(home) if case.fresh else None
             ) as process,
         ):
             began = time.monotonic()
@@ -217,12 +226,28 @@ def run(scene: str, case: Case) -> dict[str, float]:
             memory = max(memory_mb(pid) for pid in tree(process.pid))
     finally:
         node.destroy_node()
-    return {
-        **_figures(node),
-        "cores": cores,
-        "memory_mb": memory,
-        "first_wrench_s": first,
-    }
+    return {**figures(node), "cores": cores, "memory_mb": memory, "first_wrench_s": first}
+
+
+def beside(recording: Input, rate: float) -> dict[str, float]:
+    """Processor time of a frame, ms: of OpenCV on both views, and of `Pipeline` at the rate.
+
+    Means over the recording's frames, as the container has them.
+    """
+    chain, times = Chain(recording.sensor), Times()
+    pipeline, frames = Pipeline(recording.sensor), list(recording.frames())
+    for counted in (Times(), times):
+        due = time.monotonic()
+        for image, stamp in frames:
+            counted.take(PIPELINE, pipeline.process, image, stamp, clock=time.process_time)
+            due += 1 / rate
+            time.sleep(max(due - time.monotonic(), 0.0))
+    for image, _ in frames[::OPENCV_FRAMES]:
+        views = chain.views(image)
+        grids = {name: chain.trackers[name].track(cut) for name, cut in views.items()}
+        take_peer(peers()[0], recording.sensor, views, grids, times)
+    means = {name: 1e3 * float(np.mean(values)) for name, values in times.found.items()}
+    return {"opencv_ms": means[PEER + BOTH], "pipeline_ms": means[PIPELINE]}
 
 
 def _fresh(home: str) -> dict[str, str]:
@@ -237,12 +262,13 @@ def _busy_together_s(pid: int) -> float:
     return sum(busy_s(item) for item in tree(pid))
 
 
-def _figures(node: Wrenches) -> dict[str, float]:
+def figures(node: Wrenches, first: int = WARM_UP) -> dict[str, float]:
+    """Losses and latencies of all wrenches from the one numbered `first` on."""
     latencies, lost, span, count = [], 0, 0.0, 0
     for name, seen in node.seen.items():
-        stamps, arrivals = np.array(seen[WARM_UP:]).T
+        stamps, arrivals = np.array(seen[first:]).T
         latencies.append((arrivals - stamps) * 1e-6)
-        lost += node.lost(name, WARM_UP)
+        lost += node.lost(name, first)
         span, count = span + np.ptp(stamps) * 1e-9, count + len(stamps) - 1
     median, most, worst = np.percentile(np.concatenate(latencies), [50, 99, 100])
     return {
@@ -257,32 +283,54 @@ def _figures(node: Wrenches) -> dict[str, float]:
 
 def _row(key: str, found: Mapping[str, float]) -> str:
     if "lost" not in found:
-        return f"| {key} | | | | | | | {found['first_wrench_s']:.1f} |"
+        return f"| {key} | | | | | | | {found['first_wrench_s']:.1f} | |"
     return (
         f"| {key} | {found['rate_hz']:.1f} | {found['lost']:.0f} of {found['sent']:.0f} | "
         f"{found['median_ms']:.1f} | {found['p99_ms']:.1f} | {found['cores']:.2f} | "
-        f"{found['memory_mb']:.0f} | {found['first_wrench_s']:.1f} |"
+        f"{found['memory_mb']:.0f} | {found['first_wrench_s']:.1f} | {found['frame_ms']:.1f} |"
     )
+
+
+def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, dict[str, float]]:
+    """All cases of a recording, printed as they come; `beside` has what they are compared with."""
+    found = {"beside": beside(recording, PACE_HZ)}
+    opencv, pipeline = found["beside"].values()
+    print(f"\n{recording.name}: OpenCV {opencv:.1f} ms, Pipeline {pipeline:.1f} ms a frame\n")
+    print(
+        "| case | Hz each | lost | median ms | p99 ms | cores | MB | first wrench s | ms a frame |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    for key, case in chosen_cases.items():
+        found[key] = run(recording, case)
+        if "cores" in found[key]:
+            # All sensors together take `cores`.
+            frames = found[key]["rate_hz"] * len(case.names)
+            found[key]["frame_ms"] = 1e3 * found[key]["cores"] / frames
+        print(_row(key, found[key]), flush=True)
+    if "one_30" in found:
+        found["beside"]["container_adds_ms"] = found["one_30"]["frame_ms"] - pipeline
+        print(f"the container adds {found['beside']['container_adds_ms']:.1f} ms a frame")
+    return found
 
 
 def main() -> None:
     """Measure, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    add_options(parser)
     parser.add_argument("--frames", type=int, default=600, help="of each sensor (%(default)d)")
-    parser.add_argument("--input", default="grasp", help="recording, or packaged scene")
     parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
     parser.add_argument("--only", nargs="+", choices=cases(1), metavar="KEY", help="some of them")
     options = parser.parse_args()
     rclpy.init()
-    print("| case | Hz each | lost | median ms | p99 ms | cores | MB a process | first wrench s |")
-    print("|---|---|---|---|---|---|---|---|")
-    found = {}
-    for key, case in cases(options.frames).items():
-        if key in (options.only or cases(1)):
-            found[key] = run(options.input, case)
-            print(_row(key, found[key]), flush=True)
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    wanted = {
+        key: case
+        for key, case in cases(options.frames).items()
+        if key in (options.only or cases(1))
+    }
+    for recording in chosen(options):
+        found = _measure(recording, wanted)
+        if options.json:
+            keep(options.json, {recording.name: found})
     rclpy.try_shutdown()
 
 

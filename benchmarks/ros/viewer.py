@@ -37,7 +37,18 @@ from geometry_msgs.msg import WrenchStamped
 from playwright.sync_api import sync_playwright
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
-from real_time import ONE, TWO, WARM_UP, Wrenches, busy_s, container, memory_mb, spin_until
+from real_time import (
+    ONE,
+    TWO,
+    WARM_UP,
+    Input,
+    Wrenches,
+    busy_s,
+    container,
+    figures,
+    memory_mb,
+    spin_until,
+)
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
@@ -74,31 +85,8 @@ FRAMES, RATE_HZ = 24, 60.0
 SETTLE_S = 5.0
 # Height of the corner that carries the number: above all others, in steps that floats resolve.
 LIFT_MM, APART_MM, STEP_MM, NUMBERS = 10.0, 20.0, 0.01, 1000
-# Every time that the browser draws: heights of new lifted corners, mm, and the time, ms.
-COUNT = f"""
-window.scenes = []; window.pictures = []; window.points = 0;
-window.__THREE_DEVTOOLS__ = new EventTarget();
-window.__THREE_DEVTOOLS__.addEventListener('observe', event => {{
-  if (event.detail.isScene) window.scenes.push(event.detail);
-}});
-const seen = new Map();
-const look = () => {{
-  window.points = 0;
-  for (const scene of window.scenes) scene.traverse(object => {{
-    const at = object.isMesh && object.geometry.index && object.geometry.attributes.position;
-    if (!at || object.isInstancedMesh || object.geometry.type !== 'BufferGeometry') return;
-    window.points += at.count;
-    if (seen.get(object) === at) return;
-    seen.set(object, at);
-    let highest = 0;
-    for (let i = 0; i < at.count; i++) highest = Math.max(highest, at.getZ(i));
-    if (highest > {LIFT_MM} - 1)
-      window.pictures.push([highest, performance.timeOrigin + performance.now()]);
-  }});
-  requestAnimationFrame(look);
-}};
-requestAnimationFrame(look);
-"""
+# Counts pictures in the browser.
+COUNT = Path(__file__).with_name("count_pictures.js").read_text(encoding="utf-8")
 # A browser is counted when it has said from where it looks.
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -291,7 +279,7 @@ class Browser:
     def open(self) -> Any:
         """A tab with the page, when the surface is in its scene."""
         tab = self._chromium.new_page(viewport=SIZE)
-        tab.add_init_script(COUNT)
+        tab.add_init_script(f"const LIFT_MM = {LIFT_MM};\n{COUNT}")
         tab.goto(URL)
         tab.wait_for_function("window.points > 300", timeout=60_000)
         return tab
@@ -385,7 +373,7 @@ def chain(
     executor.add_node(node)
     try:
         with ExitStack() as stack:
-            process = stack.enter_context(container(scene, ONE, rate_hz))
+            process = stack.enter_context(container(Input.from_name(scene), ONE, rate_hz))
             spin_until(executor, node, WARM_UP, process)
             if looked_at:
                 stack.enter_context(viewer(ONE, bag / "sensor.yaml"))
@@ -395,16 +383,7 @@ def chain(
             spin_until(executor, node, first + count, process)
     finally:
         node.destroy_node()
-    (name,) = ONE
-    stamps, arrivals = np.array(node.seen[name][first:]).T
-    median, most = np.percentile((arrivals - stamps) * 1e-6, [50, 99])
-    lost = node.lost(name, first)
-    return {
-        "lost": lost,
-        "sent": lost + len(stamps),
-        "median_ms": float(median),
-        "p99_ms": float(most),
-    }
+    return figures(node, first)
 
 
 def cases(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, float]]]:

@@ -20,8 +20,8 @@ from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFau
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Roi
-from cmp_tactile_simulation.hard_frames.case import Cover, PatternCase, PatternFrame, PatternStudio
-from cmp_tactile_simulation.hard_frames.library import jump
+from hard_frames.case import Cover, PatternCase, PatternFrame, PatternStudio
+from hard_frames.library import jump
 
 Float = NDArray[np.float64]
 

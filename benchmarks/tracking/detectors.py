@@ -1,9 +1,7 @@
-"""What is compared, in processes of their own where they may take long, and how it is scored."""
+"""What is compared, and how it is scored."""
 
 from __future__ import annotations
 
-import multiprocessing
-import re
 import resource
 import shutil
 import subprocess
@@ -11,10 +9,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from multiprocessing.connection import Connection
 from pathlib import Path
 from statistics import median
-from time import perf_counter, thread_time
+from time import thread_time
 from typing import Any, Protocol
 
 import cv2
@@ -26,8 +23,8 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from cmp_tactile_simulation.hard_frames.case import PatternFrame
-from cmp_tactile_simulation.hard_frames.grid_score import (
+from hard_frames.case import PatternFrame
+from hard_frames.grid_score import (
     GridScore,
     displacement_errors,
     grid_of_corners,
@@ -180,16 +177,6 @@ def _mrgingham_start() -> float:
     return min(_run_mrgingham(tiny, 4)[1] for _ in range(5))
 
 
-def _mrgingham_version() -> str:
-    query = shutil.which("dpkg-query")
-    if query is None:
-        return "unknown version"
-    shown = subprocess.run(
-        [query, "-W", "-f", "${Version}", "mrgingham"], capture_output=True, text=True, check=False
-    )
-    return shown.stdout.strip() or "unknown version"
-
-
 def peers() -> list[Peer]:
     """All peers that are installed."""
     found = [
@@ -197,12 +184,11 @@ def peers() -> list[Peer]:
         Peer("OpenCV sector based (SB)", f"OpenCV {cv2.__version__}", _sector),
     ]
     if shutil.which("mrgingham"):
-        version = re.sub(r"\s+", " ", _mrgingham_version())
 
         def square(sensor: SensorDescription) -> bool:
             return sensor.pattern.rows == sensor.pattern.cols
 
-        found.append(Peer("mrgingham (command)", version, _mrgingham, square))
+        found.append(Peer("mrgingham (command)", "as installed", _mrgingham, square))
     return found
 
 
@@ -278,55 +264,3 @@ def _view(frame: PatternFrame, view: str) -> Image:
         msg = f"{frame.name}: the truth does not say where the {view} view lies"
         raise GeometryError(msg)
     return split_frame(frame.image, placement)
-
-
-START_LIMIT_S = 60.0
-
-
-def _work(connection: Connection, name: str) -> None:
-    cv2.setNumThreads(1)
-    peer = next(peer for peer in peers() if peer.name == name)
-    connection.send(None)
-    while True:
-        connection.send(peer.detect(*connection.recv()))
-
-
-class PeerProcess:
-    """A detector like its peer, but of which no call takes longer than limit_s."""
-
-    def __init__(self, peer: Any, limit_s: float) -> None:
-        self.name, self.version, self.able = peer.name, peer.version, peer.able
-        self._limit_s = limit_s
-        self._process: Any = None
-        self._connection: Any = None
-
-    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:
-        """What the peer finds; nothing where it takes too long."""
-        if self._process is None:
-            self._start()
-        began = perf_counter()
-        self._connection.send((sensor, view, image, truth))
-        if self._connection.poll(self._limit_s):
-            detection: Detection = self._connection.recv()
-            return detection
-        self.stop()
-        missing = Grid.missing(sensor.pattern.shape, "took too long", truth.placement)
-        return Detection(missing, perf_counter() - began)
-
-    def stop(self) -> None:
-        """End the process."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.join()
-            self._process = None
-
-    def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(theirs, self.name), daemon=True)
-        self._process.start()
-        if not self._connection.poll(START_LIMIT_S):
-            self.stop()
-            msg = f"{self.name}: its process did not start within {START_LIMIT_S:g} s"
-            raise TimeoutError(msg)
-        self._connection.recv()

@@ -15,15 +15,15 @@ import sys
 from pathlib import Path
 from time import perf_counter
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import cv2
-from detectors import PeerProcess, ours, peers
+from detectors import ours, peers
 from limits import LimitRun
 from sweeps import SWEEPS, Point, SweepRun, write_markdown
 
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SENSOR = "sample_rig"
-WIDTH = 170
 OUTPUT = Path("benchmark_output")
 DATA_VARIABLE = "CMP_TACTILE_SAMPLE_DATA"
 
@@ -54,9 +54,6 @@ def parser() -> argparse.ArgumentParser:
         "--peer-seconds", type=float, default=60.0, help="of a peer for a sweep (%(default)s)"
     )
     given.add_argument(
-        "--peer-view-seconds", type=float, default=10.0, help="of a peer for a view (%(default)s)"
-    )
-    given.add_argument(
         "--output", type=Path, default=OUTPUT, help="folder of the tables (%(default)s)"
     )
     given.add_argument(
@@ -72,7 +69,6 @@ def limit_run(arguments: argparse.Namespace) -> LimitRun:
     """What measures limits and broken frames."""
     return LimitRun(
         load_sensor(SENSOR),
-        SENSOR,
         Path(arguments.data) if arguments.data else None,
         range(arguments.seed, arguments.seed + arguments.seeds),
         arguments.detector,
@@ -94,12 +90,11 @@ def limits(arguments: argparse.Namespace) -> int:
 
 def sweeps(arguments: argparse.Namespace) -> None:
     """All sweeps, ours against the peers: tables."""
-    processes = [PeerProcess(peer, arguments.peer_view_seconds) for peer in peers()]
-    detectors = [*ours(), *processes]
+    detectors = [*ours(), *peers()]
     versions = [f"{detector.name}: {detector.version}" for detector in detectors]
     caps = (
-        f"Peers get at most {arguments.peer_images} views of a level, "
-        f"{arguments.peer_view_seconds:g} s for a view and {arguments.peer_seconds:g} s for a sweep"
+        f"Peers get at most {arguments.peer_images} views of a level and "
+        f"{arguments.peer_seconds:g} s for a sweep"
     )
     print("\n".join([*versions, caps]))
     notes = [*versions, caps]
@@ -121,8 +116,6 @@ def sweeps(arguments: argparse.Namespace) -> None:
         print(f"{sweep.name}: {perf_counter() - began:.0f} s", flush=True)
         # After each: an interrupted run leaves what it has.
         write_markdown(points, notes, arguments.output / "extraction.md")
-    for process in processes:
-        process.stop()
     print((arguments.output / "extraction.md").read_text())
 
 

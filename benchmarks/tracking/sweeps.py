@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter, thread_time
+from time import perf_counter
 
-import cv2
 import numpy as np
-from detectors import Detection, Detector, Image, Ours, Result, run_frames, run_pair, run_sequence
+from detectors import Detector, Ours, Result, run_frames, run_pair, run_sequence
 
-from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
+from hard_frames.case import (
     Cover,
     PatternCase,
     PatternFrame,
@@ -21,10 +21,8 @@ from cmp_tactile_simulation.hard_frames.case import (
     deformation_of,
     pattern_rig,
 )
-from cmp_tactile_simulation.hard_frames.grid_score import grid_of_corners, join_scores
-from cmp_tactile_simulation.hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH, jump
-from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.ink import PrintDefects
+from hard_frames.grid_score import join_scores
+from hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH, jump
 
 KINDS = ("slide", "press", "twist")
 SIDES = ("left", "top", "right", "bottom")
@@ -155,34 +153,6 @@ SWEEPS = (
 )  # fmt: skip
 
 
-class OnlyRefining:
-    """A tracker that refines the last frame's corners with cornerSubPix and never looks around."""
-
-    name, version = "cornerSubPix from the last frame", f"OpenCV {cv2.__version__}"
-
-    def __init__(self) -> None:
-        self._last: dict[str, Grid] = {}
-
-    def able(self, sensor: SensorDescription) -> bool:  # noqa: ARG002
-        """It knows where the corners were."""
-        return True
-
-    def begin(self, frame: PatternFrame) -> None:
-        """Take the truth of a frame for what was seen before."""
-        self._last = dict(frame.truth)
-
-    def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:
-        """Refine."""
-        start = self._last[view].corners.reshape(-1, 1, 2).astype(np.float32)
-        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-3)
-        began = thread_time()
-        corners = cv2.cornerSubPix(image, start, (5, 5), (-1, -1), stop)
-        seconds = thread_time() - began
-        placed = corners.reshape(truth.corners.shape).astype(np.float64)
-        grid = grid_of_corners(sensor.pattern.shape, truth.corners.reshape(-1, 2), truth)
-        return Detection(replace(grid, corners=placed), seconds)
-
-
 @dataclass
 class SweepRun:
     """Runs sweeps.  image_cap: views of a level that each peer gets; seconds_cap: for a sweep."""
@@ -198,7 +168,7 @@ class SweepRun:
         studio = PatternStudio()
         detectors = list(self.detectors)
         if sweep.followed:
-            detectors = [Ours("cmp_tactile, following", cold=False), OnlyRefining(), *detectors]
+            detectors = [Ours("cmp_tactile, following", cold=False), *detectors]
         spent = dict.fromkeys((detector.name for detector in detectors), 0.0)
         for level in sweep.levels:
             frames = [studio.photograph(case) for case in sweep.cases(self.sensor, level)]
@@ -253,8 +223,6 @@ def _run_jumps(detector: Detector, frames: Sequence[PatternFrame]) -> Result:
     """The second frame of each pair, after the first was seen."""
     results = []
     for before, after in zip(frames[::2], frames[1::2], strict=True):
-        if isinstance(detector, OnlyRefining):
-            detector.begin(before)
         if isinstance(detector, Ours) and detector.follows:
             results.append(run_sequence(detector, [before, after])[1])
         else:

@@ -13,7 +13,9 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, ViewDescription
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.renderer import true_grids
+from hard_frames.case import (
     Deformation,
     PatternCase,
     PatternStudio,
@@ -21,8 +23,6 @@ from cmp_tactile_simulation.hard_frames.case import (
     degrade,
     pattern_rig,
 )
-from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.renderer import true_grids
 
 NOISE = 4.0
 # What the tracker makes of that noise.

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_bringup.calibration.practice_rig import changed_rig
 from cmp_tactile_processing.calibration.gel.calibrate import (
     GelCalibrationParameters,
     calibrate_gel,
@@ -16,8 +17,7 @@ from cmp_tactile_processing.calibration.gel.calibrate import (
 from cmp_tactile_processing.calibration.observation import track_frames
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_simulation.hard_frames.case import deform, deformation_of
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from hard_frames.case import deform, deformation_of
 
 # Mean absolute error of a displacement, and share of the largest one, that are allowed.
 MOST_ERROR_M, MOST_SHARE = 5e-6, 0.01

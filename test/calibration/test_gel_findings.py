@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_bringup.calibration.practice_rig import changed_rig
 from cmp_tactile_processing.calibration.check import check_grids
 from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
 from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
@@ -12,8 +13,7 @@ from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.hard_frames.case import Zone
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from hard_frames.case import Zone
 
 TOUCH = (Zone(2e-3, 1e-3, 2e-3, depth=1e-4),)
 DEEPER = (Zone(2e-3, 1e-3, 2e-3, depth=3e-4),)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_bringup.calibration.practice_rig import changed_rig
 from cmp_tactile_processing.calibration.gel.parameters import (
     GelCalibrationParameters,
     RigParameters,
@@ -16,7 +17,6 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_simulation.errors import SimulationError
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
 
 EVERYTHING = GelCalibrationParameters(aspect=1e-3, distortion=1e-3, layer_z=1e-5, layer_index=1e-3)
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_bringup.calibration.practice_rig import changed_rig
 from cmp_tactile_processing.calibration.check import check_grids, check_recording, rigid_drift
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.parts import Mirror
-from cmp_tactile_simulation.hard_frames.case import Zone
-from cmp_tactile_simulation.hard_frames.changed_rig import changed_rig
+from hard_frames.case import Zone
 
 PRESS = (Zone(1e-3, 0.0, 4e-3, depth=8e-4, spread=0.08),)
 

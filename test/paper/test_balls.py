@@ -10,10 +10,9 @@ import pytest
 
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.sensor.description import load_sensor
-from paper.blocks import Figure
-from paper.experiment import Arrays, Workplace
-from paper.experiments.balls import cases, deep_points
-from paper.experiments.balls_report import BallFits, claims, clearly_less, fits_of, report
+from paper.experiments.balls import BallFits, claims, clearly_less, deep_points
+from paper.lab import Arrays
+from paper.page import Page
 from paper.readings import READINGS, without_virtual
 
 PRESSES = 2, 2
@@ -67,14 +66,10 @@ def test_missing_markers_are_no_points(rest: Surface) -> None:
     assert np.isfinite(found).all()
 
 
-def test_a_full_run_has_all_eleven_balls(tmp_path: Path) -> None:
-    assert [case.name for case in cases(Workplace(tmp_path))] == [f"{d}mm" for d in range(10, 21)]
-
-
-def _results(off: dict[str, float]) -> dict[str, Arrays]:
+def _results(off: dict[str, float]) -> list[Arrays]:
     """Fits that are off the exact ones by so many m, up and down; exact ones are 2 mm too large."""
     rng = np.random.default_rng(0)
-    results = {}
+    results = []
     for ball in BALLS:
         arrays: dict[str, np.ndarray] = {"ball": np.array(ball)}
         for reading in READINGS:
@@ -82,7 +77,7 @@ def _results(off: dict[str, float]) -> dict[str, Arrays]:
             arrays[f"{reading.key}_diameter"] = ball + 2e-3 + noise
             arrays[f"{reading.key}_rms"] = np.full(PRESSES, 1e-6)
             arrays[f"{reading.key}_count"] = np.full(PRESSES, 10)
-        results[f"{1e3 * ball:.0f}mm"] = arrays
+        results.append(arrays)
     return results
 
 
@@ -99,21 +94,12 @@ def _all_dots(off: float) -> dict[str, float]:
         ({"cmp": -4e-4, "cmp_corners": 3e-4, **_all_dots(1e-4)}, (True, False, False)),
     ],
 )
-def test_claims_follow_the_fits(off: dict[str, float], met: tuple[bool, ...]) -> None:
-    assert tuple(claim.met for claim in claims(fits_of(_results(off)))) == met
-
-
-def test_equal_fits_are_no_advantage(tmp_path: Path) -> None:
-    made = report(_results({}), tmp_path)
-    assert all(block.path.is_file() for block in made.blocks if isinstance(block, Figure))
-    assert [claim.met for claim in made.claims] == [False, False, False]
-
-
-def test_the_layer_is_taken_off_on_both_sides() -> None:
-    fits = BallFits.from_results(list(_results({}).values()), "cmp", "exact")
-    assert fits.from_ball == pytest.approx(2e-3)
-    assert fits.beside_layer(0.3e-3) == pytest.approx(1.4e-3)
-    assert fits.from_exact == pytest.approx(0, abs=1e-12)
+def test_claims_follow_the_fits(
+    off: dict[str, float], met: tuple[bool, ...], tmp_path: Path
+) -> None:
+    results, page = _results(off), Page(tmp_path)
+    claims({r.key: BallFits.from_results(results, r) for r in READINGS}, page)
+    assert tuple(claim.met for claim in page.claims) == met
 
 
 def test_a_difference_that_chance_explains_is_not_clear() -> None:

@@ -1,171 +1,72 @@
-"""The page: everything is on it, also what is missing, and no text becomes markup."""
+"""The page in Markdown: tables that stay tables, claims counted, figures beside it."""
 
 import itertools
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
-from paper.blocks import Claim, Deviation, Figure, Report, Table, Text
-from paper.experiment import Experiment
-from paper.page import (
-    Heading,
-    RunFacts,
-    all_claims,
-    alternative,
-    commit_of,
-    page_blocks,
-    write_page,
-)
-from paper.runner import Cost, ExperimentResult, Failure
-
-PNG = b"\x89PNG not looked at"
-
-
-def _experiment(key: str, section: str, title: str) -> Experiment:
-    return Experiment(key, section, title, lambda _: [], lambda *_: Report(()))
+from paper.figure_style import panels
+from paper.page import Page, add_claims, add_facts, add_summary
 
 
 @pytest.fixture
-def results(tmp_path: Path) -> list[ExperimentResult]:
-    picture = tmp_path / "figures" / "a b.png"
-    picture.parent.mkdir()
-    picture.write_bytes(PNG)
-    report = Report(
-        (
-            Text("1. SNR < 0.95 & `a_b|c`, *not* [a](b) <script>"),
-            Table(("method", "x|y"), (("CMP", "`a|b` < 1"),), "A <caption>"),
-            Figure(picture, "Errors of `dmp`. More."),
-        ),
-        (
-            Claim("IV.D", "DMP | worse", "yes", "no", met=False),
-            Claim("IV.C", "error", "< 0.02 mm", "0.001 mm", met=True),
-            Claim("V.A", "speed", "24 Hz", "30 Hz", met=None),
-        ),
-        (Deviation("load", "50 N", "5 N", "a <soft> gel"),),
-    )
-    good = ExperimentResult(_experiment("good", "IV.C", "Objects <five>"), report)
-    good.costs.append(Cost("sphere", "'sphere', 7", 61.0, 60.0, kept=True, steady=False))
-    bad = ExperimentResult(_experiment("bad", "", "Patterns"))
-    bad.failures.append(Failure("case sweep", "ValueError: <none>", "trace"))
-    return [good, bad]
+def page(tmp_path: Path) -> Page:
+    page = Page(tmp_path)
+    page.claim("resolution.finer", met=False, cmp=6.5, dots=13.9)
+    page.claim("density.density", met=True, corners=190, virtual=2169, measured=2168.6)
+    page.claim("reliability.contrast", met=None, range="a | b")
+    return page
 
 
-class _Reader(HTMLParser):
-    """Texts of a page, and the tags that are open at each."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.texts: list[tuple[str, str]] = []
-        self.tags: list[str] = []
-        self.sources: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append(tag)
-        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
-        if tag not in ("meta", "img"):
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if data.strip():
-            self.texts.append((self.open[-1], data))
+def _lines(page: Page) -> list[str]:
+    return page.write("paper.md").read_text(encoding="utf-8").splitlines()
 
 
-def _read(path: Path) -> _Reader:
-    reader = _Reader()
-    reader.feed(path.read_text(encoding="utf-8"))
-    reader.close()
-    assert reader.open == []
-    return reader
-
-
-def _facts(tmp_path: Path) -> RunFacts:
-    return RunFacts(fast=True, wall=100.0, processes=2, root=tmp_path, left_out=("Balls",))
-
-
-def test_the_html_page_is_whole_by_itself_and_escapes_texts(
-    results: list[ExperimentResult], tmp_path: Path
-) -> None:
-    page = _read(write_page(page_blocks(results, _facts(tmp_path)), tmp_path))
-    assert "script" not in page.tags
-    words = "".join(text for _, text in page.texts)
-    for text in (
-        "1. SNR < 0.95 & a_b|c, *not* [a](b) <script>",
-        "A <caption>",
-        "a <soft> gel",
-        "Objects <five>",
-        "ValueError: <none>",
-        "Not asked for, and so not on this page: Balls.",
-        "This is the fast run",
-        "3 claims: 1 met, 1 not met; 1 of them could not be missed.",
-        "sphere",
-        "no Git checkout",
-        "with 2 processes of one thread each",
-    ):
-        assert text in words
-    assert ("code", "a_b|c") in page.texts
-    assert page.tags.count("img") == 1
-    assert all(source.startswith(("data:image/png;base64,", "#")) for source in page.sources)
-
-
-def test_markdown_escapes_texts_and_links_pictures(
-    results: list[ExperimentResult], tmp_path: Path
-) -> None:
-    write_page(page_blocks(results, _facts(tmp_path)), tmp_path)
-    lines = (tmp_path / "paper.md").read_text(encoding="utf-8").splitlines()
-    assert r"\1. SNR \< 0.95 & `a_b|c`, \*not\* \[a\](b) \<script\>" in lines
-    assert r"| method | x\|y |" in lines
-    assert r"| CMP | `a\|b` \< 1 |" in lines
-    assert "![Errors of dmp](figures/a%20b.png)" in lines
+def test_bars_in_cells_end_no_cell(page: Page) -> None:
+    page.table("balls.fits", [["|CMP|"] * 8])
+    add_claims(page, page.claims)
+    lines = _lines(page)
+    assert lines[0].startswith(r"| reading | markers in a fit | \|fitted - ball\|, % |")
     for line, following in itertools.pairwise(lines):
-        if following.startswith("| --- "):
-            bars = line.replace(r"\|", "").count("|")
-            assert bars == following.count("|")
+        if following.startswith("| ---"):
+            assert line.replace(r"\|", "").count("|") == following.count("|")
 
 
-@pytest.mark.parametrize(
-    ("caption", "seen"),
-    [
-        ("As the paper's Fig. 11: of `CMP`, um. Black: it.", "As the paper's Fig. 11: of CMP, um"),
-        ("Spheres of 0.5 mm, as Fig. 12 (b).", "Spheres of 0.5 mm, as Fig. 12 (b)"),
-        ("One; two.", "One"),
-    ],
-)
-def test_a_picture_is_described_by_the_first_sentence(caption: str, seen: str) -> None:
-    assert alternative(caption) == seen
+def test_claims_are_counted_and_those_missed_come_first(page: Page) -> None:
+    add_summary(page, page.claims, fast=True)
+    text = "\n".join(_lines(page))
+    assert "3 claims: 1 met, 1 not met; 1 could not be missed." in text
+    missed = "depth near the spheres off by 6.5 um RMS; DMP at best 13.9 um |"
+    assert any(line.startswith("| IV.E: five") and line.endswith(missed) for line in _lines(page))
+    assert "density" not in text
 
 
-def test_claims_stand_in_the_order_of_the_page_with_their_verdicts(
-    results: list[ExperimentResult], tmp_path: Path
-) -> None:
-    assert [claim.what for claim in all_claims(results)] == ["DMP | worse", "error", "speed"]
-    blocks = page_blocks(results, _facts(tmp_path))
-    at = blocks.index(Heading("Claims"))
-    table = blocks[at + 1]
-    assert isinstance(table, Table)
-    assert [row[-1] for row in table.rows] == ["not met", "met", "–"]
-    headings = [block.text for block in blocks if isinstance(block, Heading)]
-    assert headings.index("What a simulation cannot show") < headings.index("IV.C: Objects <five>")
-    assert headings[-3:] == ["Beyond the paper: Patterns", "Claims", "Made with"]
-    deviations = [b for b in blocks if isinstance(b, Table) and b.head[0].startswith("Departure")]
-    assert [table.rows for table in deviations] == [(("load", "50 N", "5 N", "a <soft> gel"),)]
+def test_a_figure_lies_beside_the_page_and_is_the_same_each_time(page: Page) -> None:
+    files = []
+    for _ in range(2):
+        figure, axes = panels(1, 1, 2.0)
+        axes.plot([0, 1])
+        page.figure(figure, "grasp.knocks")
+        files.append((page.folder / "grasp_knocks.png").read_bytes())
+    assert files[0] == files[1]
+    link, _ = (line for line in _lines(page) if line.startswith("!["))
+    assert link.endswith("; a point is one knock](grasp_knocks.png)")
 
 
-def test_the_commit_says_whether_the_tree_was_changed(tmp_path: Path) -> None:
-    import subprocess
+def test_a_head_that_is_one_field_stands_for_its_values(page: Page) -> None:
+    page.table("objects.errors", [("ring", "1 mm", "2", "3")], methods=["CMP", "DMP"])
+    assert page.parts[0].startswith("| object | press | CMP | DMP |")
 
-    def git(*command: str) -> None:
-        who = ("-c", "user.name=a", "-c", "user.email=a@example.org")
-        subprocess.run(["git", "-C", str(tmp_path), *who, *command], check=True)
 
-    git("init", "-q")
-    (tmp_path / "a").touch()
-    git("add", "a")
-    git("commit", "-q", "-m", "a")
-    assert commit_of(tmp_path).endswith("nothing changed")
-    (tmp_path / "b").touch()
-    assert commit_of(tmp_path).endswith("1 file changed or added since")
+def test_departures_have_four_columns_and_no_open_field(page: Page) -> None:
+    page.departures("precision", diameter=0.35)
+    table = page.parts[-1].splitlines()
+    assert all(line.count("|") == 5 for line in table)
+    assert "{" not in page.parts[-1]
+    assert "diameter 0.35 of the pitch" in page.parts[-1]
+
+
+def test_the_page_says_what_it_was_made_with(page: Page) -> None:
+    add_facts(page, {"Run": "fast"}, page.folder)
+    assert "| Run | fast |" in "\n".join(page.parts)
+    assert "no checkout" in "\n".join(page.parts)

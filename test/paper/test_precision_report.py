@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from paper.blocks import Text
 from paper.chain import CMP, Method
 from paper.dot_tracking import DMP_NEAREST
-from paper.experiments.precision import METHODS
-from paper.experiments.precision_report import claims, report, split_of, summary_of
+from paper.experiments.precision import DMP_PLAIN, METHODS, Summary, claims, split_of
+from paper.page import Page
 
 DRAWS, ROWS, COLS = 40, 18, 18
 SYSTEMATIC = 0.4e-6
@@ -23,28 +22,24 @@ def made_up(spread: dict[str, tuple[float, float]]) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(5)
     inside = np.zeros((ROWS, COLS), bool)
     inside[5:13, 4:12] = True
-    x, y = np.meshgrid(np.linspace(-6e-3, 6e-3, COLS), np.linspace(-6e-3, 6e-3, ROWS))
     data: dict[str, np.ndarray] = {
-        "phase": np.array(["turn"]),
-        "inside": inside[None],
-        "node": np.stack([x.ravel(), y.ravel()], axis=-1),
-        "contact": inside.reshape(1, -1),
-        "wrench": np.array([[12.0, 0.0, -50.0, 0.0, 0.0, 0.05]]),
-        "reference": np.stack([x, y, 0 * x], axis=-1),
-        "true": np.full((1, ROWS, COLS, 3), -1e-3),
+        "inside": inside,
     }
     for method in METHODS:
         within, beyond = spread.get(method.key, (1e-6, 1e-6))
         size = np.where(inside, within, beyond)[..., None]
-        noise = rng.normal(size=(DRAWS, 1, ROWS, COLS, 3)) * size
+        noise = rng.normal(size=(DRAWS, ROWS, COLS, 3)) * size
         data[f"{method.key}_errors"] = noise + SYSTEMATIC
-        data[f"{method.key}_counts"] = np.tile([648, 648, 0], (DRAWS, 1, 1))
+        data[f"{method.key}_counts"] = np.tile([648, 648, 0], (DRAWS, 1))
     return data
 
 
 def met(data: dict[str, np.ndarray]) -> list[bool | None]:
-    summaries = {method.key: summary_of(data, method, 0) for method in METHODS}
-    return [claim.met for claim in claims(summaries)]
+    summaries = {method.key: Summary.from_arrays(data, method) for method in METHODS}
+    page = Page(Path())
+    for method in (DMP_PLAIN, DMP_NEAREST):
+        claims(summaries["cmp"], summaries[method.key], method, page)
+    return [claim.met for claim in page.claims]
 
 
 def test_all_claims_are_met_where_dots_are_worse_and_worst_in_contact() -> None:
@@ -65,26 +60,18 @@ def test_dots_with_plain_centres_are_compared_apart() -> None:
 @pytest.mark.parametrize("method", [CMP, DMP_NEAREST])
 def test_regions_and_sources_of_error_are_distinguished(method: Method) -> None:
     data = made_up({method.key: (3e-6, 1e-6)})
-    found, split = summary_of(data, method, 0), split_of(data[f"{method.key}_errors"][:, 0])
+    found = Summary.from_arrays(data, method)
+    systematic, random = split_of(data[f"{method.key}_errors"])
     inside, outside = (np.hypot(noise, SYSTEMATIC) for noise in (3e-6, 1e-6))
-    np.testing.assert_allclose(found.inside, inside, rtol=0.03)
     np.testing.assert_allclose(found.concentration, inside / outside, rtol=0.03)
     assert found.typical_concentration == pytest.approx(inside / outside, rel=0.02)
-    assert split.systematic == pytest.approx(SYSTEMATIC * np.sqrt(3), rel=0.1)
-    assert np.hypot(split.systematic, split.random) == pytest.approx(found.space, rel=1e-6)
+    assert systematic == pytest.approx(SYSTEMATIC * np.sqrt(3), rel=0.1)
+    assert np.hypot(systematic, random) == pytest.approx(np.linalg.norm(found.rms), rel=1e-6)
 
 
 def test_noise_alone_is_no_systematic_error() -> None:
     errors = np.random.default_rng(2).normal(size=(6, ROWS, COLS, 3))
     errors[0, 3, 4] = np.nan
-    split = split_of(errors)
-    assert split.systematic < 0.15
-    assert split.random == pytest.approx(np.sqrt(3), rel=0.03)
-
-
-def test_report_draws_its_figures_and_states_the_loads(tmp_path: Path) -> None:
-    arrays = made_up({"dmp_grid": (0.5e-6, 0.5e-6)})
-    made = report({"loads_cmp": arrays, "loads_dmp": arrays}, tmp_path)
-    assert isinstance(made.blocks[0], Text)
-    assert "under 50 N, 12 N and 50 N mm" in made.blocks[0].text
-    assert [path.suffix for path in tmp_path.iterdir()] == [".png"]
+    systematic, random = split_of(errors)
+    assert systematic < 0.15
+    assert random == pytest.approx(np.sqrt(3), rel=0.03)

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from cmp_tactile_simulation.scenes.description import Motion, MoveBy, Touch
-from paper.experiments.probe import point_scene, probe_points
-from paper.experiments.probe_report import (
+from paper.experiments.probe import (
     claims,
-    joined_points,
-    report,
+    point_scene,
+    probe_points,
     responses,
     significantly_more,
 )
+from paper.page import Page
 from paper.readings import READINGS
 
 
@@ -48,6 +48,10 @@ def made_up(cmp_mm: float, dots_mm: float, cmp_gain_mm: float) -> dict[str, Any]
     return made
 
 
+def joined_points(parts: list[dict[str, Any]]) -> dict[str, Any]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
 @pytest.mark.parametrize(
     ("cmp_mm", "dots_mm", "gain_mm", "met"),
     [
@@ -58,10 +62,11 @@ def made_up(cmp_mm: float, dots_mm: float, cmp_gain_mm: float) -> dict[str, Any]
     ],
 )
 def test_claims_are_met_where_cmp_does_better(
-    cmp_mm: float, dots_mm: float, gain_mm: float, met: list[bool]
+    cmp_mm: float, dots_mm: float, gain_mm: float, met: list[bool], tmp_path: Path
 ) -> None:
-    data = claims(joined_points([made_up(cmp_mm, dots_mm, gain_mm)] * 4))
-    assert [claim.met for claim in data] == met
+    page = Page(tmp_path)
+    claims(joined_points([made_up(cmp_mm, dots_mm, gain_mm)] * 4), page)
+    assert [claim.met for claim in page.claims] == met
 
 
 @pytest.mark.parametrize(("won", "lost", "clear"), [(8, 0, True), (4, 0, False), (8, 4, False)])
@@ -71,13 +76,6 @@ def test_a_few_points_more_in_the_zone_are_no_significant_difference(
     both, cmp, dots = made_up(0.25, 0.25, 0.0), made_up(0.25, 0.1, 0.0), made_up(0.1, 0.25, 0.0)
     points = joined_points([both] * 5 + [cmp] * (won // 2) + [dots] * (lost // 2))
     assert significantly_more(points, "dmp_nearest", points["true"]) is clear
-
-
-def test_report_draws_both_figures(tmp_path: Path) -> None:
-    data = report({"probe-points": made_up(0.25, 0.16, 0.02)}, tmp_path)
-    assert len(data.claims) == 5
-    assert (tmp_path / "probe_maps.png").stat().st_size > 0
-    assert (tmp_path / "probe_gain.png").stat().st_size > 0
 
 
 def test_zones_are_shares_of_points_and_noises() -> None:

@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.experiments.resolution import LAYOUTS, RADIUS, pair_scene, pairs_of
-from paper.experiments.resolution_report import claims, joined_pairs, report
+from paper.experiments.resolution import (
+    LAYOUTS,
+    RADIUS,
+    claims,
+    joined_pairs,
+    pair_scene,
+    pairs_of,
+)
+from paper.page import Page
 from paper.readings import READINGS
 
 PATTERN = load_scene("resolution_spheres").sensor.pattern
@@ -82,27 +89,21 @@ def pairs(cmp_dip: float, dots_dip: float) -> dict[str, Any]:
     ],
 )
 def test_claims_are_met_where_cmp_does_better(
-    cmp_um: float, share: float, dip: float, met: list[bool]
+    cmp_um: float, share: float, dip: float, met: list[bool], tmp_path: Path
 ) -> None:
-    data = claims(spheres(cmp_um, 12.0, share), joined_pairs([pairs(dip, 0.2)]))
-    assert [claim.met for claim in data] == met
+    page = Page(tmp_path)
+    claims(spheres(cmp_um, 12.0, share), joined_pairs([pairs(dip, 0.2)]), page)
+    assert [claim.met for claim in page.claims] == met
     smallest = "1.0" if dip > 0.265 else "2.0"
-    assert f"resolved from {smallest} mm on" in data[2].ours
+    assert f"resolved from {smallest} mm on" in page.claims[2].ours
 
 
-def test_virtual_markers_improve_nothing_where_corners_alone_do_as_well() -> None:
+def test_virtual_markers_improve_nothing_where_corners_alone_do_as_well(tmp_path: Path) -> None:
     made = pairs(0.3, 0.2)
     made["cmp_corners_dip"] = made["cmp_dip"]
-    data = claims(spheres(5.0, 12.0, 0.9), joined_pairs([made]))
-    assert [claim.met for claim in data] == [True, True, False]
-
-
-def test_report_draws_both_figures(tmp_path: Path) -> None:
-    results = {"resolution-spheres": spheres(5, 12, 0.9), "resolution-pairs": pairs(0.3, 0.2)}
-    data = report(results, tmp_path)
-    assert len(data.claims) == 3
-    assert (tmp_path / "resolution_spheres.png").stat().st_size > 0
-    assert (tmp_path / "resolution_pairs.png").stat().st_size > 0
+    page = Page(tmp_path)
+    claims(spheres(5.0, 12.0, 0.9), joined_pairs([made]), page)
+    assert [claim.met for claim in page.claims] == [True, True, False]
 
 
 def test_pairs_of_all_cases_are_joined_by_separation() -> None:

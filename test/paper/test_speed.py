@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from paper.experiments.speed import EXPERIMENT, find_plainly
+from paper.experiments.speed import claims, find_plainly
+from paper.page import Page
 
 
 def _dots(shift: float) -> tuple[np.ndarray, np.ndarray]:
@@ -44,5 +45,6 @@ def test_the_claim_is_compared_with_the_least_that_dots_take(
     for key in ("cmp", "cmp_paper", "dmp_nearest", "dmp_grid", "dmp_flow"):
         data[f"{key}_extraction"] = np.full(3, extraction)
         data[f"{key}_chain"] = np.full(3, chain)
-    report = EXPERIMENT.report({"prototype": data}, tmp_path)
-    assert [claim.met for claim in report.claims] == met
+    page = Page(tmp_path)
+    claims(data, page)
+    assert [claim.met for claim in page.claims] == met

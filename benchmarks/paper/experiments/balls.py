@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.experiment import Case, Workplace
+from paper.figure_style import TRUE_COLOUR, look, panels
 from paper.gel import Mechanics, mechanics_of
-from paper.readings import READINGS, BothPrints
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
+from paper.readings import DOTS, MEASURED, READINGS, BothPrints, Reading, name_of
 
+TITLE = "V.B: Precision: spheres fitted to balls"
 LEAST_POINTS = 4
 # In units of the points' spread; so flat that no ball of the experiment comes near to it.
 FLATTEST = 1e3
@@ -95,7 +99,22 @@ DEPTH_SHARE = 0.8
 # Of the press, shown in order: every other one, so that markers move little from one to the next.
 STEPS = 8
 FRAMES = (2, 4, 6, 8)
-SECONDS_PER_PLACE = 11.0
+# A difference is clear from so many of its standard errors on.
+CLEAR = 2.0
+
+
+def run(lab: Lab, page: Page) -> None:
+    """Press the balls, fit spheres, and report."""
+    diameters = FAST_DIAMETERS_MM if lab.fast else DIAMETERS_MM
+    positions = (0,) if lab.fast else tuple(range(len(PLACES)))
+    results = lab.compute(fit_balls, [(diameter, positions) for diameter in diameters])
+    fits = {reading: BallFits.from_results(results, reading) for reading in READINGS}
+    layer = load_scene("ball:10mm").sensor.elastomer.shading_layer.thickness
+    page.prose("balls", "setup", share=DEPTH_SHARE, layer=1e3 * layer)
+    page.figure(_draw(fits), "balls.diameters")
+    _table(fits, layer, page)
+    claims({reading.key: fit for reading, fit in fits.items()}, page)
+    page.departures("balls")
 
 
 def ball_scene(diameter_mm: int, position: int, place: Workplace) -> Scene:
@@ -111,21 +130,6 @@ def ball_scene(diameter_mm: int, position: int, place: Workplace) -> Scene:
         motion=(replace(rest, frames=1), replace(press, frames=STEPS)),
         contact_nodes=32 if place.fast else scene.contact_nodes,
     )
-
-
-def cases(place: Workplace) -> Sequence[Case]:
-    """One for each ball."""
-    diameters = FAST_DIAMETERS_MM if place.fast else DIAMETERS_MM
-    positions = (0,) if place.fast else tuple(range(len(PLACES)))
-    return [
-        Case(
-            f"{diameter}mm",
-            fit_balls,
-            (diameter, positions),
-            seconds=4 + SECONDS_PER_PLACE * len(positions),
-        )
-        for diameter in diameters
-    ]
 
 
 def fit_balls(
@@ -201,3 +205,115 @@ def _mean_rest(surfaces: Sequence[Surface]) -> Surface:
         for name in ("position", "row_position", "col_position")
     }
     return replace(first, **means)
+
+
+@dataclass(frozen=True)
+class BallFits:
+    """Fits of one reading; ball (B,) diameters in m, others (B, presses).
+
+    diameter, rms: m; count: of markers; exact: diameter fitted to the true places of the markers
+    that the reading takes, m.
+    """
+
+    ball: NDArray[np.float64]
+    diameter: NDArray[np.float64]
+    rms: NDArray[np.float64]
+    count: NDArray[np.float64]
+    exact: NDArray[np.float64]
+
+    @classmethod
+    def from_results(cls, results: Sequence[Arrays], reading: Reading) -> BallFits:
+        """From the results of `fit_balls`."""
+        exact = "exact_corners" if reading.corners_only else "exact"
+        names = (
+            *(f"{reading.key}_{name}" for name in ("diameter", "rms", "count")),
+            f"{exact}_diameter",
+        )
+        arrays = ([np.ravel(result[name]) for result in results] for name in names)
+        return cls(np.array([result["ball"] for result in results]), *map(np.array, arrays))
+
+    @property
+    def from_ball(self) -> NDArray[np.float64]:
+        """Fitted minus the ball's diameter, m."""
+        return np.asarray(self.diameter - self.ball[:, None])
+
+    @property
+    def from_exact(self) -> NDArray[np.float64]:
+        """Fitted minus the diameter that exact markers give, m."""
+        return np.asarray(self.diameter - self.exact)
+
+    def percent(self, deviation: NDArray[np.float64]) -> float:
+        """Mean size of deviations, % of the ball."""
+        return float(100 * np.nanmean(np.abs(deviation) / self.ball[:, None]))
+
+
+def clearly_less(
+    first: NDArray[np.float64], second: NDArray[np.float64], repetitions: int = 1
+) -> bool:
+    """Whether the first of paired deviations are smaller in size, by more than chance makes them.
+
+    The mean of |first| - |second| lies below zero by more than CLEAR of its standard errors.
+    repetitions: so many presses in a row differ in noise alone and are averaged, as they share
+    what place and ball do.  Presses without a fit are left out of both.
+    """
+    difference = (np.abs(first) - np.abs(second)).reshape(-1, repetitions).mean(axis=1)
+    difference = difference[np.isfinite(difference)]
+    if len(difference) < 2:
+        return False
+    error = float(np.std(difference, ddof=1)) / len(difference) ** 0.5
+    return bool(difference.mean() < -CLEAR * error)
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def _table(fits: Mapping[Reading, BallFits], layer: float, page: Page) -> None:
+    rows = []
+    for reading, fit in fits.items():
+        off = fit.from_ball, fit.from_ball - 2 * layer, fit.from_exact
+        cells = (
+            f"{np.mean(fit.count):.0f}",
+            *(f"{fit.percent(deviation):.2f}" for deviation in off),
+            f"{1e3 * _rms(fit.from_exact):.3f}",
+            f"{1e6 * np.nanmean(fit.rms):.2f}",
+            f"{np.isnan(fit.diameter).sum()}",
+        )
+        rows.append((name_of(reading), *cells))
+    page.table("balls.fits", rows)
+
+
+def claims(fits: Mapping[str, BallFits], page: Page) -> None:
+    """What the paper says of precision beside what was measured; fits by the readings' keys."""
+    cmp, corners, exact = fits["cmp"], fits["cmp_corners"], fits["exact"]
+    dots = min((fits[key] for key in DOTS), key=lambda fit: _rms(fit.from_exact))
+    raw = [fit.percent(fit.from_ball) for fit in (cmp, dots, exact)]
+    nearer = clearly_less(cmp.from_ball, dots.from_ball, REPETITIONS)
+    page.claim("balls.raw", nearer, percent=raw)
+    measured = [fit.percent(fit.from_exact) for fit in (cmp, dots)]
+    nearer = clearly_less(cmp.from_exact, dots.from_exact, REPETITIONS)
+    page.claim("balls.measured", nearer, percent=measured)
+    rms = [(1e3 * _rms(fit.from_exact), float(np.mean(fit.count))) for fit in (cmp, corners)]
+    nearer = clearly_less(cmp.from_exact, corners.from_exact, REPETITIONS)
+    page.claim("balls.virtual", nearer, rms=rms)
+
+
+def _draw(fits: Mapping[Reading, BallFits]) -> Figure:
+    """Deviation from the ball, and from what exact markers give."""
+    figure, axes = panels(2, 1, 5.6, sharex=True)
+    for offset, reading in zip(np.linspace(-0.27, 0.27, len(MEASURED)), MEASURED, strict=True):
+        fit = fits[reading]
+        style = look(reading.method.key if reading.method else "cmp", hollow=reading.corners_only)
+        for axis, values in zip(axes, (fit.from_ball, fit.from_exact), strict=True):
+            share = 100 * values / fit.ball[:, None]
+            at, label = 1e3 * fit.ball + offset, name_of(reading)
+            means, spread = np.nanmean(share, axis=1), np.nanstd(share, axis=1)
+            axis.errorbar(at, means, spread, **{**style, "linestyle": "none"}, label=label)
+    exact = next(fit for reading, fit in fits.items() if reading.key == "exact")
+    off = 100 * np.nanmean(exact.from_ball, axis=1) / exact.ball
+    axes[0].plot(1e3 * exact.ball, off, color=TRUE_COLOUR, label="exact markers")
+    axes[0].set_ylabel("fitted - ball,\n% of the ball")
+    axes[1].set_ylabel("fitted - fit to exact\nmarkers, % of the ball")
+    axes[1].set_xlabel("diameter of the ball, mm")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure

@@ -7,124 +7,170 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import Grid, Surface
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.surface.dense import (
-    DenseStatus,
-    DenseSurface,
-    SurfaceInterpolator,
-    grid_over,
-    height_map,
-)
+from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.chain import Chain, Measurement, all_markers, mean_absolute, score_markers, virtual
-from paper.dot_tracking import ALL_METHODS
-from paper.experiment import Case, Workplace
-from paper.gel import mechanics_of
-from paper.sequence import Exposure, RenderedSequence, error_stack, measured, with_steps_between
-
-SCENES = (
-    "contact_sphere",
-    "contact_cylinder",
-    "contact_cube_edge",
-    "contact_hexagonal_bar",
-    "contact_ring",
+from paper.chain import (
+    CMP,
+    CMP_PAPER,
+    Chain,
+    Measurement,
+    Method,
+    all_markers,
+    mean_absolute,
+    score_markers,
 )
+from paper.dot_tracking import ALL_METHODS
+from paper.figure_style import panels
+from paper.gel import mechanics_of
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
+from paper.readings import nodes_of, true_displacement
+from paper.sequence import Exposure, RenderedSequence, measured, with_steps_between
+
+TITLE = "IV.C: Five objects: 3-D coordinates of all markers"
+SCENES = {
+    "contact_sphere": "sphere",
+    "contact_cylinder": "cylinder, lying",
+    "contact_cube_edge": "cube's edge",
+    "contact_hexagonal_bar": "hexagonal bar",
+    "contact_ring": "ring",
+}
+# The paper's figure for each object, m.
+LIMIT = 20e-6
 # Of the dense surface in the pictures, m.
 SPACING = 1e-4
+# The error's colours end where so many per cent of the nodes lie beyond.
+ERROR_PERCENTILE = 99.5
 
 
-def cases(place: Workplace) -> Sequence[Case]:
-    """One for each object."""
-    draws = 2 if place.fast else 6
-    seconds = 8.0 if place.fast else 45.0
-    return [Case(name, press, (name, draws), seconds) for name in SCENES]
+def run(lab: Lab, page: Page) -> None:
+    """Press the five objects, and report."""
+    draws = 2 if lab.fast else 6
+    found = lab.compute(press, [(scene, draws) for scene in SCENES])
+    results = dict(zip(SCENES.values(), found, strict=True))
+    page.prose("objects", "setup")
+    _table(results, page)
+    page.figure(_pictures(results), "objects.contact")
+    for method in (CMP, CMP_PAPER):
+        claim(results, method, page)
+    page.departures("objects")
 
 
-def press(place: Workplace, name: str, draws: int) -> dict[str, NDArray[Any]]:
-    """Errors of every method over the frames of a press and at its end.
+def press(place: Workplace, name: str, draws: int) -> dict[str, Any]:
+    """Errors of every method at the end of a press.
 
-    KEY_errors (draws, 2, rows, cols, 3): of displacement and position at full press, m.
-    KEY_virtual, KEY_all (draws, 4): mean absolute position errors of virtual and of all markers.
-    KEY_frames (draws, F, 4): KEY_all in every frame.  KEY_counts (draws, 3): visible, found, wrong.
+    depth, m, and normal_force, N, of the press.  KEY_all (draws, 4): mean absolute position error
+    of all markers along x, y, z and in space, m.  KEY_counts (draws, 3): visible, found, wrong.
+    true_depth, depth_field (rows, cols): true and by CMP, m.  extent (2,) m of these.
     """
     scene = _scene(name, fast=place.fast)
     mechanics = mechanics_of(scene, place)
     surfaces = with_steps_between(mechanics, mechanics.frames("press").tolist(), scene.sensor, 1)
-    result: dict[str, NDArray[Any]] = {
-        "depth": surfaces[-1].displacement[..., 2].min(),
-        "normal_force": -mechanics.wrench[-1, 2],
+    result: dict[str, Any] = {
+        "depth": -float(surfaces[-1].displacement[..., 2].min()),
+        "normal_force": -float(mechanics.wrench[-1, 2]),
     }
     for pattern_type in ("cmp", "dmp"):
         sequence = RenderedSequence(scene.sensor, surfaces, pattern_type)
-        true = [sequence.true_surface(index) for index in range(len(sequence))]
-        grids = sequence.truth(len(sequence) - 1).grids
+        truth = sequence.truth(len(sequence) - 1)
         exposures = [sequence.exposed(draw) for draw in range(draws)]
         for method in ALL_METHODS:
             if method.pattern_type == pattern_type:
-                chain = Chain(scene.sensor, method)
-                data, last = _trial(chain, exposures, true, grids)
-                result |= {f"{method.key}_{key}": value for key, value in data.items()}
-                if method.key == "cmp":
-                    result |= _pictures(scene.sensor, last.surface, surfaces[-1])
+                ends = _ends(Chain(scene.sensor, method), exposures)
+                result |= _errors(method, ends, truth.surface, truth.grids)
+                if method is CMP:
+                    result |= _depths(ends[0].surface, surfaces[-1])
     return result
 
 
 def _scene(name: str, *, fast: bool) -> Scene:
     """Rest and press of a packaged scene; the fast run solves fewer frames on fewer nodes."""
     scene = load_scene(name)
-    rest, press = scene.motion[:2]
-    motion = replace(rest, frames=1), replace(press, frames=3) if fast else press
+    rest, pressing = scene.motion[:2]
+    motion = replace(rest, frames=1), replace(pressing, frames=3) if fast else pressing
     return replace(scene, motion=motion, contact_nodes=24 if fast else scene.contact_nodes)
 
 
-def _trial(
-    chain: Chain,
-    exposures: Sequence[Exposure],
-    true: Sequence[Surface],
-    true_grids: Mapping[str, Grid],
-) -> tuple[Mapping[str, NDArray[Any]], Measurement]:
-    """What `press` finds of a method, and its measurement at full press in the first draw."""
-    frames, ends = [], []
-    for exposure in exposures:
-        taken = list(measured(chain, exposure))
-        ends.append(taken[-1])
-        frames.append(
-            [
-                mean_absolute(all_markers(item.surface, surface))
-                for item, surface in zip(taken, true, strict=True)
-            ]
-        )
-    scores = [score_markers(end.grids, true_grids) for end in ends]
-    data: dict[str, NDArray[Any]] = {
-        "errors": np.stack([error_stack(end.surface, true[-1]) for end in ends]),
-        "virtual": np.stack([mean_absolute(virtual(end.surface, true[-1])) for end in ends]),
-        "all": np.array([of_draw[-1] for of_draw in frames]),
-        "frames": np.array(frames),
-        "counts": np.array([(score.visible, score.found, score.wrong) for score in scores]),
-    }
-    return data, ends[0]
+def _ends(chain: Chain, exposures: Sequence[Exposure]) -> list[Measurement]:
+    """What is measured at full press in each draw of the noise."""
+    return [list(measured(chain, exposure))[-1] for exposure in exposures]
 
 
-def _pictures(
-    sensor: SensorDescription, surface: Surface, true: DeformedSurface
+def _errors(
+    method: Method, ends: Sequence[Measurement], true: Surface, grids: Mapping[str, Grid]
 ) -> dict[str, NDArray[Any]]:
-    """Dense heights at rest, measured and true, and the measured displacement, m."""
-    pattern = sensor.pattern
+    scores = [score_markers(end.grids, grids) for end in ends]
+    errors = [mean_absolute(all_markers(end.surface, true)) for end in ends]
+    counts = [(score.visible, score.found, score.wrong) for score in scores]
+    return {f"{method.key}_all": np.array(errors), f"{method.key}_counts": np.array(counts)}
+
+
+def _depths(surface: Surface, true: DeformedSurface) -> dict[str, NDArray[Any]]:
+    pattern = true.pattern
     grid = grid_over(pattern.shape, pattern.pitch, SPACING)
     dense = SurfaceInterpolator(pattern.shape, pattern.pitch, grid).interpolate(surface)
-    nodes = grid.points.reshape(grid.rows, grid.cols, 2)
-    position, rest = true.at_material(nodes), DeformedSurface.rest(pattern).at_material(nodes)
-    status = np.full(position.shape[:2], DenseStatus.MEASURED, np.uint8)
-    exact = DenseSurface(grid, rest, position, position - rest, status)
     return {
         "extent": np.array(grid.extent),
-        "rest_height": rest[..., 2].astype(np.float32),
-        "height": height_map(dense).height.astype(np.float32),
-        "true_height": height_map(exact).height.astype(np.float32),
-        "displacement": dense.displacement.astype(np.float32),
+        "depth_field": -dense.displacement[..., 2],
+        "true_depth": -true_displacement(true, nodes_of(grid))[..., 2],
     }
+
+
+def _table(results: Mapping[str, Arrays], page: Page) -> None:
+    rows = []
+    for name, data in results.items():
+        pressed = f"{1e3 * data['depth']:.2f} mm, {data['normal_force']:.2g} N"
+        errors = (f"{1e6 * _distance(data, method):.3g}" for method in ALL_METHODS)
+        rows.append((name, pressed, *errors))
+    counted = (_counts(results, method) for method in ALL_METHODS)
+    rows.append(("markers found / wrong numbers", "", *counted))
+    page.table("objects.errors", rows, methods=[method.label for method in ALL_METHODS])
+
+
+def _distance(data: Arrays, method: Method) -> float:
+    return float(np.mean(data[f"{method.key}_all"][:, 3]))
+
+
+def _counts(results: Mapping[str, Arrays], method: Method) -> str:
+    counts = np.concatenate([data[f"{method.key}_counts"] for data in results.values()])
+    visible, found, wrong = counts.sum(axis=0).tolist()
+    return f"{found / visible:.1%} / {wrong}"
+
+
+def claim(results: Mapping[str, Arrays], method: Method, page: Page) -> None:
+    """The paper's figure beside that of a method; results by object."""
+    errors = [_distance(data, method) for data in results.values()]
+    found = _counts(results, method).partition(" ")[0]
+    page.claim(
+        "objects.error", all(error < LIMIT for error in errors), method=method.label,
+        least=1e3 * min(errors), most=1e3 * max(errors), found=found,
+    )  # fmt: skip
+
+
+def _pictures(results: Mapping[str, Arrays]) -> Figure:
+    """A column for each object: true depth, depth by CMP, error."""
+    figure, axes = panels(3, len(results), 5.8, sharex=True, sharey=True)
+    deepest = 1e3 * max(float(np.nanmax(data["true_depth"])) for data in results.values())
+    errors = [1e6 * (data["depth_field"] - data["true_depth"]) for data in results.values()]
+    widest = float(np.nanpercentile(np.abs(np.concatenate(errors, axis=None)), ERROR_PERCENTILE))
+    scales = ({"vmin": 0, "vmax": deepest}, {"cmap": "RdBu_r", "vmin": -widest, "vmax": widest})
+    for column, (name, data), error in zip(axes.T, results.items(), errors, strict=True):
+        width, height = 1e3 * data["extent"] / 2
+        place = {"origin": "lower", "extent": (-width, width, -height, height)}
+        for axis, key in zip(column[:2], ("true_depth", "depth_field"), strict=True):
+            depth = axis.imshow(1e3 * data[key], **scales[0], **place)
+        off = column[2].imshow(error, **scales[1], **place)
+        column[0].set_title(name, fontsize=9)
+    for axis, label in zip(axes[:, 0], ("true depth", "depth by CMP", "error"), strict=True):
+        axis.set_ylabel(f"{label}\ny, mm")
+    for axis in axes.flat:
+        axis.grid(visible=False)
+    figure.colorbar(depth, ax=axes[:2], label="depth, mm")
+    figure.colorbar(off, ax=axes[2:], label="error, um", extend="both")
+    return figure

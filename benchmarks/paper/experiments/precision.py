@@ -5,28 +5,39 @@ Beside the loads: what the dots' size does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.chain import Chain, Method, displacement_error, in_contact, score_markers
-from paper.dot_tracking import ALL_METHODS, DMP_GRID, GridOrderTracker, NearestTracker
+from paper.chain import (
+    CMP,
+    Chain,
+    Method,
+    displacement_error,
+    in_contact,
+    largest,
+    root_mean_square,
+    score_markers,
+)
+from paper.dot_tracking import ALL_METHODS, DMP_GRID, DMP_NEAREST, GridOrderTracker, NearestTracker
 from paper.dots import DotParameters
-from paper.experiment import Case, Workplace
-from paper.gel import mechanics_of
-from paper.sequence import Exposure, RenderedSequence, Truth, measured, steps_to, with_steps_between
+from paper.figure_style import panels
+from paper.gel import Mechanics, mechanics_of
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
+from paper.sequence import DOT_DIAMETER, RenderedSequence, measured, with_steps_between
 
-PHASES = ("press", "drag", "turn")
+TITLE = "IV.D: Precision under normal force, tangential force and torque"
 # Centres that are not corrected for what bending of the surface does to them.
 DMP_PLAIN = Method(
     "dmp_plain",
@@ -35,134 +46,215 @@ DMP_PLAIN = Method(
     partial(NearestTracker, parameters=DotParameters(curvature=False)),
 )
 METHODS = (*ALL_METHODS, DMP_PLAIN)
-# Diameter over pitch.
+AXES = ("x", "y", "z")
+# Diameter over pitch; whether centres are corrected, by name.
 DOT_SIZES = (0.25, 0.35, 0.5, 0.65)
-# Whether centres are corrected, by name.
 CENTRES = {"corrected": True, "plain": False}
+# "Noticeably larger" and "significant concentration" of the paper, as we take them.
+NOTICEABLE, CONCENTRATED = 1.1, 1.5
+
+Array = NDArray[np.float64]
 
 
-def cases(place: Workplace) -> Sequence[Case]:
-    """The loads, and the dots' size."""
-    if place.fast:
-        return [
-            Case("loads_cmp", loads, ("cmp", 2), 50.0),
-            Case("loads_dmp", loads, ("dmp", 2), 15.0),
-        ]
-    return [
-        # The first solves the contact, which the others find solved.
-        Case("loads_cmp", loads, ("cmp", 8), 150.0),
-        Case("loads_dmp", loads, ("dmp", 8), 50.0),
-        Case("dots", dots, (6,), 40.0),
-    ]
+def run(lab: Lab, page: Page) -> None:
+    """Measure under the loads, and report."""
+    draws = 2 if lab.fast else 8
+    cmp, dmp = lab.compute(loads, [(kind, draws) for kind in ("cmp", "dmp")])
+    data: Arrays = {**cmp, **dmp}
+    summaries = {method.key: Summary.from_arrays(data, method) for method in METHODS}
+    force, torque = data["wrench"][:3], data["wrench"][5]
+    page.prose(
+        "precision", "setup", normal=-force[2], tangential=force[0], torque=1e3 * torque,
+        depth=-1e3 * float(np.min(data["true"][..., 2])), share=float(np.mean(data["inside"])),
+    )  # fmt: skip
+    _table(summaries, page)
+    page.figure(_maps(data), "precision.maps")
+    if not lab.fast:
+        _dots_table(lab.compute(dots, [(6,)])[0], page)
+    for method in (DMP_PLAIN, DMP_NEAREST):
+        claims(summaries[CMP.key], summaries[method.key], method, page)
+    page.departures("precision", diameter=DOT_DIAMETER)
 
 
 def loads(place: Workplace, pattern_type: str, draws: int) -> dict[str, NDArray[Any]]:
-    """Displacement errors of a print's methods at the end of each of P phases, m.
+    """Displacement errors of a print's methods under all loads together, m.
 
-    KEY_errors (draws, P, rows, cols, 3).  KEY_counts (draws, P, 3): visible, found, wrong.
-    inside (P, rows, cols): in contact.  node (N, 2) m at rest, contact (P, N).  wrench (P, 6).
-    true (P, rows, cols, 3): displacement.
+    KEY_errors (draws, rows, cols, 3).  KEY_counts (draws, 3): visible, found, wrong.
+    inside (rows, cols): in contact.  wrench (6,).  true (rows, cols, 3): displacement.
+    reference (rows, cols, 3): corners at rest.
     """
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
-    frames = [int(index) for index in np.arange(len(mechanics)) if mechanics.phase[index] in PHASES]
-    # As small steps as in the full run, for those that track from frame to frame.
-    steps = 5 if place.fast else 1
-    surfaces = with_steps_between(mechanics, frames, scene.sensor, steps)
-    ends = [int(mechanics.frames(phase)[-1]) for phase in PHASES if phase in mechanics.phase]
-    judged = [(frames.index(end) + 1) * steps - 1 for end in ends]
     reference = scene.sensor.pattern.corners()
+    # As small steps in the fast run as in the full one, for those that follow.
+    sequence = _sequence(scene, mechanics, pattern_type, 5 if place.fast else 1)
+    last = len(mechanics) - 1
     result: dict[str, NDArray[Any]] = {
-        "phase": mechanics.phase[ends],
-        "inside": np.stack([in_contact(mechanics, end, reference) for end in ends]),
-        "node": mechanics.node_position[:, :2],
-        "contact": mechanics.contact[ends],
-        "wrench": mechanics.wrench[ends],
+        "inside": in_contact(mechanics, last, reference),
+        "wrench": mechanics.wrench[last],
         "reference": reference,
-        "true": np.stack([surfaces[k].corners() - reference for k in judged]),
+        "true": mechanics.surface(last, scene.sensor.pattern).corners() - reference,
     }
-    return result | _Trials(scene.sensor, surfaces, pattern_type, judged).all_methods(draws)
+    for method in METHODS:
+        if method.pattern_type == pattern_type:
+            result |= measure(method, scene, sequence, draws)
+    return result
 
 
 def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
-    """SIZE_CENTRES_errors and SIZE_CENTRES_counts, as in `loads`, under all loads.
+    """SIZE_CENTRES_errors and SIZE_CENTRES_counts, as in `loads`.
 
     Dots are numbered by the order of their grid.
     """
     scene = _scene(fast=place.fast)
     mechanics = mechanics_of(scene, place)
-    surfaces = steps_to(mechanics, len(mechanics) - 1, scene.sensor, 1)
     result: dict[str, NDArray[Any]] = {}
     for size in DOT_SIZES:
-        trials = _Trials(scene.sensor, surfaces, "dmp", [0], dot_diameter=size)
+        sequence = _sequence(scene, mechanics, "dmp", 1, dot_diameter=size)
         for centres, corrected in CENTRES.items():
             parameters = replace(DotParameters(), diameter=size, curvature=corrected)
             tracker = partial(GridOrderTracker, parameters=parameters)
-            data = trials.measure(replace(DMP_GRID, tracker=tracker), draws)
-            result |= {f"{size:g}_{centres}_{name}": value for name, value in data.items()}
+            method = replace(DMP_GRID, key=f"{size:g}_{centres}", tracker=tracker)
+            result |= measure(method, scene, sequence, draws)
     return result
 
 
 def _scene(*, fast: bool) -> Scene:
     """The packaged scene; the fast run solves two frames on fewer nodes."""
     scene = load_scene("precision_sphere")
+    rest, press, drag, turn, hold = scene.motion
     if not fast:
-        return scene
-    rest, press, _, turn, _ = scene.motion
+        return replace(scene, motion=(rest, press, drag, turn))
+    del drag, hold
     motion = tuple(replace(phase, frames=1) for phase in (rest, press, turn))
     return replace(scene, motion=motion, contact_nodes=24)
 
 
-class _Trials:
-    """Methods on the rendered sequence of their print, judged in some of its frames."""
+def _sequence(
+    scene: Scene, mechanics: Mechanics, pattern_type: str, steps: int, **gel: float
+) -> RenderedSequence:
+    frames = np.flatnonzero(mechanics.phase != "rest").tolist()
+    surfaces = with_steps_between(mechanics, frames, scene.sensor, steps)
+    return RenderedSequence(scene.sensor, surfaces, pattern_type, **gel)
 
-    def __init__(
-        self,
-        sensor: SensorDescription,
-        surfaces: Sequence[DeformedSurface],
-        pattern_type: str,
-        judged: Sequence[int],
-        **gel: float,
-    ) -> None:
-        self.methods = [method for method in METHODS if method.pattern_type == pattern_type]
-        self.sequence = RenderedSequence(sensor, surfaces, pattern_type, **gel)
-        self._sensor = sensor
-        self._truths: dict[int, Truth] = {index: self.sequence.truth(index) for index in judged}
-        self._exposures: dict[int, list[Exposure]] = {}
 
-    def all_methods(self, draws: int) -> dict[str, NDArray[Any]]:
-        """What `measure` finds of every method of the print, named KEY_..."""
-        data = {method.key: self.measure(method, draws) for method in self.methods}
-        return {
-            f"{key}_{name}": value for key, each in data.items() for name, value in each.items()
-        }
+def measure(
+    method: Method, scene: Scene, sequence: RenderedSequence, draws: int
+) -> dict[str, NDArray[Any]]:
+    """KEY_errors and KEY_counts of the last frame; nothing where noise leaves no reference."""
+    truth, chain = sequence.truth(len(sequence) - 1), Chain(scene.sensor, method)
+    errors = np.full((draws, *scene.sensor.pattern.shape.corners, 3), np.nan)
+    counts = np.zeros((draws, 3), np.intp)
+    for draw in range(draws):
+        with suppress(ReferenceFramesError):
+            last = list(measured(chain, sequence.exposed(draw)))[-1]
+            errors[draw] = displacement_error(last.surface, truth.surface)
+            score = score_markers(last.grids, truth.grids)
+            counts[draw] = score.visible, score.found, score.wrong
+    return {f"{method.key}_errors": errors, f"{method.key}_counts": counts}
 
-    def measure(self, method: Method, draws: int) -> dict[str, NDArray[Any]]:
-        """errors (draws, P, rows, cols, 3), counts (draws, P, 3)."""
-        if draws not in self._exposures:
-            self._exposures[draws] = [self.sequence.exposed(draw) for draw in range(draws)]
-        errors, counts = self.errors(method, self._exposures[draws])
-        return {"errors": errors, "counts": counts}
 
-    def errors(
-        self, method: Method, exposures: Sequence[Exposure]
-    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        """Displacement errors (draws, P, rows, cols, 3), m, and counts (draws, P, 3)."""
-        chain = Chain(self._sensor, method)
-        pairs = [self._in_draw(chain, exposure) for exposure in exposures]
-        return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+@dataclass(frozen=True)
+class Summary:
+    """Displacement errors of a method, m.
 
-    def _in_draw(
-        self, chain: Chain, exposure: Exposure
-    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
-        shape = self._sensor.pattern.shape.corners
-        errors = np.full((len(self._truths), *shape, 3), np.nan, np.float32)
-        counts = np.zeros((len(self._truths), 3), np.intp)
-        with suppress(ReferenceFramesError):  # in much noise: then nothing is measured
-            for index, item in enumerate(measured(chain, exposure)):
-                if index in self._truths:
-                    row, truth = list(self._truths).index(index), self._truths[index]
-                    errors[row] = displacement_error(item.surface, truth.surface)
-                    score = score_markers(item.grids, truth.grids)
-                    counts[row] = score.visible, score.found, score.wrong
-        return errors, counts
+    rms, largest (3,) along x, y, z: RMS over markers and draws, mean over draws of the largest.
+    concentration (3,): how many times larger the RMS is in contact than outside of it.
+    found: share of the visible markers.  wrong: number of those with wrong numbers.
+    """
+
+    rms: Array
+    largest: Array
+    concentration: Array
+    found: float
+    wrong: int
+
+    @classmethod
+    def from_arrays(cls, data: Arrays, method: Method) -> Summary:
+        """Of the results of `loads`."""
+        errors, inside = data[f"{method.key}_errors"], data["inside"]
+        visible, found, wrong = data[f"{method.key}_counts"].sum(axis=0).tolist()
+        return cls(
+            root_mean_square(errors),
+            np.mean([largest(draw) for draw in errors], axis=0),
+            root_mean_square(errors[:, inside]) / root_mean_square(errors[:, ~inside]),
+            found / visible,
+            wrong,
+        )
+
+    @property
+    def typical_concentration(self) -> float:
+        """Geometric mean of `concentration` over the axes: z, where errors are largest, is one."""
+        return float(np.exp(np.log(self.concentration).mean()))
+
+
+def split_of(errors: Array) -> tuple[float, float]:
+    """What all draws of noise share of errors (draws, rows, cols, 3), and their spread, RMS, m.
+
+    Two draws or more; markers missing in one are left out.
+    """
+    known = errors[:, np.isfinite(errors).all(axis=(0, -1))]
+    spread = known.var(axis=0, ddof=1).sum(axis=-1).mean()
+    # The mean over draws still holds a share of the noise.
+    shared = (known.mean(axis=0) ** 2).sum(axis=-1).mean() - spread / len(known)
+    return float(np.sqrt(max(shared, 0.0))), float(np.sqrt(spread))
+
+
+def _table(summaries: Mapping[str, Summary], page: Page) -> None:
+    ours = np.linalg.norm(summaries[CMP.key].rms)
+    rows = []
+    for method in METHODS:
+        found = summaries[method.key]
+        errors = (f"{1e6 * value:.3g}" for value in (*found.rms, *found.largest))
+        ratio = f"{np.linalg.norm(found.rms) / ours:.2f}"
+        counts = f"{found.found:.1%} / {found.wrong}"
+        rows.append((method.label, *errors, ratio, _times(found.concentration), counts))
+    page.table("precision.loads", rows)
+
+
+def _dots_table(data: Arrays, page: Page) -> None:
+    rows = []
+    for size, centres in product(DOT_SIZES, CENTRES):
+        errors = data[f"{size:g}_{centres}_errors"]
+        both = float(np.linalg.norm(root_mean_square(errors)))
+        visible, found, wrong = data[f"{size:g}_{centres}_counts"].sum(axis=0).tolist()
+        parts = (f"{1e6 * value:.3g}" for value in (*split_of(errors), both))
+        rows.append((f"{size:g}", centres, *parts, f"{found / visible:.1%} / {wrong}"))
+    page.table("precision.dots", rows, method=DMP_GRID.label, diameter=DOT_DIAMETER)
+
+
+def claims(ours: Summary, dots: Summary, method: Method, page: Page) -> None:
+    """What the paper says of CMP and DMP, beside ours."""
+    values = {"method": method.label}
+    for k, axis in enumerate(AXES):
+        pair = np.array([[ours.rms[k], dots.rms[k]], [ours.largest[k], dots.largest[k]]])
+        worse = (pair[:, 1] >= NOTICEABLE * pair[:, 0]).all()
+        page.claim("precision.axis", worse, axis=axis, um=1e6 * pair, **values)
+    values |= {"ours": _times(ours.concentration), "dots": _times(dots.concentration)}
+    concentrated = dots.typical_concentration >= CONCENTRATED
+    page.claim("precision.concentrated", concentrated, **values)
+    page.claim("precision.uniform", _unevenness(ours) < _unevenness(dots), **values)
+
+
+def _unevenness(summary: Summary) -> float:
+    return float(abs(np.log(summary.typical_concentration)))
+
+
+def _times(ratios: Array) -> str:
+    return ", ".join(f"{ratio:.2f}" for ratio in ratios)
+
+
+def _maps(data: Arrays) -> Figure:
+    """A row for each print, a column for each axis with one scale."""
+    figure, axes = panels(2, 3, 5.6, sharex=True, sharey=True)
+    x, y = 1e3 * data["reference"][0, :, 0], 1e3 * data["reference"][:, 0, 1]
+    means = [1e6 * data[f"{method.key}_errors"].mean(axis=0) for method in (CMP, DMP_PLAIN)]
+    for k, name in enumerate(AXES):
+        widest = float(np.nanmax([np.abs(mean[..., k]) for mean in means]))
+        for axis, mean, label in zip(axes[:, k], means, ("CMP", "DMP, plain"), strict=True):
+            drawn = axis.pcolormesh(x, y, mean[..., k], cmap="RdBu_r", vmin=-widest, vmax=widest)
+            axis.contour(x, y, data["inside"], levels=[0.5], colors="black", linewidths=1.2)
+            axis.set(title=f"{label}, {name}", aspect="equal")
+            axis.grid(visible=False)
+        figure.colorbar(drawn, ax=axes[:, k], location="bottom", label=f"error in {name}, um")
+    return figure

@@ -7,25 +7,29 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from cmp_tactile_processing.measured import Surface
-from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.experiment import Case, Workplace
+from paper.figure_style import panels
 from paper.gel import Mechanics, mechanics_of
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
 from paper.readings import (
+    DOTS,
     READINGS,
     BothPrints,
     Course,
-    DepthField,
     Reading,
-    nodes_of,
+    name_of,
     true_displacement,
 )
 
+TITLE = "V.C: Response to a probe of 0.6 mm"
 # A polynomial is sought for its deepest place on so many lines either way.
 SEARCH_LINES = 41
 
@@ -61,14 +65,6 @@ class Neighbourhood:
         return np.asarray((np.abs(away) <= self.half + 1e-9).all(axis=1))
 
 
-@dataclass(frozen=True)
-class CapturedDepth:
-    """depth: of the deepest marker, m.  fitted: deepest place of the polynomial, m."""
-
-    depth: float
-    fitted: float
-
-
 def dents_of(surface: Surface, at_rest: Sequence[Surface], material: Surface) -> Dents:
     """Depths of all known markers of a surface.
 
@@ -87,14 +83,17 @@ def dents_of(surface: Surface, at_rest: Sequence[Surface], material: Surface) ->
 
 def captured_depth(
     dents: Dents, around: tuple[float, float], reach: float, neighbourhood: Neighbourhood
-) -> CapturedDepth:
-    """What the markers within `reach`, m, of a place (x, y) m show of the dent there."""
+) -> tuple[float, float]:
+    """Depth of the deepest marker, m, and deepest place of the polynomial through its neighbours.
+
+    Of the markers within `reach`, m, of a place (x, y) m.
+    """
     near = np.linalg.norm(dents.xy - around, axis=1) <= reach
     if not near.any():
-        return CapturedDepth(float("nan"), float("nan"))
+        return float("nan"), float("nan")
     deepest = int(np.argmax(np.where(near, dents.depth, -np.inf)))
     fitted = fitted_depth(dents, dents.xy[deepest], neighbourhood)
-    return CapturedDepth(float(dents.depth[deepest]), fitted)
+    return float(dents.depth[deepest]), fitted
 
 
 def fitted_depth(dents: Dents, centre: Array, neighbourhood: Neighbourhood) -> float:
@@ -122,7 +121,8 @@ def _quadratic(xy: Array) -> Array:
 
 PRESSED = 0.5e-3
 HIGH_RESPONSE = 0.6
-POINTS_PER_CASE = 5
+# "Significantly" of the paper: chance alone would do as well less often than this.
+CHANCE = 0.05
 # The deepest marker is sought so far from the probe, m: nothing else presses.
 REACH = 1.2e-3
 SPACING = 0.05e-3
@@ -131,34 +131,34 @@ FAST_NODES = 41
 
 # Three rows of three corners, or so many markers on the gridlines.
 NEAREST = 9
+SHOWN = {
+    "cmp": "CMP, with virtual markers",
+    "cmp_paper": "CMP, the paper's algorithm",
+    "cmp_corners": "CMP, corners only",
+    "dmp_nearest": "DMP, nearest dot",
+}
+LIMIT_MM = 6.0
 
 
-@dataclass(frozen=True)
-class _Site:
-    """A point (x, y) m that is pressed.  material: exact markers at rest."""
-
-    point: tuple[float, float]
-    pattern: Pattern
-    material: Surface
-    field: DepthField
-
-
-def cases(place: Workplace) -> Sequence[Case]:
-    """The points row by row; in the fast run the nine of one quarter, which the others mirror."""
-    seeds = tuple(range(1 if place.fast else 3))
+def run(lab: Lab, page: Page) -> None:
+    """Press all points, in the fast run the nine of one quarter, which the others mirror."""
     points = probe_points()
-    if place.fast:
-        chosen = tuple((x, y) for x, y in points if x <= 0 and y <= 0)
-        return (Case("probe-points", captured_at, (chosen, seeds), seconds=40.0),)
-    return tuple(
-        Case(
-            f"probe-points-{n}",
-            captured_at,
-            (points[first : first + POINTS_PER_CASE], seeds),
-            seconds=40.0,
-        )
-        for n, first in enumerate(range(0, len(points), POINTS_PER_CASE))
-    )
+    if lab.fast:
+        points = tuple((x, y) for x, y in points if x <= 0 and y <= 0)
+    seeds = tuple(range(1 if lab.fast else 3))
+    parts = lab.compute(captured_at, [((point,), seeds) for point in points])
+    data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    deepest = 1e3 * data["true"]
+    page.prose(
+        "probe", "setup", pressed=1e3 * PRESSED, least=deepest.min(), most=deepest.max(),
+        zone=HIGH_RESPONSE,
+    )  # fmt: skip
+    _depth_table(data, page)
+    page.figure(_maps(data), "probe.maps", zone=HIGH_RESPONSE)
+    page.prose("probe", "polynomial")
+    _gain_table(data, page)
+    claims(data, page)
+    page.departures("probe", points=len(points))
 
 
 def probe_points() -> tuple[tuple[float, float], ...]:
@@ -172,10 +172,9 @@ def captured_at(
 ) -> dict[str, Array]:
     """What every reading captures of the probe at these points.
 
-    `points` (P, 2) m; `true` (P,) m, deepest place of the marker surface; `corner` (P,) m, way
-    from the point to the nearest corner at rest; `corner_xy` (P, n, 2) m; by reading KEY, each
-    (P, seeds) m: `KEY_depth` of the deepest marker, `KEY_square` and `KEY_nearest` of the
-    quadratic through its neighbours, `KEY_dense` of the dense surface.
+    `points` (P, 2) m; `true` (P,) m, deepest place of the marker surface; `corner_xy` (P, n, 2) m;
+    by reading KEY, each (P, seeds) m: `KEY_depth` of the deepest marker, `KEY_square` and
+    `KEY_nearest` of the quadratic through its neighbours.
     """
     data: dict[str, list[Any]] = {}
     prints: BothPrints | None = None
@@ -199,17 +198,15 @@ def _row_at(
     last = frames[-1]
     courses = list(prints.courses(mechanics, frames, seeds))
     exact = Course("", 0, [rest], {last: prints.true_surface(mechanics, last)})
-    site = _Site(point, pattern, rest, DepthField(pattern, SPACING))
-    corners = pattern.corners()[..., :2].reshape(-1, 2)
     data: dict[str, Any] = {
         "points": point,
         "true": _true_depth(mechanics.surface(last, pattern), point),
-        "corner": np.linalg.norm(corners - point, axis=-1).min(),
-        "corner_xy": corners,
+        "corner_xy": pattern.corners()[..., :2].reshape(-1, 2),
     }
     for reading in READINGS:
         depths = [
-            _depths(reading, course, last, site) for course in reading.courses(courses, exact)
+            _depths(reading, course, rest, point, pattern.pitch)
+            for course in reading.courses(courses, exact)
         ]
         data |= {f"{reading.key}_{name}": [d[name] for d in depths] for name in depths[0]}
     return data
@@ -238,19 +235,106 @@ def _true_depth(surface: DeformedSurface, point: tuple[float, float]) -> float:
     return float(depth.max())
 
 
-def _depths(reading: Reading, course: Course, frame: int, site: _Site) -> Mapping[str, float]:
-    """Depths of the dent at a site, m, by the way they are found."""
-    surface, rest = (
-        reading.choose(course.surfaces[frame]),
-        [reading.choose(item) for item in course.rest],
+def _depths(
+    reading: Reading, course: Course, rest: Surface, point: tuple[float, float], pitch: float
+) -> Mapping[str, float]:
+    """Depths of the dent at a point in a course's last frame, m, by the way they are found.
+
+    rest: exact markers at rest.
+    """
+    pressed, at_rest = list(course.surfaces.values())[-1], map(reading.choose, course.rest)
+    dents, square = dents_of(reading.choose(pressed), list(at_rest), rest), Neighbourhood(pitch)
+    depth, by_square = captured_depth(dents, point, REACH, square)
+    _, by_nearest = captured_depth(dents, point, REACH, replace(square, nearest=NEAREST))
+    return {"depth": depth, "square": by_square, "nearest": by_nearest}
+
+
+def responses(points: Arrays, key: str) -> tuple[float, float, float]:
+    """Mean depth, m; share of points in the paper's zone; in that of the marker surface."""
+    depth = points[f"{key}_depth"]
+    of_true = depth >= HIGH_RESPONSE * points["true"][:, None]
+    of_probe = depth >= HIGH_RESPONSE * PRESSED
+    return float(depth.mean()), float(of_probe.mean()), float(of_true.mean())
+
+
+def gain(points: Arrays, key: str, way: str) -> tuple[float, float]:
+    """Mean gain over the deepest marker; RMS of what is left to the marker surface's depth, m."""
+    fitted = points[f"{key}_{way}"]
+    left = fitted - points["true"][:, None]
+    return float((fitted - points[f"{key}_depth"]).mean()), float(np.sqrt((left**2).mean()))
+
+
+def _depth_table(points: Arrays, page: Page) -> None:
+    rows = []
+    for reading in READINGS:
+        mean, paper_zone, true_zone = responses(points, reading.key)
+        share = points[f"{reading.key}_depth"] / points["true"][:, None]
+        shares = (mean / PRESSED, share.mean(), share.min(), paper_zone, true_zone)
+        rows.append((name_of(reading), f"{1e3 * mean:.3f}", *(f"{value:.0%}" for value in shares)))
+    page.table("probe.depths", rows)
+
+
+def _gain_table(points: Arrays, page: Page) -> None:
+    rows = []
+    for reading in READINGS:
+        cells = [name_of(reading), f"{1e3 * gain(points, reading.key, 'depth')[1]:.3f}"]
+        for way in ("square", "nearest"):
+            more, left = gain(points, reading.key, way)
+            cells.append(f"{1e3 * more:+.3f} ({1e3 * left:.3f})")
+        rows.append(cells)
+    page.table("probe.gains", rows)
+
+
+def claims(points: Arrays, page: Page) -> None:
+    """The paper's claims beside what all points came to."""
+    ours = responses(points, "cmp")
+    dots = np.max([responses(points, key) for key in DOTS], axis=0)
+    of_probe = np.full_like(points["true"], PRESSED)
+    nearer = abs(PRESSED - ours[0]) < abs(PRESSED - dots[0])
+    page.claim("probe.depth", nearer, cmp=1e3 * ours[0], dots=1e3 * dots[0])
+    true = float((points["true"] >= HIGH_RESPONSE * PRESSED).mean())
+    for n, (name, full) in enumerate((("zone", of_probe), ("true_zone", points["true"])), 1):
+        more = all(significantly_more(points, key, full) for key in DOTS)
+        page.claim(f"probe.{name}", more, cmp=ours[n], dots=dots[n], true=true)
+    for way, label in (("square", "a square of one pitch"), ("nearest", "the nine nearest")):
+        own, best = gain(points, "cmp", way)[0], max(gain(points, key, way)[0] for key in DOTS)
+        # What takes away from the depth is no gain, even if DMP loses more.
+        larger = own > max(best, 0.0)
+        page.claim("probe.gain", larger, markers=label, cmp=1e3 * own, dots=1e3 * best)
+
+
+def significantly_more(points: Arrays, dots: str, full: Array) -> bool:
+    """Whether more points are in the zone with CMP than with a DMP, by more than chance.
+
+    full (P,) m: depth that the zone is a share of.  Sign test over the points at which one of both
+    is in the zone by the mean depth of all noises, and the other is not.
+    """
+    ours, theirs = (
+        points[f"{key}_depth"].mean(axis=1) >= HIGH_RESPONSE * full for key in ("cmp", dots)
     )
-    dents, square = dents_of(surface, rest, site.material), Neighbourhood(site.pattern.pitch)
-    by_square = captured_depth(dents, site.point, REACH, square)
-    by_nearest = captured_depth(dents, site.point, REACH, replace(square, nearest=NEAREST))
-    near = np.linalg.norm(nodes_of(site.field.grid) - site.point, axis=-1) <= REACH
-    return {
-        "depth": by_square.depth,
-        "square": by_square.fitted,
-        "nearest": by_nearest.fitted,
-        "dense": float(np.nanmax(site.field.depth(surface)[near])),
-    }
+    won, lost = int((ours & ~theirs).sum()), int((theirs & ~ours).sum())
+    if not won + lost:
+        return False
+    return bool(binomtest(won, won + lost, alternative="greater").pvalue < CHANCE)
+
+
+def _maps(points: Arrays) -> Figure:
+    """Depth of the deepest marker at each point, one panel for each method."""
+    figure, axes = panels(2, 2, 7.6, sharex=True, sharey=True)
+    x, y = 1e3 * points["points"].T
+    true = points["true"]
+    low = 1e3 * min(float(points[f"{key}_depth"].min()) for key in SHOWN)
+    image: Any = None
+    for axis, (key, title) in zip(axes.flat, SHOWN.items(), strict=True):
+        depth = points[f"{key}_depth"].mean(axis=1)
+        axis.plot(*(1e3 * points["corner_xy"][0].T), ".", color="#bbbbbb", markersize=1.5)
+        image = axis.scatter(x, y, c=1e3 * depth, s=130, vmin=0.95 * low, vmax=1e3 * true.max())
+        high = depth >= HIGH_RESPONSE * true
+        axis.scatter(x[high], y[high], s=230, facecolors="none", edgecolors="black", linewidths=1.1)
+        axis.set_title(f"{title}: {high.sum()} of {len(high)}, mean {1e3 * depth.mean():.3f} mm")
+        axis.set(xlim=(-LIMIT_MM, LIMIT_MM), ylim=(-LIMIT_MM, LIMIT_MM), aspect="equal")
+        axis.grid(visible=False)
+    figure.supxlabel("x, mm")
+    figure.supylabel("y, mm")
+    figure.colorbar(image, ax=axes, label="depth of the deepest marker, mm", shrink=0.8)
+    return figure

@@ -1,13 +1,13 @@
-"""Section IV.F: how much uneven light, weak contrast and noise each method bears."""
+"""IV.F: how much uneven light, weak contrast and impulses each method bears."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
@@ -16,148 +16,110 @@ from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.scenes.description import MoveBy, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.chain import Chain, Method, displacement_error, score_markers
+from paper.chain import CMP, Chain, Method, score_markers
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import Case, Workplace
+from paper.figure_style import PAPER_COLOUR, legend, look, panels
 from paper.gel import mechanics_of
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
 from paper.sequence import PrintedGel, Truth
 
+TITLE = "IV.F: Reliability in uneven light and noise"
 # Across the frame in which the light fades, one for each repetition: along y each view has all of
 # it, along x one view is the dark one.
 DIRECTIONS = (math.pi / 2, 0.0, math.pi / 4)
 GOOD = CameraSettings()
-
-
-@dataclass(frozen=True)
-class Disturbance:
-    """The camera, and a light that fades linearly across the pattern.
-
-    light_ratio: darkest over brightest illumination of the pattern, both views together; the
-    camera's own setting is that of the whole frame, of which the pattern fills a part.
-    direction: from the frame's x axis (right) towards y (down), rad.
-    """
-
-    camera: CameraSettings
-    light_ratio: float = 1.0
-    direction: float = 0.0
+REST_FRAMES = 2
+# Noise differs with a frame's number: those of a repetition lie below this.
+FRAMES_PER_REPETITION = 100
+# Of the press, shown in order and judged; the first of them is still before the contact.
+PRESS_FRAMES = (0, 4, 6, 8)
+HALF = 0.5
 
 
 @dataclass(frozen=True)
 class Sweep:
     """Levels of one disturbance, from good to bad.
 
-    level: what it is called, with its unit.  disturbance: of a level.
-    repetitions: of a full run, each with noise of its own.
-    fast_levels: of the quick run.  paper_limit: level up to which the paper's algorithm worked.
-    logarithmic: how the level's axis is drawn.  percent: levels are shares.
+    level: what it is called, with its unit.  camera: of a level; light_ratio: whether levels are
+    darkest over brightest illumination of the pattern, both views together, instead.
+    repetitions: of a full run, each with noise and a direction of the light of its own.
+    paper_limit: level up to which the paper's algorithm worked.
     """
 
-    key: str
     title: str
     level: str
     levels: tuple[float, ...]
     fast_levels: tuple[float, ...]
-    disturbance: Callable[[float], Disturbance]
+    camera: Callable[[float], CameraSettings]
     repetitions: int
+    light_ratio: bool = False
     paper_limit: float | None = None
-    logarithmic: bool = False
     percent: bool = False
 
-    def at(self, level: float, repetition: int) -> Disturbance:
-        """A level; repetitions differ in where the light comes from."""
-        direction = DIRECTIONS[repetition % len(DIRECTIONS)]
-        return replace(self.disturbance(level), direction=direction)
+    def text(self, level: float) -> str:
+        """A level as a reader takes it."""
+        return f"{100 * level:.0f} %" if self.percent else f"{level:.2g}"
 
 
-def lit(frame: RenderedFrame, disturbance: Disturbance, grids: Mapping[str, Grid]) -> RenderedFrame:
-    """The frame in the disturbance's light; grids: where the pattern is in the views at rest."""
-    if disturbance.light_ratio == 1:
-        return frame
-    along = math.cos(disturbance.direction), math.sin(disturbance.direction)
-    corners = [grid.corners_frame.reshape(-1, 2) @ along for grid in grids.values()]
-    first, last = np.nanmin(corners), np.nanmax(corners)
-    rows, cols = (np.arange(side) / frame.fineness for side in frame.grey.shape)
-    way = (cols * along[0] + (rows * along[1])[:, None] - first) / (last - first)
-    light = 1 - (1 - disturbance.light_ratio) * way.clip(0, 1)
-    return replace(frame, grey=(frame.grey * light).astype(np.float32))
-
-
-def _light(ratio: float) -> Disturbance:
-    return Disturbance(GOOD, ratio)
-
-
-def _visibility(visibility: float) -> Disturbance:
-    dark = GOOD.light_level * (1 - visibility) / (1 + visibility)
-    return Disturbance(replace(GOOD, dark_level=dark))
-
-
-def _impulses(share: float) -> Disturbance:
-    return Disturbance(replace(GOOD, salt_and_pepper=share))
+def _visibility(visibility: float) -> CameraSettings:
+    return replace(GOOD, dark_level=GOOD.light_level * (1 - visibility) / (1 + visibility))
 
 
 # Michelson's (light - dark) / (light + dark) of the simulated print: 205 and 45 of 255.
 VISIBILITY = (GOOD.light_level - GOOD.dark_level) / (GOOD.light_level + GOOD.dark_level)
+SWEEPS = {
+    "light": Sweep(
+        "Uneven light",
+        "darkest over brightest illumination",
+        (1.0, 0.7, 0.4, 0.3, 0.2, 0.1, 0.07, 0.05, 0.03, 0.01),
+        (1.0, 0.4, 0.03),
+        lambda _: GOOD,
+        3,
+        light_ratio=True,
+        paper_limit=0.4,
+    ),
+    "contrast": Sweep(
+        "Weak contrast",
+        "visibility of the print",
+        (VISIBILITY, 0.3, 0.1, 0.05, 0.03, 0.02, 0.01),
+        (VISIBILITY, 0.02),
+        _visibility,
+        2,
+    ),
+    "salt_and_pepper": Sweep(
+        "Salt and pepper",
+        "pixels spoilt",
+        (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7),
+        (0.0, 0.05, 0.2, 0.4),
+        lambda share: replace(GOOD, salt_and_pepper=share),
+        3,
+        paper_limit=0.05,
+        percent=True,
+    ),
+}
 
-SWEEPS: Mapping[str, Sweep] = MappingProxyType(
-    {
-        sweep.key: sweep
-        for sweep in (
-            Sweep(
-                "light",
-                "Uneven light",
-                "darkest over brightest illumination",
-                (1.0, 0.7, 0.4, 0.3, 0.2, 0.1, 0.07, 0.05, 0.03, 0.01),
-                (1.0, 0.4, 0.03),
-                _light,
-                3,
-                paper_limit=0.4,
-                logarithmic=True,
-            ),
-            Sweep(
-                "contrast",
-                "Weak contrast",
-                "visibility of the print",
-                (VISIBILITY, 0.3, 0.1, 0.05, 0.03, 0.02, 0.01),
-                (VISIBILITY, 0.02),
-                _visibility,
-                2,
-                logarithmic=True,
-            ),
-            Sweep(
-                "salt_and_pepper",
-                "Salt and pepper",
-                "pixels spoilt",
-                (0.0, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7),
-                (0.0, 0.05, 0.2, 0.4),
-                _impulses,
-                3,
-                paper_limit=0.05,
-                percent=True,
-            ),
-        )
+
+def run(lab: Lab, page: Page) -> None:
+    """Go through the levels of all sweeps, and report."""
+    cases = []
+    for key, sweep in SWEEPS.items():
+        levels = sweep.fast_levels if lab.fast else sweep.levels
+        repetitions = 1 if lab.fast else sweep.repetitions
+        cases += [(key, levels, kind, repetitions) for kind in ("cmp", "dmp")]
+    found = dict(zip([case[:3:2] for case in cases], lab.compute(endure, cases), strict=True))
+    endurances = {
+        (key, method.key): Endurance.from_arrays(found[key, method.pattern_type], method.key)
+        for key in SWEEPS
+        for method in ALL_METHODS
     }
-)
-
-
-def pattern_parts(image: NDArray[np.uint8], grids: Mapping[str, Grid]) -> list[NDArray[np.uint8]]:
-    """Of a frame (H, W), the rectangle in each view that holds all of its true corners."""
-    parts = []
-    for grid in grids.values():
-        corners = grid.corners_frame.reshape(-1, 2)
-        (left, top), (right, bottom) = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
-        parts.append(image[int(top) : int(bottom) + 1, int(left) : int(right) + 1])
-    return parts
-
-
-# Of a print, one repetition by all of its methods.
-SECONDS_PER_LEVEL = {"cmp": 1.0, "dmp": 2.3}
-REST_FRAMES = 2
-# Noise differs with a frame's number: those of a repetition lie below this.
-FRAMES_PER_REPETITION = 100
-# Of the press, shown in order and judged; the first of them is still before the contact.
-PRESS_FRAMES = (0, 4, 6, 8)
-# Width of what figures show of a view, px.
-STRIP = 110
+    page.prose("reliability", "setup", rest=REST_FRAMES, press=len(PRESS_FRAMES))
+    page.prose("reliability", "definitions")
+    _limits(endurances, page)
+    page.figure(_curves(endurances), "reliability.limits")
+    page.prose("reliability", "shared")
+    claims({key: endurances[key, CMP.key] for key in SWEEPS}, page)
+    page.departures("reliability")
 
 
 def pressed_ring(place: Workplace) -> Scene:
@@ -177,21 +139,20 @@ def pressed_ring(place: Workplace) -> Scene:
     )
 
 
-def _levels_of(sweep: Sweep, place: Workplace) -> tuple[float, ...]:
-    """Levels of a run."""
-    return sweep.fast_levels if place.fast else sweep.levels
+def lit(
+    frame: RenderedFrame, ratio: float, direction: float, grids: Mapping[str, Grid]
+) -> RenderedFrame:
+    """The frame in a light that falls linearly across the pattern to that share.
 
-
-def cases(place: Workplace) -> Sequence[Case]:
-    """One for each disturbance and print."""
-    chosen = []
-    for sweep in SWEEPS.values():
-        levels, repetitions = _levels_of(sweep, place), 1 if place.fast else sweep.repetitions
-        for pattern_type, seconds in SECONDS_PER_LEVEL.items():
-            arguments = sweep.key, levels, pattern_type, repetitions
-            took = 6 + seconds * len(levels) * repetitions
-            chosen.append(Case(f"{sweep.key}-{pattern_type}", expose_and_track, arguments, took))
-    return chosen
+    direction: from the frame's x axis (right) towards y (down), rad.  grids: of the gel at rest.
+    """
+    along = math.cos(direction), math.sin(direction)
+    corners = [grid.corners_frame.reshape(-1, 2) @ along for grid in grids.values()]
+    first, last = np.nanmin(corners), np.nanmax(corners)
+    rows, cols = (np.arange(side) / frame.fineness for side in frame.grey.shape)
+    way = (cols * along[0] + (rows * along[1])[:, None] - first) / (last - first)
+    light = 1 - (1 - ratio) * way.clip(0, 1)
+    return replace(frame, grey=(frame.grey * light).astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -211,91 +172,167 @@ class _Shots:
         rendered = tuple(gel.rendered(surface) for surface in surfaces)
         return cls(gel, rendered, tuple(gel.truth(surface) for surface in surfaces))
 
-    def under(self, disturbance: Disturbance, repetition: int) -> list[NDArray[np.uint8]]:
+    def under(self, sweep: Sweep, level: float, repetition: int) -> list[NDArray[np.uint8]]:
         """Frames of the gel at rest, then of the press."""
-        first = repetition * FRAMES_PER_REPETITION
-        lighted = [lit(frame, disturbance, self.truth[0].grids) for frame in self.press]
-        shown = [lighted[0]] * REST_FRAMES + lighted
-        camera = disturbance.camera
+        direction, lighted = DIRECTIONS[repetition % len(DIRECTIONS)], list(self.press)
+        if sweep.light_ratio:
+            grids = self.truth[0].grids
+            lighted = [lit(frame, level, direction, grids) for frame in lighted]
+        shown, first = [lighted[0]] * REST_FRAMES + lighted, repetition * FRAMES_PER_REPETITION
+        camera = sweep.camera(level)
         return [self.gel.exposed(frame, first + n, camera) for n, frame in enumerate(shown)]
 
 
-def expose_and_track(
-    place: Workplace,
-    sweep_key: str,
-    levels: tuple[float, ...],
-    pattern_type: str,
-    repetitions: int,
+def endure(
+    place: Workplace, key: str, levels: tuple[float, ...], pattern_type: str, repetitions: int
 ) -> dict[str, NDArray[np.generic]]:
     """One disturbance of one print at all of its levels.
 
-    Of each method `KEY_found`, `KEY_wrong`, `KEY_visible` markers and `KEY_error`, m, the median
-    error of a found marker's displacement (levels, repetitions, frames), and `KEY_referenced`
-    (levels, repetitions), whether there was a reference.  `strips`: of the last
-    frame of each level's first repetition.
+    `levels`; of each method `KEY_found`, `KEY_wrong`, `KEY_visible` (levels, repetitions, frames)
+    markers, and `KEY_referenced` (levels, repetitions), whether there was a reference.
     """
     shots = _Shots.from_workplace(place, pattern_type)
-    methods = [method for method in ALL_METHODS if method.pattern_type == pattern_type]
-    rows: list[dict[str, NDArray[np.generic]]] = []
-    strips: list[NDArray[np.uint8]] = []
-    for level in levels:
-        repeated: list[dict[str, NDArray[np.generic]]] = []
-        for repetition in range(repetitions):
-            disturbance = SWEEPS[sweep_key].at(level, repetition)
-            images = shots.under(disturbance, repetition)
-            if not repetition:
-                strips.append(_strip(shots, images[-1]))
-            repeated.append(_by_methods(shots, methods, images))
-        rows.append(_joined(repeated))
-    return {"levels": np.array(levels), "strips": np.stack(strips), **_joined(rows)}
-
-
-def _joined(rows: list[dict[str, NDArray[np.generic]]]) -> dict[str, NDArray[np.generic]]:
-    return {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-
-
-def _strip(shots: _Shots, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The middle of the left view of the last frame."""
-    last = pattern_parts(image, shots.truth[-1].grids)[0]
-    left = (last.shape[1] - STRIP) // 2
-    return last[:, left : left + STRIP]
-
-
-def _by_methods(
-    shots: _Shots, methods: Sequence[Method], images: list[NDArray[np.uint8]]
-) -> dict[str, NDArray[np.generic]]:
-    return {
-        f"{method.key}_{name}": values
-        for method in methods
-        for name, values in _measured(shots, method, images).items()
-    }
+    result: dict[str, NDArray[np.generic]] = {"levels": np.array(levels)}
+    images = [
+        [shots.under(SWEEPS[key], level, repetition) for repetition in range(repetitions)]
+        for level in levels
+    ]
+    for method in ALL_METHODS:
+        if method.pattern_type == pattern_type:
+            rows = [[_measured(shots, method, shown) for shown in row] for row in images]
+            for n, name in enumerate(("found", "wrong", "visible", "referenced")):
+                result[f"{method.key}_{name}"] = np.array([[one[n] for one in row] for row in rows])
+    return result
 
 
 def _measured(
     shots: _Shots, method: Method, images: list[NDArray[np.uint8]]
-) -> dict[str, NDArray[np.generic]]:
-    rest, press = images[:REST_FRAMES], images[REST_FRAMES:]
-    chain = Chain(shots.gel.sensor, method)
+) -> tuple[list[int], list[int], list[int], bool]:
+    chain, referenced = Chain(shots.gel.sensor, method), True
     try:
-        chain.set_reference(rest)
-        referenced = True
+        chain.set_reference(images[:REST_FRAMES])
     except ReferenceFramesError:
         # What is found in the frames is counted all the same.
         referenced = False
-    found, wrong, visible, error = [], [], [], []
-    for image, truth in zip(press, shots.truth, strict=True):
-        measured = chain.measure(image)
-        score = score_markers(measured.grids, truth.grids)
-        found.append(score.found)
-        wrong.append(score.wrong)
-        visible.append(score.visible)
-        off = np.linalg.norm(displacement_error(measured.surface, truth.surface), axis=-1)
-        known = np.isfinite(off).any() and referenced
-        error.append(float(np.nanmedian(off)) if known else float("nan"))
-    return {
-        "found": np.array(found),
-        "wrong": np.array(wrong),
-        "visible": np.array(visible),
-        "error": np.array(error),
-        "referenced": np.array(referenced),
+    scores = [
+        score_markers(chain.measure(image).grids, truth.grids)
+        for image, truth in zip(images[REST_FRAMES:], shots.truth, strict=True)
+    ]
+    counts = ([getattr(s, name) for s in scores] for name in ("found", "wrong", "visible"))
+    found, wrong, visible = counts
+    return found, wrong, visible, referenced
+
+
+@dataclass(frozen=True)
+class Endurance:
+    """How a method fares from level to level, from good to bad, (L,) each.
+
+    success: share of the frames in which every visible marker is found and none bears a wrong
+    number, of a gel that has its reference.  found: markers found of those visible.
+    """
+
+    levels: NDArray[np.float64]
+    success: NDArray[np.float64]
+    found: NDArray[np.float64]
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays, method: str) -> Endurance:
+        """From the result of `endure`."""
+        found, wrong, visible, referenced = (
+            arrays[f"{method}_{name}"] for name in ("found", "wrong", "visible", "referenced")
+        )
+        works = (found == visible) & (wrong == 0) & referenced[..., None]
+        shares = found.sum(axis=(1, 2)) / visible.sum(axis=(1, 2))
+        return cls(arrays["levels"], works.mean(axis=(1, 2)), shares)
+
+    @property
+    def fails_at(self) -> int | None:
+        """Index of the first level where a marker is lost or has a wrong number in any frame."""
+        return _first(self.success < 1)
+
+    @property
+    def half_lost_at(self) -> int | None:
+        """Index of the first level where half of all markers are lost, or more."""
+        return _first(self.found <= HALF)
+
+    @property
+    def bears(self) -> float | None:
+        """The worst level before it begins to fail; None where it fails at the first."""
+        first = self.fails_at
+        if first == 0:
+            return None
+        return float(self.levels[-1 if first is None else first - 1])
+
+
+def _first(where: NDArray[np.bool_]) -> int | None:
+    return int(np.argmax(where)) if where.any() else None
+
+
+Endurances = Mapping[tuple[str, str], Endurance]
+
+
+def _limits(endurances: Endurances, page: Page) -> None:
+    """Where each method begins to fail, and where half of its markers are lost."""
+    rows = [
+        (m.label, *(_limit(sweep, endurances[key, m.key]) for key, sweep in SWEEPS.items()))
+        for m in ALL_METHODS
+    ]
+    sweeps = [f"{sweep.title}: {sweep.level}" for sweep in SWEEPS.values()]
+    page.table("reliability.limits", rows, sweeps=sweeps)
+
+
+def _limit(sweep: Sweep, endurance: Endurance) -> str:
+    first, half = endurance.fails_at, endurance.half_lost_at
+    if first is None:
+        return f"none to {sweep.text(endurance.levels[-1])}"
+    lost = "never" if half is None else sweep.text(endurance.levels[half])
+    return f"{sweep.text(endurance.levels[first])} ({lost})"
+
+
+def claims(cmp: Mapping[str, Endurance], page: Page) -> None:
+    """The paper's limits beside ours, by sweep."""
+    light, noise = cmp["light"].bears, cmp["salt_and_pepper"].bears
+    met = {
+        "light": light is not None and light <= 0.4,
+        "contrast": None,
+        "salt_and_pepper": noise is not None and noise >= 0.05,
     }
+    for key, verdict in met.items():
+        page.claim(f"reliability.{key}", verdict, range=_range(key, cmp))
+
+
+def _range(key: str, cmp: Mapping[str, Endurance]) -> str:
+    sweep, endurance = SWEEPS[key], cmp[key]
+    first = endurance.fails_at
+    if endurance.bears is None:
+        return "fails without it"
+    if first is None:
+        return f"works to {sweep.text(endurance.bears)}, the last level tried"
+    return (
+        f"works to {sweep.text(endurance.bears)}; begins to fail at "
+        f"{sweep.text(endurance.levels[first])} ({100 * endurance.found[first]:.3g} % of the "
+        "markers found there)"
+    )
+
+
+def _curves(endurances: Endurances) -> Figure:
+    """Success and markers found over the levels of all sweeps, of every method."""
+    figure, axes = panels(2, len(SWEEPS), 4.6, sharex="col", sharey=True)
+    for column, (key, sweep) in zip(axes.T, SWEEPS.items(), strict=True):
+        for number, method in enumerate(ALL_METHODS):
+            endurance = endurances[key, method.key]
+            # One on the other, all are to be seen.
+            style = {**look(method.key, hollow=True), "markersize": 9.0 - 1.4 * number}
+            for axis, values in zip(column, (endurance.success, endurance.found), strict=True):
+                axis.plot(endurance.levels, 100 * values, label=method.label, **style)
+                if sweep.paper_limit is not None:
+                    axis.axvline(sweep.paper_limit, color=PAPER_COLOUR, linestyle="--")
+        column[0].set_title(sweep.title)
+        column[1].set_xlabel(sweep.level)
+        if sweep.levels[0] > sweep.levels[-1]:
+            column[1].set_xscale("log")
+            column[1].invert_xaxis()
+    axes[0, 0].set_ylabel("frames without fault, %")
+    axes[1, 0].set_ylabel("markers found, %")
+    legend(figure, axes[0, 0], 3)
+    return figure

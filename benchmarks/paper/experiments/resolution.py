@@ -1,36 +1,84 @@
-"""Section IV.E: five small spheres, and how near two of them may be to be distinguished."""
+"""IV.E: five small spheres, and how near two of them may be to be distinguished."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.experiment import Case, Workplace
+from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, look, panels
 from paper.gel import Mechanics, mechanics_of
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
 from paper.readings import (
+    DOTS,
+    MEASURED,
     READINGS,
     BothPrints,
     Course,
     DepthField,
+    name_of,
     nodes_of,
     sampled,
     true_displacement,
 )
 
+TITLE = "IV.E: Resolution: five small spheres, and pairs of them"
 # Between two points of light that are just resolved the light falls to 73.5 % (Rayleigh).
 RAYLEIGH_DIP = 0.265
 # Two maxima at all, by more than noise and interpolation make of one.
 LEAST_DIP = 0.05
 # The line goes on so far beyond both contacts, and its points are so far apart, m.
 BEYOND, STEP = 0.4e-3, 25e-6
+TRUE = "true"
+# Figures that differ by less are the same to claims.
+ALIKE = 0.1
+RADIUS = 1e-3
+# Those of the gel of section V.C, which then serves here, too: 0.275 mm apart.
+NODES, FAST_NODES = 61, 41
+# Of the depth field, m.
+SPACING, PAIR_SPACING = 0.1e-3, 0.05e-3
+# Two spheres at one place are one, which must not be taken for two ASSUMED apart.
+WIDE_MM = (0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.5, 3.0)
+SEPARATIONS = (0.0, *(1e-3 * wide for wide in WIDE_MM))
+FAST_SEPARATIONS = (0.0, 1.2e-3, 1.6e-3, 2.0e-3)
+ASSUMED = 1e-3
+PAIR_DEPTH, CLEARANCE = 0.2e-3, 0.1e-3
+# Pairs are pressed in four at a time, around places so far from the middle along x and y, m.
+AWAY, PAIRS_AT_ONCE, LAYOUTS = 3.3e-3, 4, 3
+# Fills a square evenly with few points (Roberts' R2 sequence).
+PLASTIC = 1.32471795724474602596
+SHOWN = (("cmp", "CMP"), ("cmp_corners", "CMP, corners only"), ("dmp_nearest", "DMP, nearest dot"))
+# The part of the print that is drawn, mm.
+DRAWN_MM = 5.4
 
 Array = NDArray[np.float64]
+
+
+def run(lab: Lab, page: Page) -> None:
+    """Press spheres and pairs, and report."""
+    seeds = tuple(range(1 if lab.fast else 3))
+    (spheres,) = lab.compute(five_spheres, [(seeds,)])
+    layouts = range(1 if lab.fast else LAYOUTS)
+    separations = FAST_SEPARATIONS if lab.fast else SEPARATIONS
+    cases = [(layout, (separation,), seeds) for layout in layouts for separation in separations]
+    pairs = joined_pairs(lab.compute(pairs_apart, cases))
+    page.prose("resolution", "setup")
+    _sphere_table(spheres, page)
+    page.figure(_draw_spheres(spheres), "resolution.spheres")
+    page.prose("resolution", "pairs", dip=100 * LEAST_DIP)
+    _pair_table(pairs, page)
+    page.figure(_draw_dips(pairs), "resolution.pairs")
+    claims(spheres, pairs, page)
+    page.departures("resolution")
 
 
 def line_through(centre: Array, angle: float, separation: float) -> Array:
@@ -68,27 +116,6 @@ def smallest_resolved(separation: Array, data: NDArray[np.bool_], share: float =
     return reached
 
 
-RADIUS = 1e-3
-# Those of the gel of section V.C, which then serves here, too: 0.275 mm apart.
-NODES, FAST_NODES = 61, 41
-# Of the depth field, m.
-SPACING = 0.1e-3
-PAIR_SPACING = 0.05e-3
-# Two spheres at one place are one, which must not be taken for two ASSUMED apart.
-WIDE_MM = (0.6, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.5, 3.0)
-SEPARATIONS = (0.0, *(1e-3 * wide for wide in WIDE_MM))
-FAST_SEPARATIONS = (0.0, *(1e-3 * wide for wide in (1.2, 1.6, 2.0)))
-ASSUMED = 1e-3
-PAIR_DEPTH = 0.2e-3
-CLEARANCE = 0.1e-3
-# Pairs are pressed in four at a time, around places so far from the middle along x and y, m.
-AWAY = 3.3e-3
-PAIRS_AT_ONCE = 4
-LAYOUTS = 3
-# Fills a square evenly with few points (Roberts' R2 sequence).
-PLASTIC = 1.32471795724474602596
-
-
 @dataclass(frozen=True)
 class Pair:
     """Two spheres: the point half way between them (x, y) m, the direction from one to the other.
@@ -105,23 +132,6 @@ class Pair:
         return np.asarray(np.array(self.middle) + np.array([[-1.0], [1.0]]) * half)
 
 
-def cases(place: Workplace) -> Sequence[Case]:
-    """Five spheres, then pairs of spheres by layout and separation."""
-    seeds = tuple(range(1 if place.fast else 3))
-    spheres = Case("resolution-spheres", five_spheres, (seeds,), seconds=20.0)
-    if place.fast:
-        return (spheres, Case("resolution-pairs", pairs_apart, (0, FAST_SEPARATIONS, seeds), 40.0))
-    groups = [SEPARATIONS[first::3] for first in range(3)]
-    return (
-        spheres,
-        *(
-            Case(f"resolution-pairs-{n}-{part}", pairs_apart, (n, group, seeds), 40.0)
-            for n in range(LAYOUTS)
-            for part, group in enumerate(groups)
-        ),
-    )
-
-
 def nodes_along(place: Workplace) -> int:
     """Contact nodes along the patch."""
     return FAST_NODES if place.fast else NODES
@@ -130,12 +140,10 @@ def nodes_along(place: Workplace) -> int:
 def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
     """Depth fields of every reading, and how far they are off.
 
-    At the end of the scene's pressing: `centres` (5, 2) m; `corner_xy`, `virtual_xy` (n, 2) m,
-    markers at rest; `true` (rows, cols, 3) m, the displacement at material points `nodes`; by
-    reading KEY `KEY_field` (rows, cols, 3) of the first seed, `KEY_all`, `KEY_near` (seeds,) m,
-    RMS of the depth's error everywhere and within a radius of a sphere's centre, `KEY_missing`
-    (seeds,), share of the latter that is not known, and `KEY_share` (seeds, 5), deepest point
-    over the true one by sphere.
+    At the end of the scene's pressing: `centres` (5, 2) m; `true` (rows, cols, 3) m, the
+    displacement at material points `nodes`; by reading KEY `KEY_field` (rows, cols, 3) of the first
+    seed, `KEY_all`, `KEY_near` (seeds,) m, RMS of the depth's error everywhere and within a radius
+    of a sphere's centre, and `KEY_share` (seeds, 5), deepest point over the true one by sphere.
     """
     scene = replace(load_scene("resolution_spheres"), contact_nodes=nodes_along(place))
     mechanics, pattern = mechanics_of(scene, place), scene.sensor.pattern
@@ -146,7 +154,7 @@ def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
     true = true_displacement(mechanics.surface(last, pattern), nodes)
     distance = np.linalg.norm(nodes[None] - centres[:, None, None], axis=-1)
     prints = BothPrints(scene.sensor)
-    results = {"centres": centres, "nodes": nodes, "true": true, **_places(prints.rest_surface)}
+    results = {"centres": centres, "nodes": nodes, "true": true}
     for key, found in _by_reading(prints, mechanics, (frames, seeds)):
         fields = np.array([field.displacement(surface) for surface in found])
         error = true[..., 2] - fields[..., 2]
@@ -155,7 +163,6 @@ def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
             f"{key}_field": fields[0],
             f"{key}_all": np.sqrt(np.nanmean(error**2, axis=(1, 2))),
             f"{key}_near": np.sqrt(np.nanmean(near**2, axis=1)),
-            f"{key}_missing": np.isnan(near).mean(axis=1),
             f"{key}_share": np.array(
                 [[_deepest(f, d) / _deepest(true, d) for d in distance] for f in fields]
             ),
@@ -245,14 +252,114 @@ def _by_reading(
         yield reading.key, [reading.choose(surface) for surface in found]
 
 
-def _places(rest: Surface) -> dict[str, Array]:
-    virtual = rest.row_position, rest.col_position
-    return {
-        "corner_xy": rest.position[..., :2].reshape(-1, 2),
-        "virtual_xy": np.concatenate([points[..., :2].reshape(-1, 2) for points in virtual]),
-    }
-
-
 def _deepest(displacement: Array, distance: Array) -> float:
     """Largest depth (rows, cols, 3) within a radius of a sphere, m; distance (rows, cols) m."""
     return float(np.nanmax(-displacement[distance < RADIUS][:, 2]))
+
+
+def joined_pairs(parts: Sequence[Arrays]) -> dict[str, Array]:
+    """Dips of all pairs: `separation` (n,) m, `true` (n,), by reading KEY `KEY_dip` (n, seeds)."""
+    at_once = parts[0][TRUE].shape[1]
+    joined = {
+        "separation": np.concatenate([np.repeat(part["separation"], at_once) for part in parts]),
+        TRUE: np.concatenate([part[TRUE].ravel() for part in parts]),
+    }
+    for reading in READINGS:
+        dips = [part[f"{reading.key}_dip"] for part in parts]
+        flat = [dip.reshape(-1, dip.shape[-1]) for dip in dips]
+        joined[f"{reading.key}_dip"] = np.concatenate(flat)
+    return joined
+
+
+def resolved(pairs: Arrays, key: str, dip: float, share: float = 1.0) -> tuple[float, float]:
+    """Separation, m, down to which that share of pairs is distinguished; single spheres split.
+
+    key: of a reading, or `true`.
+    """
+    dips = pairs[TRUE][:, None] if key == TRUE else pairs[f"{key}_dip"]
+    data = dips >= dip
+    single = pairs["separation"] == 0
+    return (
+        smallest_resolved(pairs["separation"][~single], data[~single].all(axis=1), share),
+        float(data[single].mean()) if single.any() else float("nan"),
+    )
+
+
+def _sphere_table(spheres: Arrays, page: Page) -> None:
+    rows = []
+    for reading in READINGS:
+        near, everywhere = (1e6 * spheres[f"{reading.key}_{what}"] for what in ("near", "all"))
+        share = spheres[f"{reading.key}_share"].mean(axis=0)
+        shares = (f"{100 * value:.0f}" for value in share)
+        rows.append((name_of(reading), f"{near.mean():.3g}", f"{everywhere.mean():.3g}", *shares))
+    page.table("resolution.spheres", rows)
+
+
+def _pair_table(pairs: Arrays, page: Page) -> None:
+    rows = []
+    labels = [(TRUE, "the marker surface itself")] + [(r.key, name_of(r)) for r in READINGS]
+    for key, label in labels:
+        least, split = resolved(pairs, key, LEAST_DIP)
+        rayleigh = resolved(pairs, key, RAYLEIGH_DIP)[0]
+        half = resolved(pairs, key, RAYLEIGH_DIP, 0.5)[0]
+        rows.append((label, _mm(rayleigh), _mm(half), _mm(least), f"{100 * split:.0f} %"))
+    page.table("resolution.pairs", rows, dip=100 * LEAST_DIP)
+
+
+def claims(spheres: Arrays, pairs: Arrays, page: Page) -> None:
+    """The paper's claims beside what spheres and joined pairs came to."""
+    near = {r.key: 1e6 * float(spheres[f"{r.key}_near"].mean()) for r in MEASURED}
+    least = {r.key: float(spheres[f"{r.key}_share"].mean(axis=0).min()) for r in MEASURED}
+    apart = {r.key: resolved(pairs, r.key, RAYLEIGH_DIP)[0] for r in MEASURED}
+    dots_near, dots_least = min(near[key] for key in DOTS), max(least[key] for key in DOTS)
+    dots_apart = min(apart[key] if np.isfinite(apart[key]) else np.inf for key in DOTS)
+    finer = near["cmp"] < (1 - ALIKE) * dots_near
+    page.claim("resolution.finer", finer, cmp=near["cmp"], dots=dots_near)
+    between = least["cmp"] > (1 + ALIKE) * dots_least
+    page.claim("resolution.between", between, cmp=100 * least["cmp"], dots=100 * dots_least)
+    best = apart["cmp"] < dots_apart and not apart["cmp_corners"] <= apart["cmp"]
+    limit = _mm(resolved(pairs, TRUE, RAYLEIGH_DIP)[0])
+    found = [_mm(value) for value in (apart["cmp"], apart["cmp_corners"], dots_apart)]
+    page.claim("resolution.virtual", best, apart=found, limit=limit)
+
+
+def _mm(value: float) -> str:
+    return f"{1e3 * value:.1f}" if np.isfinite(value) else "none"
+
+
+def _draw_spheres(spheres: Arrays) -> Figure:
+    figure, axes = panels(2, len(SHOWN) + 1, 5.0, sharex=True, sharey=True)
+    true, nodes = spheres[TRUE][..., 2], 1e3 * spheres["nodes"]
+    deepest: dict[str, Any] = {"vmin": 0.0, "vmax": 1e3 * float(-true.min())}
+    fields = {"truth": true} | {label: spheres[f"{key}_field"][..., 2] for key, label in SHOWN}
+    for column, (title, field) in zip(axes.T, fields.items(), strict=True):
+        depth = column[0].pcolormesh(nodes[0, :, 0], nodes[:, 0, 1], -1e3 * field, **deepest)
+        error = column[1].pcolormesh(
+            nodes[0, :, 0], nodes[:, 0, 1], 1e6 * (true - field), cmap="RdBu_r", vmin=-60, vmax=60
+        )
+        column[0].set_title(title)
+        for axis in column:
+            for x, y in 1e3 * spheres["centres"]:
+                axis.add_patch(Circle((x, y), 1e3 * RADIUS, fill=False, linewidth=0.7))
+            axis.set(xlim=(-DRAWN_MM, DRAWN_MM), ylim=(-DRAWN_MM, DRAWN_MM), aspect="equal")
+            axis.grid(visible=False)
+    figure.colorbar(depth, ax=axes[0], label="depth, mm")
+    figure.colorbar(error, ax=axes[1], label="error, um")
+    return figure
+
+
+def _draw_dips(pairs: Arrays) -> Figure:
+    figure, axes = panels(1, 1, 3.6)
+    wide = np.unique(pairs["separation"])
+    wide = wide[wide > 0]
+    of = [pairs["separation"] == value for value in wide]
+    true = [100 * (pairs[TRUE][rows] >= RAYLEIGH_DIP).mean() for rows in of]
+    axes.plot(1e3 * wide, true, color=TRUE_COLOUR, label="marker surface itself")
+    for reading in MEASURED:
+        shares = [100 * (pairs[f"{reading.key}_dip"][r] >= RAYLEIGH_DIP).mean() for r in of]
+        style = look(reading.method.key if reading.method else "cmp", hollow=reading.corners_only)
+        axes.plot(1e3 * wide, shares, label=name_of(reading), **style)
+    axes.axhline(50, color=PAPER_COLOUR, linestyle="--", linewidth=1)
+    axes.set(xlabel="separation of the spheres, mm", ylabel="pairs distinguished, %")
+    axes.legend()
+    return figure

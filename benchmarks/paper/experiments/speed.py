@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,13 +19,14 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.blocks import Claim, Report, Table, deviations, prose
 from paper.chain import Chain, Method
 from paper.dot_tracking import ALL_METHODS
-from paper.experiment import Arrays, Case, Experiment, Results, Workplace
 from paper.gel import mechanics_of
+from paper.lab import Arrays, Lab, Workplace
+from paper.page import Page
 from paper.sequence import Exposure, RenderedSequence
 
+TITLE = "V.A: Speed"
 SCENE = "ball:20mm"
 # The key of the least that a dot method must do.
 PLAIN = "plain_dots"
@@ -37,16 +37,17 @@ Image = NDArray[np.uint8]
 Points = NDArray[np.float64]
 
 
-def cases(place: Workplace) -> Sequence[Case]:
-    """One, which runs alone."""
-    frames, passes = (5, 2) if place.fast else (24, 7)
-    seconds = 12.0 if place.fast else 60.0
-    return [Case("prototype", measure_speed, (SCENE, frames, passes), seconds, alone=True)]
+def run(lab: Lab, page: Page) -> None:
+    """Time all methods in one process, and report."""
+    frames, passes = (5, 2) if lab.fast else (24, 7)
+    (data,) = lab.compute(measure_speed, [(SCENE, frames, passes)])
+    page.prose("speed", "setup", frames=frames)
+    _table(data, page)
+    claims(data, page)
+    page.departures("speed", processor=processor_name())
 
 
-def measure_speed(
-    place: Workplace, name: str, frames: int, passes: int
-) -> Mapping[str, NDArray[Any]]:
+def measure_speed(place: Workplace, name: str, frames: int, passes: int) -> dict[str, NDArray[Any]]:
     """Processor times of a frame at its best of the passes.
 
     KEY_extraction, KEY_chain (frames,) ms: both views tracked; the whole chain with force.  In
@@ -166,77 +167,31 @@ def _ms(work: Callable[[], object]) -> float:
 
 # The paper's, Hz; what it includes is not stated.
 PAPER_CMP, PAPER_DMP = 18.0, 24.0
-PLAIN_LABEL = "dots, at the least"
 
 
-def report(results: Results, _folder: Path) -> Report:
-    """How fast the methods are."""
-    data = results["prototype"]
-    blocks = (
-        prose("speed", "setup", frames=len(data["cmp_chain"])),
-        _table(data),
-    )
-    return Report(blocks, _claims(data), deviations("speed", processor=processor_name()))
+def _table(data: Arrays, page: Page) -> None:
+    rows = [
+        (m.label, *_rates(data[f"{m.key}_extraction"]), *_rates(data[f"{m.key}_chain"]))
+        for m in ALL_METHODS
+    ]
+    plain = *_rates(data[f"{PLAIN}_extraction"]), *_rates(_plain_chain(data))
+    page.table("speed.rates", (*rows, ("dots, at the least", *plain)))
 
 
-def _table(data: Arrays) -> Table:
-    rows = []
-    for method in ALL_METHODS:
-        times = (data[f"{method.key}_{what}"] for what in ("extraction", "chain"))
-        texts = (text for each in times for text in _rate(median_ms(each)))
-        rows.append((method.label, *texts))
-    plain = (
-        PLAIN_LABEL,
-        *_rate(median_ms(data[f"{PLAIN}_extraction"])),
-        *_rate(_plain_chain(data)),
-    )
-    head = ("Method", "extraction", "frames/s", "whole chain", "frames/s")
-    caption = (
-        f"The paper: CMP {PAPER_CMP:.0f} Hz, DMP {PAPER_DMP:.0f} Hz. The chain of the plain dots "
-        "is their extraction and what CMP's chain takes after its own."
-    )
-    return Table(head, (*rows, plain), caption)
-
-
-def _rate(ms: float) -> tuple[str, str]:
+def _rates(times: NDArray[np.float64]) -> tuple[str, str]:
+    ms = median_ms(times)
     return f"{ms:.1f} ms", f"{1e3 / ms:.0f}"
 
 
-def _plain_chain(data: Arrays) -> float:
+def _plain_chain(data: Arrays) -> NDArray[np.float64]:
     rest = median_ms(data["cmp_chain"] - data["cmp_extraction"])
-    return median_ms(data[f"{PLAIN}_extraction"]) + rest
+    return np.asarray(data[f"{PLAIN}_extraction"] + rest)
 
 
-def _times(ours: float, plain: float) -> str:
-    return f"{plain / ours:.2f} of"
-
-
-def _claims(data: Arrays) -> tuple[Claim, ...]:
-    ours, plain = median_ms(data["cmp_chain"]), _plain_chain(data)
-    nearest = median_ms(data["dmp_nearest_chain"])
-    return (
-        Claim(
-            "V.A",
-            "frames per second of CMP, with force, one core",
-            f"{PAPER_CMP:.0f} Hz, C++ on an i7-9750H",
-            f"{1e3 / ours:.0f} Hz, Python on {processor_name()}",
-            met=1e3 / ours >= PAPER_CMP,
-        ),
-        Claim(
-            "V.A",
-            "rate of CMP over that of DMP",
-            f"{PAPER_CMP / PAPER_DMP:.2f}",
-            f"{plain / ours:.2f} with force against plain dots; {nearest / ours:.2f} against our "
-            "DMP with the nearest dot, made for precision",
-            met=plain / ours >= PAPER_CMP / PAPER_DMP,
-        ),
-    )
-
-
-EXPERIMENT = Experiment(
-    key="speed",
-    section="V.A",
-    title="Speed",
-    cases=cases,
-    report=report,
-)
+def claims(data: Arrays, page: Page) -> None:
+    """The paper's rates beside ours."""
+    ours, plain = median_ms(data["cmp_chain"]), median_ms(_plain_chain(data))
+    rate, nearest = 1e3 / ours, median_ms(data["dmp_nearest_chain"])
+    page.claim("speed.rate", rate >= PAPER_CMP, rate=rate, processor=processor_name())
+    enough = plain / ours >= PAPER_CMP / PAPER_DMP
+    page.claim("speed.ratio", enough, plain=plain / ours, nearest=nearest / ours)

@@ -17,18 +17,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
-from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
-from cmp_tactile_simulation.hard_frames.case import PatternCase, PatternStudio
-from cmp_tactile_simulation.hard_frames.changed_rig import (
+from cmp_tactile_bringup.calibration.practice_rig import (
     board_poses,
     changed_rig,
     photograph_board,
 )
+from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
+from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_simulation.recording.writer import RecordingWriter
-from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
+from cmp_tactile_simulation.rendering.ink import Checkerboard
+from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
+from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SENSOR_FILE, load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
@@ -116,7 +119,7 @@ def _write_board(
             practice.target,
             T_gel_board,
             CameraSettings(read_noise=FRAME_NOISE),
-            seed=practice.seed + number,
+            practice.seed + number,
         )
         _write_png(folder / f"{number:02d}.png", image)
     progress("photographing the board", 1.0)
@@ -126,12 +129,12 @@ def _write_rest(
     practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: Progress
 ) -> None:
     folder.mkdir()
-    studio = PatternStudio()
-    camera = CameraSettings(read_noise=FRAME_NOISE)
+    camera, pattern = CameraSettings(read_noise=FRAME_NOISE), true_rig.pattern
+    rendered = Renderer(true_rig, Checkerboard(pattern)).render(DeformedSurface.rest(pattern))
     for number in range(practice.rest_frames):
         progress("photographing the gel at rest", number / practice.rest_frames)
-        case = PatternCase("rest", true_rig, camera=camera, seed=practice.seed, frame=number)
-        _write_png(folder / f"{number:02d}.png", studio.photograph(case).image)
+        noise = random_stream(Purpose.FRAME_NOISE, practice.seed, number)
+        _write_png(folder / f"{number:02d}.png", expose([rendered], camera, noise, practice.seed))
     progress("photographing the gel at rest", 1.0)
 
 

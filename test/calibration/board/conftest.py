@@ -8,8 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from board_photographs import photograph_board
 from numpy.typing import NDArray
 
+from cmp_tactile_bringup.calibration.practice_rig import board_poses, changed_rig
 from cmp_tactile_processing.calibration.board import calibrate
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
@@ -17,11 +19,6 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize, Roi
-from cmp_tactile_simulation.hard_frames.changed_rig import (
-    board_poses,
-    changed_rig,
-    photograph_board,
-)
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 Frames = list[NDArray[np.uint8]]

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_bringup.calibration.practice_rig import bare_views, changed_rig
 from cmp_tactile_processing.calibration.board.calibrate import (
     calibrate_cameras,
     calibrate_mirror_rig,
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_simulation.hard_frames.changed_rig import bare_views, changed_rig
 
 ERROR, WARNING = Severity.ERROR, Severity.WARNING
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cmp_tactile_bringup.calibration.practice_rig import board_poses
 from cmp_tactile_processing.calibration.board.bundle import (
     CameraPair,
     MirrorRig,
@@ -11,7 +12,6 @@ from cmp_tactile_processing.calibration.board.bundle import (
     adjust,
 )
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_simulation.hard_frames.changed_rig import board_poses
 
 STEP = 1e-6
 PINHOLE = [700.0, 710.0, 320.0, 240.0, -0.1, 0.03, 1e-3, -2e-3, 0.01]

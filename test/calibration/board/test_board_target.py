@@ -3,12 +3,13 @@
 import cv2
 import numpy as np
 import pytest
+from board_photographs import photograph_board
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_bringup.calibration.practice_rig import bare_views, board_poses
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_simulation.hard_frames.changed_rig import bare_views, board_poses, photograph_board
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 
 # Measured at noise 4, squares of 17 to 30 px: 0.016 px per coordinate on chessboards, 0.022

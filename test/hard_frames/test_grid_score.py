@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.measured import Grid, GridShape, Status
-from cmp_tactile_simulation.hard_frames.grid_score import (
+from hard_frames.grid_score import (
     displacement_errors,
     grid_of_corners,
     join_scores,

@@ -15,7 +15,9 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, GridShape, Status, ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
+from hard_frames.case import (
     COVERS,
     DEFORMATIONS,
     Cover,
@@ -27,8 +29,6 @@ from cmp_tactile_simulation.hard_frames.case import (
     deformation_of,
     pattern_rig,
 )
-from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 CLEAN = CameraSettings()
 GREY_MARGIN = 125.0

@@ -10,7 +10,9 @@ import pytest
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_simulation.hard_frames.case import (
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
+from hard_frames.case import (
     COVERS,
     DEFORMATIONS,
     Cover,
@@ -23,8 +25,6 @@ from cmp_tactile_simulation.hard_frames.case import (
     degrade,
     pattern_rig,
 )
-from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.ink import PrintDefects
 
 # cornerSubPix on a frame with blur 0.7 px and noise 1: its own error, from the true places.
 SUBPIX_RMSE_PX = 0.05
