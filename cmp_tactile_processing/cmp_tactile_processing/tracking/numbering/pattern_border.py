@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve, map_coordinates
 
-from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 
 Float = NDArray[np.float64]
@@ -31,8 +31,6 @@ _WITHIN = (-0.65, -0.5, -0.35)
 _ACROSS = (0.3, 0.5, 0.7)
 # Samples of the profile that lie on the outermost checkers and on the margin.
 _OUTER, _MARGIN = (1, 5), (11, 15)
-# What is counted of a side.
-_ENDS, _ENDS_RUN, _GOES_ON, _OVER, _EDGES, _MEAN, _SLOPE, _SCATTER, _LEVEL = range(9)
 # In units of the local contrast: checkers differ by more, a margin along itself by less.
 _ALTERNATES, _EVEN = 0.4, 0.3
 _EDGE_CONTRAST = 0.45
@@ -80,184 +78,136 @@ def border_sides(
         (across[:3], not even, expected[0]),
         (across[-1:-4:-1], even == (cols % 2 == 1), expected[0]),
     )
-    counts = np.zeros(9)
     found = []
-    for outermost, dark, length in sides:
-        lines = np.ascontiguousarray(outermost)
-        profile = np.empty((lines.shape[1] - 1, _DEPTHS + 1))
-        _measure_profiles(picture, lines, profile)
-        _count(profile, dark, floor, counts)
+    for lines, dark, length in sides:
+        profile = _profiles(picture, lines)
+        counts = _count(profile, dark, floor)
         found.append(_side(counts, max(length, lines.shape[1]) - 2))
     return found
 
 
-def _side(counts: Float, pairs: int) -> BorderSide:
+@dataclass(frozen=True)
+class _Counts:
+    """What is counted of a side.
+
+    Pairs of neighbouring cells: ends, where the pattern ends; ends_run, the most of these in a
+    row; goes_on, where there are further checkers; over, where there are none even within.
+    level: of the margin.  depth (n, 2): cells, and how far out in cells their checkers end.
+    """
+
+    ends: int
+    ends_run: int
+    goes_on: int
+    over: int
+    level: float
+    depth: Float
+
+    def has_edge(self, least: float) -> bool:
+        """Whether so many checkers end one cell out, along the line, with little scatter."""
+        if len(self.depth) < least:
+            return False
+        cell, depth = self.depth.T
+        mean, spread = depth.mean(), cell.var()
+        slope = np.mean((cell - cell.mean()) * (depth - mean)) / spread if spread > 0.5 else 0.0
+        scatter = np.sqrt(max(depth.var() - slope**2 * spread, 0.0))
+        # Between the ends of a run with this spread.
+        aslant = abs(slope) * np.sqrt(12 * spread)
+        return bool(abs(mean - 1) <= EDGE_OFF and aslant <= EDGE_ASLANT and scatter <= EDGE_SCATTER)
+
+
+def _side(counts: _Counts, pairs: int) -> BorderSide:
     """The side by what was counted; pairs: of neighbouring cells along the whole line."""
     need = max(np.ceil(LEAST_SHARE * pairs), min(2, pairs))
-    edge = (
-        counts[_EDGES] >= max(need // 2, 1)
-        and abs(counts[_MEAN] - 1) <= EDGE_OFF
-        and abs(counts[_SLOPE]) <= EDGE_ASLANT
-        and counts[_SCATTER] <= EDGE_SCATTER
-    )
-    ends = bool(edge and counts[_ENDS] >= need and counts[_ENDS_RUN] >= min(LEAST_RUN, need))
+    edge = counts.has_edge(max(need // 2, 1))
+    ends = bool(edge and counts.ends >= need and counts.ends_run >= min(LEAST_RUN, need))
     return BorderSide(
         ends=ends,
-        firm=ends and counts[_ENDS] >= FIRM_SHARE * pairs,
-        goes_on=bool(counts[_GOES_ON] >= need),
-        over=bool(counts[_OVER] >= need),
-        level=float(counts[_LEVEL]),
+        firm=ends and counts.ends >= FIRM_SHARE * pairs,
+        goes_on=bool(counts.goes_on >= need),
+        over=bool(counts.over >= need),
+        level=counts.level,
     )
 
 
-@kernel
-def _measure_profiles(
-    picture: NDArray[np.float32] | NDArray[np.uint8], lines: Float, profile: Float
-) -> None:
-    """Grey levels within and beyond the cells of the outermost of three lines (3, m, 2)."""
-    count = lines.shape[1]
-    outwards, bend = np.empty((count, 2)), np.empty((count, 2))
-    for j in range(count):
-        for d in range(2):
-            outwards[j, d] = _mean_difference(lines, j, d, 1)
-            bend[j, d] = _mean_difference(lines, j, d, 3)
-            if np.isnan(bend[j, d]):
-                bend[j, d] = 0.0
-    ends = np.empty((2, 2))
-    for j in range(count - 1):
-        total = 0.0
-        for depth in _WITHIN:
-            _two_ends(lines[0], outwards, bend, (j, depth), ends)
-            total += _mean_between(picture, ends)
-        profile[j, 0] = total / len(_WITHIN)
-        for k in range(_DEPTHS):
-            _two_ends(lines[0], outwards, bend, (j, _FIRST_DEPTH + k * _DEPTH_STEP), ends)
-            profile[j, k + 1] = _mean_between(picture, ends)
+def _profiles(picture: NDArray[np.float32] | NDArray[np.uint8], lines: Float) -> Float:
+    """Grey levels (m - 1, 16) within and beyond the cells of the outermost of lines (3, m, 2)."""
+    step = lines[0] - lines[1]
+    outwards = _mean_around(step, 1)
+    bend = np.nan_to_num(_mean_around(step - (lines[1] - lines[2]), 3))
+    depth = np.array([*_WITHIN, *(_FIRST_DEPTH + _DEPTH_STEP * np.arange(_DEPTHS))])[:, None, None]
+    line = lines[0] + depth * outwards + 0.5 * depth * (depth + 1) * bend
+    share = np.array(_ACROSS)[:, None, None, None]
+    x, y = np.moveaxis((1.0 - share) * line[:, :-1] + share * line[:, 1:], -1, 0)
+    # Where nothing is known: outside.
+    places = np.nan_to_num([y, x], nan=-1.0)
+    grey = map_coordinates(picture, places, output=np.float64, order=1, cval=np.nan).mean(axis=0)
+    within = grey[: len(_WITHIN)].mean(axis=0)
+    return np.concatenate([within[:, None], grey[len(_WITHIN) :].T], axis=1)
 
 
-@kernel_part
-def _mean_difference(lines: Float, j: int, d: int, reach: int) -> float:
-    """Mean near j of the step from line 1 to line 0 (reach 1), or of its change (reach 3)."""
-    count, total = 0, 0.0
-    for k in range(max(0, j - reach), min(lines.shape[1], j + reach + 1)):
-        value = lines[0, k, d] - lines[1, k, d]
-        if reach == 3:
-            value -= lines[1, k, d] - lines[2, k, d]
-        if not np.isnan(value):
-            total += value
-            count += 1
-    return total / count if count else np.nan
+def _mean_around(values: Float, reach: int) -> Float:
+    """Mean of the known ones of values (m, 2) up to so many places away; NaN where none is."""
+    known = np.isfinite(values)
+    around = np.ones((2 * reach + 1, 1))
+    total = convolve(np.where(known, values, 0.0), around, mode="constant")
+    count = convolve(known.astype(np.float64), around, mode="constant")
+    return np.asarray(total / np.where(count > 0, count, np.nan))
 
 
-@kernel_part
-def _two_ends(
-    line: Float, outwards: Float, bend: Float, place: tuple[int, float], ends: Float
-) -> None:
-    """The line's corners j and j + 1 moved outwards by a depth in cells."""
-    first, depth = place
-    for k in range(2):
-        for d in range(2):
-            moved = depth * outwards[first + k, d] + 0.5 * depth * (depth + 1) * bend[first + k, d]
-            ends[k, d] = line[first + k, d] + moved
+def _count(profile: Float, dark: bool, floor: float) -> _Counts:
+    """What the pairs of neighbouring cells show; dark: of the first cell beyond the line."""
+    # Positive where the colours are the expected ones.
+    sign = np.where(np.arange(len(profile) - 1) % 2 == 0, -1.0, 1.0) * (1.0 if dark else -1.0)
+    contrast = _contrasts(profile, sign, floor)
+    outer = sign * -np.diff(_over(profile, _OUTER)) / contrast
+    margin = sign * np.diff(_over(profile, _MARGIN)) / contrast
+    ends = (outer >= _ALTERNATES) & (np.abs(margin) <= _EVEN)
+    used = np.zeros(len(profile), dtype=np.bool_)
+    used[:-1] |= ends
+    used[1:] |= ends
+    level, depth = _edge(profile, used)
+    return _Counts(
+        ends=np.count_nonzero(ends),
+        ends_run=_longest_run(ends[np.isfinite(contrast)]),
+        goes_on=np.count_nonzero((outer >= _ALTERNATES) & (margin >= _ALTERNATES)),
+        over=np.count_nonzero((np.abs(outer) <= _EVEN) & (np.abs(margin) <= _EVEN)),
+        level=level,
+        depth=depth,
+    )
 
 
-@kernel_part
-def _mean_between(picture: NDArray[np.float32] | NDArray[np.uint8], ends: Float) -> float:
-    """Mean of bilinear samples between two points; NaN where one lies outside."""
-    height, width = picture.shape
-    total = 0.0
-    for u in _ACROSS:
-        x = (1.0 - u) * ends[0, 0] + u * ends[1, 0]
-        y = (1.0 - u) * ends[0, 1] + u * ends[1, 1]
-        if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
-            return np.nan
-        left, top = int(x), int(y)
-        a, b = x - left, y - top
-        above = picture[top, left] * (1.0 - a) + picture[top, left + 1] * a
-        below = picture[top + 1, left] * (1.0 - a) + picture[top + 1, left + 1] * a
-        total += above * (1.0 - b) + below * b
-    return total / len(_ACROSS)
+def _longest_run(mask: NDArray[np.bool_]) -> int:
+    places = np.flatnonzero(np.concatenate([[True], ~mask, [True]]))
+    return int(np.diff(places).max()) - 1
 
 
-@kernel
-def _count(profile: Float, dark: bool, floor: float, counts: Float) -> None:
-    """Count what the pairs of neighbouring cells show; dark: of the first cell beyond the line."""
-    counts[:] = 0.0
-    count = len(profile)
-    used = np.zeros(count, dtype=np.bool_)
-    run = 0
-    for j in range(count - 1):
-        # Positive where the colours are the expected ones.
-        sign = -1.0 if dark == (j % 2 == 0) else 1.0
-        contrast = _contrast(profile, sign, j, floor)
-        outer = sign * (_over(profile, j, _OUTER) - _over(profile, j + 1, _OUTER)) / contrast
-        margin = -sign * (_over(profile, j, _MARGIN) - _over(profile, j + 1, _MARGIN)) / contrast
-        if outer >= _ALTERNATES and abs(margin) <= _EVEN:
-            run += 1
-            counts[_ENDS] += 1
-            counts[_ENDS_RUN] = max(counts[_ENDS_RUN], run)
-            used[j] = used[j + 1] = True
-        elif not np.isnan(contrast):
-            run = 0
-        counts[_GOES_ON] += outer >= _ALTERNATES and margin >= _ALTERNATES
-        counts[_OVER] += abs(outer) <= _EVEN and abs(margin) <= _EVEN
-    _fit_edge(profile, used, counts)
+def _over(profile: Float, part: tuple[int, int]) -> Float:
+    return np.asarray(profile[:, part[0] : part[1]].mean(axis=1))
 
 
-@kernel_part
-def _over(profile: Float, j: int, part: tuple[int, int]) -> float:
-    return float(np.mean(profile[j, part[0] : part[1]]))
+def _contrasts(profile: Float, sign: Float, floor: float) -> Float:
+    """Mean difference of the checkers within near each pair of cells; NaN where there is none."""
+    difference = sign * np.diff(profile[:, 0])
+    enough = difference >= floor
+    around = np.ones(5)
+    total = convolve(np.where(enough, difference, 0.0), around, mode="constant")
+    count = convolve(enough.astype(np.float64), around, mode="constant")
+    return np.asarray(np.where(enough, total, np.nan) / np.maximum(count, 1))
 
 
-@kernel_part
-def _contrast(profile: Float, sign: float, j: int, floor: float) -> float:
-    """Mean difference of the checkers within near cells j and j + 1; NaN where there is none."""
-    total, count = 0.0, 0
-    for k in range(max(0, j - 2), min(len(profile) - 1, j + 3)):
-        other = sign if (k - j) % 2 == 0 else -sign
-        difference = -other * (profile[k, 0] - profile[k + 1, 0])
-        if difference >= floor:
-            total += difference
-            count += 1
-        elif k == j:
-            return np.nan
-    return total / count
-
-
-@kernel_part
-def _fit_edge(profile: Float, used: NDArray[np.bool_], counts: Float) -> None:
-    """Where the outermost checkers end: mean depth, its drift along the line, its scatter."""
-    count = len(profile)
-    sums = np.zeros(6)
-    level_total, level_count = 0.0, 0
-    for j in range(count):
-        if not used[j]:
-            continue
-        outer, margin = _over(profile, j, _OUTER), _over(profile, j, _MARGIN)
-        contrast = abs(profile[j, 0] - outer)
-        low = min(profile[j, 0], outer)
-        if not contrast > 0:
-            continue
-        level_total += (margin - low) / contrast
-        level_count += 1
-        if not abs(outer - margin) >= _EDGE_CONTRAST * contrast:
-            continue
-        # The area under the profile from half a cell to one and a half; blur does not move it.
-        area = 0.0
-        for k in range(1, 13):
-            share = (profile[j, k + 1] - margin) / (outer - margin)
-            weight = 0.5 if k in (1, 12) else 1.0
-            area += weight * min(max(share, -0.5), 1.5)
-        depth = _FIRST_DEPTH + _DEPTH_STEP + _DEPTH_STEP * area
-        sums += np.array([1.0, j, depth, j * j, j * depth, depth * depth])
-    counts[_LEVEL] = level_total / level_count if level_count else np.nan
-    counts[_EDGES] = sums[0]
-    if sums[0] < 1:
-        return
-    mean_j, mean = sums[1] / sums[0], sums[2] / sums[0]
-    spread = sums[3] / sums[0] - mean_j**2
-    slope = (sums[4] / sums[0] - mean_j * mean) / spread if spread > 0.5 else 0.0
-    counts[_MEAN] = mean
-    # Between the ends of a run with this spread.
-    counts[_SLOPE] = slope * np.sqrt(12 * spread)
-    counts[_SCATTER] = np.sqrt(max(sums[5] / sums[0] - mean**2 - slope**2 * spread, 0.0))
+def _edge(profile: Float, used: NDArray[np.bool_]) -> tuple[float, Float]:
+    """The margin's level, and where (n, 2) the outermost checkers end: cell, depth in cells."""
+    cell = np.flatnonzero(used)
+    inner, outer = profile[cell, 0], _over(profile[cell], _OUTER)
+    margin = _over(profile[cell], _MARGIN)
+    contrast = np.abs(inner - outer)
+    differs = contrast > 0
+    level = (margin - np.minimum(inner, outer))[differs] / contrast[differs]
+    sharp = differs & (np.abs(outer - margin) >= _EDGE_CONTRAST * contrast)
+    within = (profile[cell][sharp, 2:14] - margin[sharp, None]) / (outer - margin)[sharp, None]
+    # The area under the profile from half a cell to one and a half; blur does not move it.
+    weight = np.array([0.5, *[1.0] * 10, 0.5])
+    area = np.clip(within, -0.5, 1.5) @ weight
+    depth = _FIRST_DEPTH + _DEPTH_STEP + _DEPTH_STEP * area
+    mean_level = float(level.mean()) if len(level) else float("nan")
+    return mean_level, np.stack([cell[sharp], depth], axis=1)
