@@ -167,10 +167,10 @@ def _count(profile: Float, dark: bool, floor: float) -> _Counts:
     used[1:] |= ends
     level, depth = _edge(profile, used)
     return _Counts(
-        ends=np.count_nonzero(ends),
+        ends=int(np.count_nonzero(ends)),
         ends_run=_longest_run(ends[np.isfinite(contrast)]),
-        goes_on=np.count_nonzero((outer >= _ALTERNATES) & (margin >= _ALTERNATES)),
-        over=np.count_nonzero((np.abs(outer) <= _EVEN) & (np.abs(margin) <= _EVEN)),
+        goes_on=int(np.count_nonzero((outer >= _ALTERNATES) & (margin >= _ALTERNATES))),
+        over=int(np.count_nonzero((np.abs(outer) <= _EVEN) & (np.abs(margin) <= _EVEN))),
         level=level,
         depth=depth,
     )
