@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
+from cmp_tactile_processing.cache.view_threads import ViewThreads
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.optics import ViewGeometry
@@ -23,9 +21,6 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -145,36 +140,3 @@ class _TrackedView:
         if self._image.shape != shape:
             self._image = np.empty(shape, np.uint8)
         return split_frame(frame, self._placement, self._image)
-
-
-class ViewThreads:
-    """Calls a function for several views at once, on the caller's thread and kept ones beside it.
-
-    The kept threads start with the first call and end when this object is dropped.
-    """
-
-    def __init__(self, views: int) -> None:
-        self._views = views
-        self._start()
-
-    def _start(self) -> None:
-        # The pool's threads refer to it weakly: they end when nothing else holds it any more.
-        self._beside = ThreadPoolExecutor(self._views - 1, "view") if self._views > 1 else None
-        self._process = os.getpid()
-
-    def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """The function's results, in order, once all calls have ended, also where one has failed.
-
-        Raises what the first call in order raised that failed.
-        """
-        if self._process != os.getpid():
-            self._start()  # threads do not come along into a forked process
-        if self._beside is None or len(items) < 2:
-            return [function(item) for item in items]
-        others = [self._beside.submit(function, item) for item in items[1:]]
-        try:
-            first = function(items[0])
-        finally:
-            # A call that went on by itself would change what the caller believes to be at rest.
-            wait(others)
-        return [first, *(other.result() for other in others)]

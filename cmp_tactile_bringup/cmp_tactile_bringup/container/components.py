@@ -1,10 +1,9 @@
 """The component container: loads, unloads and lists components in this process.
 
-The node and its executor of a component are made, spun and destroyed on a thread of its own: a node
-that is destroyed under an executor of another thread crashes the process.  What is handed over
-within the process comes on a second thread, because a wait set is built again for each message that
-an executor waits for, which costs more than passing it on itself.  Callbacks never run at the same
-time.
+One thread spins all nodes of a sensor, and another one any other node: what that does, however
+long, holds up no sensor.  A node is destroyed on the thread that spins it: under an executor of
+another thread that crashes the process.  Frames pass through a sensor's nodes on a thread of their
+own (`ros/wiring.py`), because an executor builds its wait set again for each event.
 """
 
 from __future__ import annotations
@@ -14,13 +13,14 @@ import gc
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
+from queue import SimpleQueue
 from typing import Any
 
 from rclpy import executors
@@ -33,32 +33,14 @@ from rclpy.utilities import get_default_context
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.intra_process import Exchange, Member, joining
+from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 
 ComponentClass = type[Node]
 """Built as cls(cli_args=..., use_global_arguments=False, parameter_overrides=...)."""
 
 
-class FairLock:
-    """A lock for which a thread that waits comes before one that has just released it.
-
-    Python's own may be taken again and again by one busy thread, while the other starves.
-    """
-
-    def __init__(self) -> None:
-        self._turn = threading.Lock()
-        self._held = threading.Lock()
-
-    def __enter__(self) -> None:
-        with self._turn:
-            self._held.acquire()
-
-    def __exit__(self, *_: object) -> None:
-        self._held.release()
-
-
-class ComponentThread:
-    """The life of one component.
+class LoadedComponent:
+    """The life of one component, built on a thread that ends then.
 
     `ready` gives the full node name once the component runs; it raises ComponentLoadError where
     the constructor failed or the component was stopped before it was built.
@@ -68,38 +50,22 @@ class ComponentThread:
         self,
         make: Callable[[], ComponentClass],
         arguments: dict[str, Any],
-        context: Context,
-        member: Member | None = None,
+        spinner_of: Callable[[ComponentClass], Spinner],
     ) -> None:
         """make: looks the class up (its import can be slow, so it runs on the thread too).
 
-        member: its part in the exchange of the container; None where all goes over DDS.
+        spinner_of: which thread runs components of a class.
         """
         self.ready: Future[str] = Future()
-        self._make = make
-        self._arguments = arguments
-        self._context = context
-        self._member = member
-        self._callbacks = FairLock()
-        # Callbacks raise on two threads.
-        self._counting = threading.Lock()
-        self._stopping = threading.Event()
-        self._executor: executors.SingleThreadedExecutor | None = None
-        self._node: Node | None = None
-        self._callback_errors = 0
-        self._last_error = ""
-        self._failure = ""
-        self._thread = threading.Thread(target=self._run, name="component", daemon=True)
-
-    @property
-    def callback_errors(self) -> int:
-        """How many callbacks raised so far."""
-        return self._callback_errors
-
-    @property
-    def last_error(self) -> str:
-        """The last line of the last callback error; empty where there was none."""
-        return self._last_error.strip().rpartition("\n")[2]
+        self.node: Node | None = None
+        self.callback_errors = 0
+        self.last_error = ""
+        self.ending = ""
+        self._make, self._arguments, self._spinner_of = make, arguments, spinner_of
+        self._lock = threading.Lock()
+        self._spinner: Spinner | None = None
+        self._is_stopped = False
+        self._gone = threading.Event()
 
     @property
     def failure(self) -> str:
@@ -108,124 +74,188 @@ class ComponentThread:
         The one thing of a component that is asked for on other threads.
         """
         try:
-            return self._failure or str(getattr(self._node, "failure", ""))
+            return self.ending or str(getattr(self.node, "failure", ""))
         except Exception as error:  # noqa: BLE001  whoever asks must not pay for it
             return f"cannot tell whether it failed: {type(error).__name__}: {error}"
 
     def start(self) -> None:
         """Begin to build the component."""
-        self._thread.start()
+        threading.Thread(target=self._run, name="constructor", daemon=True).start()
 
     def request_stop(self) -> None:
         """End after the running callback; returns at once."""
-        self._stopping.set()
-        executor = self._executor
-        if executor is not None:
-            with suppress(Exception):  # it ends at this moment, by itself
-                executor.wake()
-        self._fail("the container is shutting down")
+        with self._lock:
+            spinner = None if self._is_stopped else self._spinner
+            self._is_stopped = True
+        if spinner is not None:
+            spinner.do(partial(spinner.remove, self))
+        self.fail("the container is shutting down")
 
     def join(self, timeout: float) -> bool:
         """Wait for the component to be destroyed; False where it takes longer, in s."""
-        self._thread.join(timeout)
-        return not self._thread.is_alive()
+        return self._gone.wait(timeout)
+
+    def fail(self, reason: str) -> None:
+        """Answer whoever waits for it to be ready."""
+        with suppress(Exception):  # whoever waits has the answer already
+            self.ready.set_exception(ComponentLoadError(reason))
+
+    def begins(self, node: Node) -> None:
+        """It is spun from now on."""
+        _warn_of_unknown_parameters(node, self._arguments)
+        with suppress(Exception):  # stopped meanwhile
+            self.ready.set_result(node.get_fully_qualified_name())
+
+    def end(self) -> None:
+        """Destroy the node, on the thread that spins it."""
+        node, self.node = self.node, None
+        if node is not None:
+            _destroy(node)
+        # Else whoever loads it waits without end, where it ended before it ran.
+        self.fail(self.ending or "the ROS context has ended")
+        self._gone.set()
+
+    def report(self, error: BaseException) -> None:
+        """Log the traceback; the same one again and again only once in five seconds."""
+        if self.node is None:
+            return
+        text = "".join(traceback.format_exception(error))
+        self.callback_errors += 1
+        is_known, self.last_traceback = text == self.last_traceback, text
+        self.last_error = text.strip().rpartition("\n")[2]
+        message = f"a callback raised (number {self.callback_errors}); the node goes on\n{text}"
+        if is_known:
+            self.node.get_logger().error(message, throttle_duration_sec=5.0)
+        else:
+            self.node.get_logger().error(message)
+
+    last_traceback = ""
+
+    def _run(self) -> None:
+        spinner = None
+        try:
+            found = self._make()
+            spinner = self._spinner_of(found)
+            with joining(spinner.wiring):
+                self.node = _build(found, self._arguments)
+        except CmpTactileError as error:
+            self.fail(str(error))
+        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
+            get_logger("component_container").error(traceback.format_exc())
+            self.fail(f"{type(error).__name__}: {error}")
+        with self._lock:
+            runs = self.node is not None and not self._is_stopped
+            self._spinner = spinner if runs else None
+        if spinner is not None:
+            spinner.do(partial(spinner.add if runs else spinner.remove, self))
+        else:
+            self.end()
+
+
+class Spinner:
+    """A thread that spins and destroys nodes: those of one sensor together, any other by itself.
+
+    Callbacks of its nodes never run at the same time, nor while the wiring passes a frame on.
+    `users` counts components that are built for it, or run; without any it ends.
+    """
+
+    def __init__(self, context: Context, release: Callable[[Spinner], None]) -> None:
+        """release: called when a component is gone."""
+        self.wiring = Wiring()
+        self.users = 0
+        self._context, self._release = context, release
+        self._lock = threading.Lock()
+        self._components: list[LoadedComponent] = []
+        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._executor = executors.SingleThreadedExecutor(context=context)
+        self._ends = self._has_ended = False
+        self._thread = threading.Thread(target=self._run, name="component", daemon=True)
+        self._thread.start()
+
+    def do(self, job: Callable[[], None]) -> None:
+        """Do something on this thread, between two callbacks; at once where it has ended."""
+        with self._lock:
+            if not self._has_ended:
+                self._jobs.put(job)
+                self._executor.wake()
+                return
+        job()
+
+    def add(self, component: LoadedComponent) -> None:
+        """Spin a component that is built; a job."""
+        node = component.node
+        if node is None or self._ends:
+            self.remove(component)
+            return
+        self._components.append(component)
+        self._executor.add_node(node)
+        if isinstance(node, WiredNode):
+            node.attach()
+        component.begins(node)
+
+    def remove(self, component: LoadedComponent) -> None:
+        """Destroy a component; a job."""
+        if component in self._components:
+            self._components.remove(component)
+        if component.node is not None:
+            if isinstance(component.node, WiredNode):
+                component.node.detach()
+            self._executor.remove_node(component.node)
+        component.end()
+        self._release(self)
+
+    def end(self) -> None:
+        """Run no more; a job."""
+        self._ends = True
 
     def _run(self) -> None:
         try:
-            with joining(self._member):
-                node = _build(self._make(), self._arguments)
-        except CmpTactileError as error:
-            self._fail(str(error))
-            return
-        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
-            get_logger("component_container").error(traceback.format_exc())
-            self._fail(f"{type(error).__name__}: {error}")
-            return
-        self._node = node
-        try:
-            self._spin(node)
+            while self._context.ok() and not self._ends:
+                with suppress(executors.ConditionReachedException):
+                    self._spin()
+                self._do_jobs()
         except (executors.ExternalShutdownException, executors.ShutdownException):
             pass
         except Exception as error:  # noqa: BLE001  not of a callback, so it cannot go on
             if self._context.ok():
                 get_logger("component_container").error(traceback.format_exc())
-                self._failure = f"runs no more: {type(error).__name__}: {error}"
+                for component in self._components:
+                    component.ending = f"runs no more: {type(error).__name__}: {error}"
         finally:
-            self._node = None
-            _destroy(node)
-            # Else whoever loads it waits without end, where it ended before it ran.
-            self._fail(self._failure or "the ROS context has ended")
+            self._ends = True
+            self.wiring.close()
+            for component in list(self._components):
+                self.remove(component)
+            with self._lock:
+                self._has_ended = True
+                self._executor.shutdown()
+            self._do_jobs()
 
-    def _fail(self, reason: str) -> None:
-        with suppress(Exception):  # whoever waits has the answer already
-            self.ready.set_exception(ComponentLoadError(reason))
+    def _do_jobs(self) -> None:
+        while not self._jobs.empty():
+            job = self._jobs.get()
+            with self.wiring.lock:
+                job()
 
-    def _spin(self, node: Node) -> None:
-        executor = executors.SingleThreadedExecutor(context=self._context)
-        self._executor = executor
-        executor.add_node(node)
-        _warn_of_unknown_parameters(node, self._arguments)
-        with suppress(Exception):  # stopped meanwhile
-            self.ready.set_result(node.get_fully_qualified_name())
-        with self._receiving(node):
-            try:
-                while self._context.ok():
-                    # The bound method is passed, not a lambda: equal arguments keep the generator.
-                    stopped = self._stopping.is_set
-                    task, _, _ = executor.wait_for_ready_callbacks(None, None, stopped)
-                    with self._callbacks:
-                        error = _error_of(task)
-                    if error is None:
-                        error = task.exception()
-                    else:
-                        # What is no Exception passes through: the executor would keep the task.
-                        task.cancel()
-                    if error is not None:
-                        self._report(node, error)
-            except executors.ConditionReachedException:
-                pass
-            finally:
-                self._executor = None
-                executor.shutdown()
+    def _spin(self) -> None:
+        """Until there is a job, which ConditionReachedException says."""
+        while True:
+            # The bound method is passed, not a lambda: equal arguments keep the generator.
+            task, _, node = self._executor.wait_for_ready_callbacks(None, None, self._has_job)
+            with self.wiring.lock:
+                error = _error_of(task)
+            if error is None:
+                error = task.exception()
+            else:
+                # What is no Exception passes through: the executor would keep the task.
+                task.cancel()
+            if error is not None:
+                for component in self._components:
+                    if component.node is node:
+                        component.report(error)
 
-    @contextmanager
-    def _receiving(self, node: Node) -> Iterator[None]:
-        """Deliver what is handed over to the node in here; at the end the last callback is over."""
-        member = self._member
-        if member is None:
-            yield
-            return
-        receiver = threading.Thread(
-            target=self._receive, args=(node, member), name="intra-process", daemon=True
-        )
-        receiver.start()
-        try:
-            yield
-        finally:
-            member.stop()
-            receiver.join()
-
-    def _receive(self, node: Node, member: Member) -> None:
-        while (inbox := member.next()) is not None:
-            with self._callbacks:
-                if self._stopping.is_set():
-                    return
-                error = _error_of(inbox.deliver)
-            if error is not None and self._context.ok():
-                self._report(node, error)
-
-    def _report(self, node: Node, error: BaseException) -> None:
-        """Log the traceback; the same one again and again only once in five seconds."""
-        text = "".join(traceback.format_exception(error))
-        with self._counting:
-            self._callback_errors += 1
-            number, is_known = self._callback_errors, text == self._last_error
-            self._last_error = text
-        message = f"a callback raised (number {number}); the node goes on\n{text}"
-        if is_known:
-            node.get_logger().error(message, throttle_duration_sec=5.0)
-        else:
-            node.get_logger().error(message)
+    def _has_job(self) -> bool:
+        return not self._jobs.empty()
 
 
 def _error_of(callback: Callable[[], None]) -> BaseException | None:
@@ -345,7 +375,7 @@ class ComponentStatus:
 
 
 class ComponentContainer:
-    """Runs components, each on a thread of its own, and hands messages over between them.
+    """Runs components, those of a sensor connected with one another and on one thread.
 
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
@@ -356,15 +386,15 @@ class ComponentContainer:
     ) -> None:
         self._context = get_default_context() if context is None else context
         self._lookup = lookup
-        self._exchange = Exchange()
+        self._spinners: dict[str, Spinner] = {}
         self._threads_before = frozenset(threading.enumerate())
         self._lock = threading.Lock()
         self._next_id = 1
-        self._threads: dict[int, ComponentThread] = {}
+        self._components: dict[int, LoadedComponent] = {}
         self._names: dict[int, str] = {}
         self._closed = False
         self._collector: threading.Timer | None = None
-        self._left_behind: tuple[tuple[str, ComponentThread], ...] = ()
+        self._left_behind: tuple[tuple[str, LoadedComponent], ...] = ()
         self.process_of: Callable[[str, Callable[[], bool]], str] = lambda _name, _stopped: ""
         """Where else a node of a full name runs, as NamesInUse says it; asked before each load."""
 
@@ -381,7 +411,7 @@ class ComponentContainer:
     @property
     def left_behind(self) -> tuple[str, ...]:
         """What still runs of what `load`, `unload` and `shutdown` gave up waiting for."""
-        return tuple(name for name, thread in self._left_behind if not thread.join(0))
+        return tuple(name for name, life in self._left_behind if not life.join(0))
 
     def load(self, component: Component, timeout: float | None = None) -> int:
         """Build a component and run it; returns its id once it runs.
@@ -396,14 +426,13 @@ class ComponentContainer:
         if self._context is not get_default_context():
             arguments["context"] = self._context
         lookup = partial(self._find, component)
-        member = Member(self._exchange) if component.intra_process else None
-        thread = ComponentThread(lookup, arguments, self._context, member)
-        unique_id = self._register(thread)
+        life = LoadedComponent(lookup, arguments, partial(self._spinner_of, component))
+        unique_id = self._register(life)
         try:
-            name = thread.ready.result(timeout)
+            name = life.ready.result(timeout)
         except FutureTimeoutError:
             self._forget(unique_id)
-            self._end(label, thread, 0)
+            self._end(label, life, 0)
             msg = f"{label}: the constructor took more than {timeout} s"
             raise ComponentLoadError(msg) from None
         except ComponentLoadError as error:
@@ -413,7 +442,7 @@ class ComponentContainer:
             self._take_name(unique_id, name)
         except ComponentLoadError as error:
             self._forget(unique_id)
-            self._end(label, thread, STOP_TIMEOUT)
+            self._end(label, life, STOP_TIMEOUT)
             raise ComponentLoadError(f"{label}: {error}") from None
         if component.log_level:
             logger_name = name.strip("/").replace("/", ".")
@@ -428,12 +457,12 @@ class ComponentContainer:
         """
         with self._lock:
             name = self._names.pop(unique_id, None)
-            thread = self._threads.pop(unique_id) if name is not None else None
-        if thread is None:
+            life = self._components.pop(unique_id) if name is not None else None
+        if life is None:
             known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
             msg = f"no component has the id {unique_id}; loaded ids: {known}"
             raise UnknownComponentError(msg)
-        if not self._end(str(name), thread, timeout):
+        if not self._end(str(name), life, timeout):
             msg = f"{name}: a callback still runs after {timeout} s"
             raise ComponentError(msg)
         self._collect_later()
@@ -442,11 +471,9 @@ class ComponentContainer:
         """The running components, in the order in which they were loaded."""
         with self._lock:
             return tuple(
-                ComponentStatus(
-                    key, name, thread.callback_errors, thread.last_error, thread.failure
-                )
+                ComponentStatus(key, name, life.callback_errors, life.last_error, life.failure)
                 for key, name in sorted(self._names.items())
-                for thread in [self._threads[key]]
+                for life in [self._components[key]]
             )
 
     def full_name(self, unique_id: int) -> str:
@@ -465,18 +492,18 @@ class ComponentContainer:
         with self._lock:
             self._closed = True
             collector = self._collector
-            threads, self._threads = dict(self._threads), {}
+            lives, self._components = dict(self._components), {}
             names, self._names = dict(self._names), {}
         if collector is not None:
             collector.cancel()
-        for thread in threads.values():
-            thread.request_stop()
+        for life in lives.values():
+            life.request_stop()
         deadline = time.monotonic() + timeout
         late = [
             name
-            for key, thread in threads.items()
+            for key, life in lives.items()
             for name in [names.get(key, "a component that is being built")]
-            if not self._end(name, thread, max(0.0, deadline - time.monotonic()))
+            if not self._end(name, life, max(0.0, deadline - time.monotonic()))
         ]
         if late:
             message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
@@ -504,32 +531,55 @@ class ComponentContainer:
             raise ComponentLoadError(msg)
         return found
 
-    def _end(self, name: str, thread: ComponentThread, timeout: float) -> bool:
+    def _end(self, name: str, life: LoadedComponent, timeout: float) -> bool:
         """Stop a component and wait for that; False where it takes longer, in s."""
-        thread.request_stop()
-        if thread.join(timeout):
+        life.request_stop()
+        if life.join(timeout):
             return True
         with self._lock:
             others = (item for item in self._left_behind if not item[1].join(0))
-            self._left_behind = (*others, (name, thread))
+            self._left_behind = (*others, (name, life))
         return False
 
-    def _register(self, thread: ComponentThread) -> int:
+    def _spinner_of(self, component: Component, found: ComponentClass) -> Spinner:
+        """The thread for a component: that of its sensor where it can be connected with others."""
+        key = f"/{component.namespace.strip('/')}"
+        shared = component.intra_process and issubclass(found, WiredNode)
+        with self._lock:
+            spinner = self._spinners.get(key) if shared else None
+            if spinner is None:
+                spinner = Spinner(self._context, self._release)
+            if shared:
+                self._spinners[key] = spinner
+            spinner.users += 1
+            return spinner
+
+    def _release(self, spinner: Spinner) -> None:
+        """A component of a thread is gone; without any the thread ends."""
+        with self._lock:
+            spinner.users -= 1
+            if spinner.users:
+                return
+            kept = {key: item for key, item in self._spinners.items() if item is not spinner}
+            self._spinners = kept
+        spinner.do(spinner.end)
+
+    def _register(self, life: LoadedComponent) -> int:
         with self._lock:
             if self._closed:
                 msg = "the container is shutting down"
                 raise ComponentLoadError(msg)
             unique_id = self._next_id
             self._next_id += 1
-            self._threads[unique_id] = thread
+            self._components[unique_id] = life
             # In here, as `shutdown` joins whatever is registered.
-            thread.start()
+            life.start()
         return unique_id
 
     def _take_name(self, unique_id: int, name: str) -> None:
         """Keep the name, unless another component has it: ROS would let them share it."""
         with self._lock:
-            if unique_id not in self._threads:
+            if unique_id not in self._components:
                 msg = "the container is shutting down"
                 raise ComponentLoadError(msg)
             for other, taken in self._names.items():
@@ -560,4 +610,4 @@ class ComponentContainer:
 
     def _forget(self, unique_id: int) -> None:
         with self._lock:
-            self._threads.pop(unique_id, None)
+            self._components.pop(unique_id, None)

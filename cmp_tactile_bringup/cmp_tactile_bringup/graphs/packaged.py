@@ -314,12 +314,13 @@ def _processing(
 
     is_replay = settings.source == "replay"
     lifetime = REPLAYED_MARKER_LIFETIME_S if is_replay else MARKER_LIFETIME_S
-    yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
     # Loaded only when the force model is built (once minutes, then cached on disk), so that a
     # recording does not begin without forces.
     newest = _frame_queue(settings) == "newest"
     steps = {"large_press_steps": LIVE_PRESS_STEPS} if newest else {}
     yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True, **steps)
+    # After what a controller waits for.
+    yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
     yield node("StereoTriangulator", "stereo_triangulator")
     for view in sensor.views:
         yield node("GridlineTracker", f"{view}_gridline_tracker", view=view)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import gc
 import threading
 import weakref
@@ -24,8 +23,8 @@ from std_msgs.msg import Header
 
 from cmp_tactile_bringup.container.components import ComponentContainer, find_component
 from cmp_tactile_bringup.graphs.description import Component
-from cmp_tactile_processing.ros.intra_process import IntraProcessNode
-from cmp_tactile_processing.ros.messages.conversions import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
+from cmp_tactile_processing.ros.wiring import Given, Input, WiredNode
 
 CYCLES = 12
 PERIOD_S = 0.02
@@ -37,34 +36,35 @@ MAX_GROWTH_HANDLES = 2
 GUESTS = ("ViewSplitter", "StereoTriangulator", "SurfaceVisualizer")
 
 
-class Camera(IntraProcessNode):
+class Camera(WiredNode):
     """A frame every 20 ms, numbered by its stamp."""
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("camera", **node_kwargs)
-        self.publisher = self.create_publisher(Image, "image_raw", 10)
-        self._frame = image_to_msg(np.full((768, 1024), 90, np.uint8), "mono8", Header())
+        self._output = self.add_output(
+            self.create_publisher(Image, "image_raw", 10), frame_to_msg, own_thread=True
+        )
+        self._frame = np.full((768, 1024), 90, np.uint8)
         self.sent = 0
         self.create_timer(PERIOD_S, self._send)
 
     def _send(self) -> None:
         self.sent += 1
-        frame = copy.copy(self._frame)
-        frame.header = Header(frame_id="camera")
-        frame.header.stamp.sec = self.sent
-        self.publisher.publish(frame)
+        header = Header(frame_id="camera")
+        header.stamp.sec = self.sent
+        self._output.publish(self._frame, header)
 
 
-class Counter(IntraProcessNode):
+class Counter(WiredNode):
     """Keeps the numbers of the left views that it gets."""
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("counter", **node_kwargs)
         self.seen: list[int] = []
-        self.create_subscription(Image, "left/image_raw", self._on_image, 10)
+        self.connect_input(Input(self._begin), Image, "left/image_raw", 10)
 
-    def _on_image(self, message: Image) -> None:
-        self.seen.append(message.header.stamp.sec)
+    def _begin(self, given: Given) -> Any:
+        return lambda: self.seen.append(given.header.stamp.sec)
 
 
 OWN = {"Camera": Camera, "Counter": Counter}

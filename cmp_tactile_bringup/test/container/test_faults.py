@@ -19,10 +19,8 @@ from rcl_interfaces.msg import ParameterValue
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from cmp_tactile_processing.ros.intra_process import IntraProcessNode
 
-
-class Quits(IntraProcessNode):
+class Quits(Node):
     """Asks for the end of the process at every message `quit`, echoes the others."""
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -36,7 +34,7 @@ class Quits(IntraProcessNode):
         self._publisher.publish(message)
 
 
-class Talks(IntraProcessNode):
+class Talks(Node):
     """Publishes what the test wants, in the container."""
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -85,14 +83,12 @@ def test_a_request_that_cannot_be_read_is_answered_with_the_reason(box):
     assert "quits" in _listed(box)
 
 
-@pytest.mark.parametrize("inside", [False, True], ids=["over DDS", "handed over"])
-def test_a_callback_that_asks_for_the_end_is_counted_and_ends_nothing(box, capfd, inside):
+def test_a_callback_that_asks_for_the_end_is_counted_and_ends_nothing(box, capfd):
     answers: list[str] = []
     box.node.create_subscription(String, "out", lambda m: answers.append(m.data), 10)
     assert box.request_load("Quits").success
     assert box.request_load("Talks").success
-    outside = box.node.create_publisher(String, "in", 10)
-    publisher = Talks.last.publisher if inside else outside
+    publisher = Talks.last.publisher
     box.wait(publisher.get_subscription_count, "the component to listen")
     box.wait(lambda: box.node.count_publishers("out"), "the component to talk")
     for text in ("a", "quit", "b", "quit", "c"):

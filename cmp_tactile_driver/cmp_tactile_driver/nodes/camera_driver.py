@@ -32,7 +32,7 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
 from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
@@ -145,12 +145,13 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._frame_id = camera_frame(self._sensor)
         self._calibration = CameraCalibration(self, self._sensor, self._settings.camera_info_url)
         self._ros_time = ClockOffset(lambda: self.get_clock().now().nanoseconds)
-        self._image_publisher = self.create_lifecycle_publisher(
+        publisher = self.create_lifecycle_publisher(
             Image,
             "image_raw",
             image_qos(),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
+        self._image = self.add_output(publisher, frame_to_msg, own_thread=True)
         self._info_publisher = self.create_lifecycle_publisher(
             CameraInfo, "camera_info", image_qos()
         )
@@ -267,8 +268,9 @@ class CameraDriver(ReportingNode, LifecycleNode):
     def _send(self, frame: frames.Frame) -> None:
         stamp = self._stamp(frame)
         header = header_at(stamp.to_msg(), self._frame_id)
-        self._image_publisher.publish(image_to_msg(frame.image, frame.encoding, header))
-        self._info_publisher.publish(self._calibration.message(header))
+        self._image.publish(frame.image, header)
+        if self._info_publisher.get_subscription_count():
+            self._info_publisher.publish(self._calibration.message(header))
         age = (self.get_clock().now() - stamp).nanoseconds * 1e-9
         self._sent.sent(age, self.thresholds.late_after)
         if self._extension is not None:

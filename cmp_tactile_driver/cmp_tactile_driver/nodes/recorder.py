@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +50,11 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.intra_process import inbox_of
 from cmp_tactile_processing.ros.messages.conversions import message_class
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.wiring import Given, Input
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SUBSCRIPTION_DEPTH = 100
@@ -307,7 +308,7 @@ class Recorder(ReportingNode):
         self._watch = TopicWatch(self, topics)
         # Of the recording.
         self.bag: Path | None = None
-        self._taps: dict[str, tuple[Tap, Any]] = {}
+        self._taps: dict[str, tuple[Tap, Input]] = {}
         self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._searches = 0
@@ -348,8 +349,8 @@ class Recorder(ReportingNode):
 
     def _stop(self) -> None:
         self._count_pushed_out()
-        for _, subscription in self._taps.values():
-            self.destroy_subscription(subscription)
+        for _, end in self._taps.values():
+            self.disconnect_input(end)
         self._taps.clear()
         self._pushed_out.clear()
         self._early.clear()
@@ -402,41 +403,38 @@ class Recorder(ReportingNode):
             encode = message_encoder(topic.name, topic.kind)
         return Tap(topic.name, encode, topic.offered)
 
-    def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Any:
+    def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Input:
+        end = Input(lambda given: partial(self._on_message, tap, given))
         # Not every middleware reports what it lost.
         for message_lost in (lambda lost: recorder.lost(tap, lost.total_count_change), None):
+            callbacks = SubscriptionEventCallbacks(
+                message_lost=message_lost, use_default_callbacks=False
+            )
             with suppress(UnsupportedEventTypeError):
-                return self.create_subscription(
-                    kind,
-                    tap.topic,
-                    lambda message: self._on_message(tap, message),
-                    qos,
-                    event_callbacks=SubscriptionEventCallbacks(
-                        message_lost=message_lost, use_default_callbacks=False
-                    ),
-                )
+                self.connect_input(end, kind, tap.topic, qos, event_callbacks=callbacks)
+                return end
         raise AssertionError(tap.topic)
 
-    def _replaced(self, tap: Tap, before: Any) -> None:
+    def _replaced(self, tap: Tap, before: Input) -> None:
         self._count_pushed_out_of(tap, before)
         del self._pushed_out[tap.topic]
-        self.destroy_subscription(before)
+        self.disconnect_input(before)
         text = "is recorded best effort from now on, as a new publisher offers no more"
         self.get_logger().warning(f"{tap.topic}: {text}; messages of this moment may be missing")
 
     def _count_pushed_out(self) -> None:
-        """Of what is handed over within a container the middleware knows no losses."""
-        for tap, subscription in self._taps.values():
-            self._count_pushed_out_of(tap, subscription)
+        """Of frames of the same container the middleware knows no losses."""
+        for tap, end in self._taps.values():
+            self._count_pushed_out_of(tap, end)
 
-    def _count_pushed_out_of(self, tap: Tap, subscription: Any) -> None:
-        inbox = inbox_of(subscription)
-        new = 0 if inbox is None else inbox.dropped - self._pushed_out[tap.topic]
+    def _count_pushed_out_of(self, tap: Tap, end: Input) -> None:
+        new = end.dropped - self._pushed_out[tap.topic]
         if new and self._recorder is not None:
             self._pushed_out[tap.topic] += new
             self._recorder.lost(tap, new)
 
-    def _on_message(self, tap: Tap, message: Any) -> None:
+    def _on_message(self, tap: Tap, given: Given) -> None:
+        message = given.message
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds
         if recorder is None:
             return

@@ -37,8 +37,8 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg, with_header
-from cmp_tactile_processing.ros.messages.making import camera_frame, encoding_of
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at, with_header
+from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -184,6 +184,7 @@ class Replay(ReportingNode):
         self._image_publisher = self.create_publisher(
             Image, "image_raw", qos, qos_overriding_options=overridable
         )
+        self._image = self.add_output(self._image_publisher, frame_to_msg, own_thread=True)
         self._info_publisher = self.create_publisher(CameraInfo, "camera_info", qos)
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
@@ -225,9 +226,9 @@ class Replay(ReportingNode):
         stamp = Time(nanoseconds=message.stamp_ns).to_msg()
         named = bool(self._settings.sensor_name)
         header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
-        image = message.image
-        self._image_publisher.publish(image_to_msg(image, encoding_of(image), header))
-        if not message.has_camera_info and self._fits_sensor(message):
+        self._image.publish(message.image, header)
+        unsaid = not message.has_camera_info and self._fits_sensor(message)
+        if unsaid and self._info_publisher.get_subscription_count():
             self._info_publisher.publish(with_header(self._info, header))
         self._sent.sent()
 

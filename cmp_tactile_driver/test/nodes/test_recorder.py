@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,8 @@ from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes.recorder import Recorder
-from cmp_tactile_processing.ros.intra_process import Exchange, IntraProcessNode, Member, joining
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
+from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -365,26 +367,25 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     assert values(statuses)["dropped"] == str(30 - count)
 
 
-class Talks(IntraProcessNode):
-    """Publishes what the test asks for."""
-
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("talks", **node_kwargs)
-        self.publisher = self.create_publisher(Image, "image_raw", 5)
-
-
 def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
     """There the middleware carries nothing, and so reports no loss."""
-    exchange = Exchange()
-    with joining(Member(exchange)):
-        talks = ros.start(Talks)
-    # Nobody delivers what waits for this one.
-    with joining(Member(exchange)):
-        node = ros.start(Recorder, output=str(output), topics="image_raw")
-    ros.wait(lambda: talks.publisher.outlet.inboxes, "the recorder's subscription")
-    for frame in bags.frames(1) * 103:
-        talks.publisher.publish(image(frame, 1))
+    wiring = Wiring()
+    with joining(wiring):
+        source, node = (
+            ros.start(partial(WiredNode, "source")),
+            ros.start(Recorder, output=str(output), topics="image_raw"),
+        )
+        frames = source.add_output(
+            source.create_publisher(Image, "image_raw", 5), frame_to_msg, own_thread=True
+        )
+    node.attach()
+    ros.wait(lambda: frames.ends, "the recorder's subscription")
+    # Nothing is taken meanwhile.
+    with wiring.lock:
+        for frame in bags.frames(1) * 103:
+            frames.publish(frame, image(frame, 1).header)
     topic = f"{ros.namespace}/image_raw"
     ros.wait(lambda: node.progress.dropped == {topic: 3}, "what is more than the queue holds")
     ros.run(1.2)
     assert node.progress.dropped == {topic: 3}
+    wiring.close()

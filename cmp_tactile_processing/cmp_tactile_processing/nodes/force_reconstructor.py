@@ -7,23 +7,23 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import partial
 
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.advice import ADVICE
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured import ForceFlag
-from cmp_tactile_processing.ros.base_nodes import StageNode, value_of
+from cmp_tactile_processing.measured import ForceFlag, Surface
+from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
-from cmp_tactile_processing.ros.intra_process import Result, publish_result
 from cmp_tactile_processing.ros.messages import conversions
-from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
+from cmp_tactile_processing.ros.messages.reading import check_shape, stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.throttle import ResultPublisher
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     Parameters,
@@ -90,15 +90,15 @@ class ForceReconstructor(StageNode):
         self._force = StageParameters(self, self.sensor.force, self._start_building)
         self._slip = StageParameters(self, self.sensor.slip, self._use_slip, "slip")
         builder = self._start_building()
-        self._force_publisher = ResultPublisher(
-            self, ForceFieldMsg, "force_field", conversions.force_field_to_msg
-        )
-        self._wrench_publisher = self.add_publisher(WrenchStamped, "wrench")
+        self._wrench = self.add_result(WrenchStamped, "wrench", conversions.wrench_to_msg)
+        self._field = self.add_result(ForceFieldMsg, "force_field", conversions.force_field_to_msg)
         self._points_publisher = self.add_publisher(PointCloud2, "force_points")
         if self._options.wait_for_model:
             builder.join()
             self._adopt_built()
-        self.add_input(SurfaceMsg, "surface", self._on_surface)
+        shape = self.sensor.pattern.shape
+        read = partial(surface_from_msg, shape=shape)
+        self.add_input(SurfaceMsg, "surface", self._on_surface, read, needs_all=lambda: False)
 
     def _use_slip(self, parameters: SlipParameters) -> None:
         if self._stage is not None:
@@ -148,26 +148,25 @@ class ForceReconstructor(StageNode):
             raise _Abandoned
         self._progress = f"{step}: {share:.0%}"
 
-    def _on_surface(self, msg: SurfaceMsg | Result) -> None:
-        surface = value_of(msg, surface_from_msg, self.sensor.pattern.shape)
+    def _on_surface(self, surface: Surface, header: Header) -> None:
+        check_shape(surface.shape, self.sensor.pattern.shape)
         self._adopt_built()
         stage = self._stage
         if stage is None:
             self.diagnostics.passed_over += 1
             return
-        field = stage.process(surface, stamp_ns(msg.header.stamp))
+        field = stage.process(surface, stamp_ns(header.stamp))
         # First what a controller waits for.
-        wrench = Result(field, msg.header, conversions.wrench_to_msg)
-        publish_result(self._wrench_publisher, wrench)
-        self._force_publisher.publish(field, msg.header)
-        self.frame_out(msg.header)
+        self._wrench.publish(field, header)
+        self._field.publish(field, header)
+        self.frame_out(header)
         self._health.add(field)
         self._warn_of_load(stage)
         if self._points_publisher.get_subscription_count():
             grid = (field.rows, field.cols, 3)
             self._points_publisher.publish(
                 conversions.organised_cloud(
-                    msg.header,
+                    header,
                     field.position.reshape(grid),
                     field.force.reshape(grid),
                     ("fx", "fy", "fz"),

@@ -28,7 +28,6 @@ from cmp_tactile_processing.ros.parameters import (
 )
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters
-from cmp_tactile_processing.ros.throttle import IMAGE_HZ, ResultPublisher
 from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -80,9 +79,7 @@ class GridlineTracker(base_nodes.StageNode):
         self._build_tracker(tracking.value)
         self._print_options = StageParameters(self, PrintParameters(), lambda _: None)
         self._frame = view_frame(self.sensor, self._view)
-        self._grid_publisher = ResultPublisher(
-            self, GridMsg, f"{self._view}/grid", grid_to_msg, IMAGE_HZ
-        )
+        self._grid = self.add_result(GridMsg, f"{self._view}/grid", grid_to_msg)
         self._overlay_publisher = self.add_publisher(
             Image, f"{self._view}/grid_overlay", base_nodes.IMAGE_DEPTH
         )
@@ -90,7 +87,14 @@ class GridlineTracker(base_nodes.StageNode):
         self._health = GridHealth()
         self._topic = f"{self._view}/image_raw"
         self._depth = BitDepth(self.resolve_topic_name(self._topic), self.get_logger().info)
-        self.add_input(Image, self._topic, self._on_image, reliable=options.reliable_input)
+        self.add_input(
+            Image,
+            self._topic,
+            self._on_grid,
+            self._read,
+            begin=self._track,
+            reliable=options.reliable_input,
+        )
         self._inspection = base_nodes.FrameService[NDArray[np.uint8]](
             self,
             "~/inspect_print",
@@ -109,11 +113,16 @@ class GridlineTracker(base_nodes.StageNode):
             "compiling the tracker, once per version of the software; this may take a minute"
         )
 
-    def _on_image(self, msg: Image) -> None:
-        image = image_from_msg(msg, self._weights, self._depth)
-        grid = self._tracker.track(image)
-        header = header_at(msg.header.stamp, self._frame)
-        self._grid_publisher.publish(grid, header)
+    def _read(self, msg: Image) -> NDArray[np.uint8]:
+        return image_from_msg(msg, self._weights, self._depth)
+
+    def _track(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Grid]:
+        return image, self._tracker.track(image)
+
+    def _on_grid(self, tracked: tuple[NDArray[np.uint8], Grid], camera_header: Header) -> None:
+        image, grid = tracked
+        header = header_at(camera_header.stamp, self._frame)
+        self._grid.publish(grid, header)
         self._health.add(grid)
         self.tracked(grid.found_fraction)
         self.frame_out(header)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
@@ -16,13 +17,11 @@ from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
 from cmp_tactile_processing.ros import base_nodes
 from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
-from cmp_tactile_processing.ros.intra_process import Result
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.throttle import ResultPublisher
 from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
@@ -67,14 +66,13 @@ class StereoTriangulator(base_nodes.StageNode):
         self._drift = StageParameters(self, reference_keeping.DriftParameters(), self._watch)
         self._watch()
         self._frame = gel_frame(self.sensor)
-        self._surface_publisher = ResultPublisher(
-            self, SurfaceMsg, "surface", conversions.surface_to_msg
-        )
+        self._surface = self.add_result(SurfaceMsg, "surface", conversions.surface_to_msg)
         self._points_publisher = self.add_publisher(PointCloud2, "surface_points")
         self._reference_publisher = self.add_publisher(SurfaceMsg, "reference", 1, latched=True)
         self._publish_reference(self.get_clock().now().to_msg())
+        read = partial(grid_from_msg, shape=self.sensor.pattern.shape)
         for view in self.sensor.views:
-            self.add_input(GridMsg, f"{view}/grid", self._receiver(view))
+            self.add_input(GridMsg, f"{view}/grid", partial(self._on_grid, view), read)
         self._averaging = base_nodes.FrameService[Markers3D](
             self,
             "~/set_reference",
@@ -89,17 +87,13 @@ class StereoTriangulator(base_nodes.StageNode):
     def _watch(self, _changed: object = None) -> None:
         self._keeper.watch(self._rest.value, self._drift.value)
 
-    def _receiver(self, view: str) -> Callable[[GridMsg | Result], None]:
-        def receive(msg: GridMsg | Result) -> None:
-            grid = base_nodes.value_of(msg, grid_from_msg, self.sensor.pattern.shape)
-            if len(self.sensor.views) == 1:
-                self._on_grids({view: grid}, msg.header.stamp)
-                return
-            pair = self._pairing.add(view, stamp_ns(msg.header.stamp), grid)
-            if pair is not None:
-                self._on_grids({"left": pair[0], "right": pair[1]}, msg.header.stamp)
-
-        return receive
+    def _on_grid(self, view: str, grid: Grid, header: Header) -> None:
+        if len(self.sensor.views) == 1:
+            self._on_grids({view: grid}, header.stamp)
+            return
+        pair = self._pairing.add(view, stamp_ns(header.stamp), grid)
+        if pair is not None:
+            self._on_grids({"left": pair[0], "right": pair[1]}, header.stamp)
 
     def _start_again(self, topic: str) -> None:
         # What waits there may have the stamp of a frame that is still to come.
@@ -111,7 +105,7 @@ class StereoTriangulator(base_nodes.StageNode):
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)
         header = conversions.header_at(stamp, self._frame)
-        self._surface_publisher.publish(surface, header)
+        self._surface.publish(surface, header)
         self.frame_out(header)
         self._check(markers, grids)
         if self._points_publisher.get_subscription_count():
@@ -124,7 +118,7 @@ class StereoTriangulator(base_nodes.StageNode):
     def _check(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
         doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
         if doubt:
-            self.warn(self._surface_publisher.topic_name, doubt)
+            self.warn(self._surface.topic_name, doubt)
         self._health.add(markers, grids, doubt)
         self.tracked(measured_share(markers.status))
 

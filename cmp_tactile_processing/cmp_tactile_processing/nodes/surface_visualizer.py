@@ -6,19 +6,18 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.measured import Surface
-from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing, value_of
-from cmp_tactile_processing.ros.intra_process import Result
+from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
 from cmp_tactile_processing.ros.messages.making import gel_frame
@@ -39,7 +38,13 @@ MOST_WAITING = 120
 SIDES = ("surface", "force_field")
 PARTNERS = dict(zip(SIDES, reversed(SIDES), strict=True))
 
-Shown: TypeAlias = SurfaceMsg | ForceFieldMsg | Result
+
+@dataclass(frozen=True)
+class Shown:
+    """A surface or a force field, and the header of its frame."""
+
+    value: Surface | ForceField
+    header: Header
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ class SurfaceVisualizer(StageNode):
 
     def _set_up(self) -> None:
         self._pairing = StampPairing(SIDES, MOST_WAITING)
-        # What is on show, and the newest that waits for its partner: messages of one frame each.
+        # What is on show, and the newest that waits for its partner: of one frame each.
         self._shown: dict[str, Shown] = {}
         self._waits: dict[str, Shown] = {}
         self._alone = False
@@ -104,22 +109,35 @@ class SurfaceVisualizer(StageNode):
         self._prepare(self._dense.value)
         self._marker_publisher = self.add_publisher(MarkerArray, "markers")
         self._dense_publisher = self.add_publisher(PointCloud2, "dense_points")
-        self.add_input(SurfaceMsg, "surface", self._on_surface)
-        self.add_input(ForceFieldMsg, "force_field", partial(self._show, "force_field"))
+        read = partial(reading.surface_from_msg, shape=self.sensor.pattern.shape)
+        self.add_input(SurfaceMsg, "surface", self._on_surface, read, needs_all=self._needs_surface)
+        self.add_input(
+            ForceFieldMsg,
+            "force_field",
+            self._on_force,
+            reading.force_field_from_msg,
+            needs_all=self._anybody_looks,
+        )
 
     def _prepare(self, options: DenseParameters) -> None:
         pattern, margin = self.sensor.pattern, options.dense_margin
         grid = grid_over(pattern.shape, pattern.pitch, options.dense_spacing, margin)
         self._interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid, margin)
 
-    def _on_surface(self, msg: SurfaceMsg | Result) -> None:
-        self._show("surface", msg)
+    def _on_surface(self, surface: Surface, header: Header) -> None:
+        reading.check_shape(surface.shape, self.sensor.pattern.shape)
+        self._show("surface", Shown(surface, header))
         if self._dense_publisher.get_subscription_count():
-            surface = value_of(msg, reading.surface_from_msg, self.sensor.pattern.shape)
             dense = self._interpolator.interpolate(surface)
             fields = dense.position, dense.displacement, ("dx", "dy", "dz"), dense.status
-            self._dense_publisher.publish(organised_cloud(msg.header, *fields))
-            self.frame_out(msg.header)
+            self._dense_publisher.publish(organised_cloud(header, *fields))
+            self.frame_out(header)
+
+    def _on_force(self, field: ForceField, header: Header) -> None:
+        self._show("force_field", Shown(field, header))
+
+    def _needs_surface(self) -> bool:
+        return self._anybody_looks() or self._dense_publisher.get_subscription_count() > 0
 
     def _anybody_looks(self) -> bool:
         return self._marker_publisher.get_subscription_count() > 0
@@ -128,22 +146,22 @@ class SurfaceVisualizer(StageNode):
         # What waits there may have the stamp of a frame that is still to come.
         self._pairing.forget(topic)
 
-    def _show(self, topic: str, msg: Shown) -> None:
+    def _show(self, topic: str, shown: Shown) -> None:
         """Draw a frame when both of its messages are there, and one alone where that is all."""
         if not self._anybody_looks():
             self._forget_all()
             return
-        pair = self._pairing.add(topic, reading.stamp_ns(msg.header.stamp), msg)
+        pair = self._pairing.add(topic, reading.stamp_ns(shown.header.stamp), shown)
         if pair is not None:
             self._alone = False
             self._patience.reset()
-            if any(waiting.header.stamp == msg.header.stamp for waiting in self._waits.values()):
+            if any(waiting.header.stamp == shown.header.stamp for waiting in self._waits.values()):
                 self._waits = {}
             self._show_frame(dict(zip(SIDES, pair, strict=True)))
         elif self._alone or not self.count_publishers(self.resolve_topic_name(PARTNERS[topic])):
-            self._show_frame({topic: msg})
+            self._show_frame({topic: shown})
         else:
-            self._waits = {topic: msg}
+            self._waits = {topic: shown}
             if self._patience.is_canceled():
                 self._patience.reset()
 
@@ -160,8 +178,8 @@ class SurfaceVisualizer(StageNode):
             self._pairing.forget(side)
         self._shown, self._waits, self._alone = {}, {}, False
 
-    def _show_frame(self, messages: dict[str, Shown]) -> None:
-        self._shown = messages
+    def _show_frame(self, frame: dict[str, Shown]) -> None:
+        self._shown = frame
         self._rate.request()
 
     def _draw_again(self, look: MarkerParameters) -> None:
@@ -173,26 +191,21 @@ class SurfaceVisualizer(StageNode):
         if not self._anybody_looks():
             return
         markers: list[drawing.DrawnMarker] = []
-        for topic, msg in self._shown.items():
-            # A message that cannot be drawn is reported as one that cannot be used.
+        for topic, shown in self._shown.items():
+            # What cannot be drawn is reported as a message that cannot be used.
             name = self.resolve_topic_name(topic)
-            self._run_guarded(name, lambda each: markers.extend(self._markers(each)), msg)
+            self._run_guarded(name, lambda each: markers.extend(self._markers(each)), shown)
         if markers:
             header = next(iter(self._shown.values())).header
             lifetime = self._look.value.lifetime
             self._marker_publisher.publish(drawing.marker_array_bytes(markers, header, lifetime))
             self.frame_out(header)
 
-    def _markers(self, msg: Shown) -> list[drawing.DrawnMarker]:
-        look = self._look.value
-        made = msg.value if isinstance(msg, Result) else msg
-        if isinstance(made, (SurfaceMsg, Surface)):
-            surface = value_of(msg, reading.surface_from_msg, self.sensor.pattern.shape)
-            return surface_markers(
-                laid_on_known_surface(surface, self.sensor.pattern.surface), look
-            )
-        field = made if made is not msg else reading.force_field_from_msg(msg)
-        return force_markers(field, look)
+    def _markers(self, shown: Shown) -> list[drawing.DrawnMarker]:
+        look, value = self._look.value, shown.value
+        if isinstance(value, Surface):
+            return surface_markers(laid_on_known_surface(value, self.sensor.pattern.surface), look)
+        return force_markers(value, look)
 
 
 def main() -> int:

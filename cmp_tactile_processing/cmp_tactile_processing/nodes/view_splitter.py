@@ -4,35 +4,32 @@ from __future__ import annotations
 
 import math
 import sys
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 from tf2_ros import StaticTransformBroadcaster
 
+from cmp_tactile_processing.cache.view_threads import ViewThreads
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.raw import BitDepth
-from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
+from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, CameraInfoPublisher, StageNode
 from cmp_tactile_processing.ros.messages import conversions, making
 from cmp_tactile_processing.ros.messages.making import encoding_of
-from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.throttle import IMAGE_HZ, ThrottledTopic
+from cmp_tactile_processing.ros.wiring import publish_side_by_side
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
@@ -43,12 +40,6 @@ ORIGIN = (0.0, 0.0, 0.0)
 TF_STATIC = "/tf_static"
 # Of two transforms, m and parts of a quaternion: as exactly as others may have rounded them.
 SAME_POSE = 1e-5
-# A second frame follows only where the first seems lost: its wrench is so many times later than the
-# last one was.  Worked at side by side, each of two frames would take as long as both.
-MOST_IN_FLIGHT, LATE = 2, 2.0
-# A frame that has no wrench after so long will have none, however busy the computer is: the force
-# model is still being built, or its node has ended.
-PATIENCE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -163,57 +154,6 @@ class ViewSplitterParameters(ImageInputParameters):
     )
 
 
-class FramePacing:
-    """Holds frames back while an earlier one has not come out as a wrench; the newest one waits.
-
-    So the latency stays that of a frame alone, and its wait, however many come.  Until wrenches
-    come, and where they stop, every frame passes.  `work` takes a message, with its header; calls
-    take turns.
-    """
-
-    def __init__(
-        self, work: Callable[[Any], None], clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        """clock: gives seconds."""
-        self._work, self._clock = work, clock
-        self._in_flight: dict[int, float] = {}
-        self._waiting: Any = None
-        self._answered = False
-        self._latency = 0.0
-        self.passed_over = 0
-
-    def take(self, message: Any) -> None:
-        """A frame has come."""
-        now = self._clock()
-        while self._in_flight and now - next(iter(self._in_flight.values())) > PATIENCE_S:
-            self._in_flight.pop(next(iter(self._in_flight)))
-            self._answered = False
-        self.passed_over += self._waiting is not None
-        self._waiting = message
-        late = all(now - sent > LATE * self._latency for sent in self._in_flight.values())
-        if not self._answered or (late and len(self._in_flight) < MOST_IN_FLIGHT):
-            self._send()
-
-    def came_out(self, stamp: int) -> None:
-        """The wrench of the frame with this stamp, ns, has come."""
-        if stamp not in self._in_flight:
-            return
-        self._answered = True
-        self._latency = self._clock() - self._in_flight[stamp]
-        # They come out in their order: those before it are lost.
-        for earlier in list(self._in_flight):
-            del self._in_flight[earlier]
-            if earlier == stamp:
-                break
-        if self._waiting is not None and not self._in_flight:
-            self._send()
-
-    def _send(self) -> None:
-        message, self._waiting = self._waiting, None
-        self._in_flight[stamp_ns(message.header.stamp)] = self._clock()
-        self._work(message)
-
-
 class ViewSplitter(StageNode):
     """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
 
@@ -221,14 +161,14 @@ class ViewSplitter(StageNode):
     a bag may have it that `ros2 bag play` plays.  Frames in colour, such as bgr8 or rgba8, stay so;
     those in YUV and Bayer become grey unless `tracking.red`, `green` and `blue` of the sensor
     description ask for other than their luminance.  Pixels of 16 bits become 8, with a scale for
-    the bits that they use.  With `frame_queue` newest, for a controller, it reads `wrench`, and
-    while a frame is on its way to one, only the newest frame waits: the latency does not grow where
-    frames come quicker than they can be processed.
+    the bits that they use.  With `frame_queue` newest, for a controller, only the newest frame
+    waits while one is at work, on the way to its wrench where the stages share a container: the
+    latency does not grow where frames come quicker than they can be processed.
     `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
     are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
     frame for both views.  `<view>/image_raw` is in the view's own optical frame.
-    `image_raw_throttle` has those of the frames that are split, for a viewer.  The static
-    transforms from the gel frame to all optical frames are sent once, latched, and with
+    `<view>/camera_info` is latched, and comes with each frame while somebody subscribes.  The
+    static transforms from the gel frame to all optical frames are sent once, latched, and with
     `parent_frame` that from the frame the sensor is mounted on to the gel frame; a warning says
     where another node gives one of these frames another parent or place.
     """
@@ -237,24 +177,22 @@ class ViewSplitter(StageNode):
 
     def _set_up(self) -> None:
         self._rectification = Rectification(self.sensor)
-        self._throttled = ThrottledTopic(self, Image, "image_raw", IMAGE_HZ)
         self._views = [_ViewOutput(self, view, self._rectification) for view in self._geometry()]
+        self._threads = ViewThreads(len(self._views))
         self._send_transforms(Mounting.declare(self, self.sensor))
         options = declare_parameters(self, ViewSplitterParameters())
         is_compressed = options.input_transport == "compressed"
-        kind: type = CompressedImage if is_compressed else Image
         topic = "image_raw/compressed" if is_compressed else "image_raw"
-        split = self._on_image
         self._depth = BitDepth(self.resolve_topic_name(topic), self.get_logger().info)
-        newest = options.frame_queue == "newest"
-        if newest:
-            self._pacing = FramePacing(split)
-            split = self._take_newest
-            # As any wrench's QoS can serve it.
-            qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-            self.create_subscription(WrenchStamped, "wrench", self._on_wrench, qos)
         self.diagnostics.is_first = True
-        self.add_input(kind, topic, split, reliable=options.reliable_input, newest=newest)
+        self.add_input(
+            CompressedImage if is_compressed else Image,
+            topic,
+            self._split,
+            self._read,
+            reliable=options.reliable_input,
+            newest=options.frame_queue == "newest",
+        )
 
     def _send_transforms(self, mounting: Mounting) -> None:
         if mounting.is_elsewhere and not mounting.parent_frame:
@@ -276,31 +214,21 @@ class ViewSplitter(StageNode):
     def _geometry(self) -> list[ViewGeometry]:
         return list(build_views(self.sensor).values())
 
-    def _take_newest(self, msg: Any) -> None:
-        self._pacing.take(msg)
-        self.diagnostics.passed_over = self._pacing.passed_over
-
-    def _on_wrench(self, msg: WrenchStamped) -> None:
-        # A frame that waits may be a bad one.
-        topic = self.resolve_topic_name("image_raw")
-        self._run_guarded(topic, self._pacing.came_out, stamp_ns(msg.header.stamp))
-
-    def _on_image(self, msg: Image | CompressedImage) -> None:
-        weights = self.sensor.tracking.grey_weights
-        self._split(image_from_msg(msg, weights, self._depth), msg.header)
+    def _read(self, msg: Image | CompressedImage) -> NDArray[np.uint8]:
+        return image_from_msg(msg, self.sensor.tracking.grey_weights, self._depth)
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")
         images = [split_frame(frame, view.placement) for view in self._views]
-        # Both trackers begin before anything is made that only few wait for.
-        for view, image in zip(self._views, images, strict=True):
-            view.publish(image, header)
+        publish_side_by_side(
+            [view.image for view in self._views],
+            images,
+            [view.header(header) for view in self._views],
+            self._threads,
+        )
         self.frame_out(header)
         for view, image in zip(self._views, images, strict=True):
             view.publish_more(image, header)
-        self._throttled.offer(
-            header, lambda: conversions.image_to_msg(frame, encoding_of(frame), header)
-        )
 
 
 class _ViewOutput:
@@ -312,21 +240,24 @@ class _ViewOutput:
         self._frame = making.view_frame(node.sensor, view.name)
         self._rectified_frame = making.rectified_frame(node.sensor, view.name)
         self._rectification = rectification
-        self._info = conversions.camera_info_to_msg(rectification.info(view.name), Header())
-        self._raw = node.add_publisher(Image, f"{view.name}/image_raw", IMAGE_DEPTH)
-        self._rect = node.add_publisher(Image, f"{view.name}/image_rect", IMAGE_DEPTH)
-        self._camera_info: Publisher[CameraInfo] = node.add_publisher(
-            CameraInfo, f"{view.name}/camera_info", IMAGE_DEPTH, latched=True
+        self.image = node.add_result(
+            Image, f"{view.name}/image_raw", conversions.frame_to_msg, IMAGE_DEPTH
         )
+        self._rect = node.add_publisher(Image, f"{view.name}/image_rect", IMAGE_DEPTH)
+        self._info = CameraInfoPublisher(
+            node.add_publisher(CameraInfo, f"{view.name}/camera_info", IMAGE_DEPTH, latched=True)
+        )
+        info, header = rectification.info(view.name), Header(frame_id=self._rectified_frame)
+        self._info.change(conversions.camera_info_to_msg(info, header))
 
-    def publish(self, image: Any, camera_header: Header) -> None:
-        header = conversions.header_at(camera_header.stamp, self._frame)
-        self._raw.publish(conversions.image_to_msg(image, encoding_of(image), header))
+    def header(self, camera_header: Header) -> Header:
+        """Of the view's image."""
+        return conversions.header_at(camera_header.stamp, self._frame)
 
-    def publish_more(self, image: Any, camera_header: Header) -> None:
-        """Calibration, and the rectified image where somebody subscribes to it."""
+    def publish_more(self, image: NDArray[np.uint8], camera_header: Header) -> None:
+        """Calibration and rectified image, where somebody subscribes."""
         header = conversions.header_at(camera_header.stamp, self._rectified_frame)
-        self._camera_info.publish(conversions.with_header(self._info, header))
+        self._info.publish(header)
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
             self._rect.publish(conversions.image_to_msg(rectified, encoding_of(image), header))

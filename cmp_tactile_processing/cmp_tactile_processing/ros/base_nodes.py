@@ -10,7 +10,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy import event_handler
@@ -23,17 +23,17 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
+from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.measured import Grid, GridShape, Surface
 from cmp_tactile_processing.ros.diagnostics import frame_watch
 from cmp_tactile_processing.ros.diagnostics.graph_watch import ConnectionWatch, NameWatch
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.status import DiagnosticsReporter, Finding, status_name
-from cmp_tactile_processing.ros.intra_process import IntraProcessNode, Result
-from cmp_tactile_processing.ros.messages.reading import check_shape, stamp_ns
+from cmp_tactile_processing.ros.messages.conversions import with_header
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.ros.parameters import (
     ExplainingNode,
     SensorParameters,
@@ -41,6 +41,7 @@ from cmp_tactile_processing.ros.parameters import (
     declare_parameters,
     unknown_overrides,
 )
+from cmp_tactile_processing.ros.wiring import Finish, Given, Input, Output, WiredNode
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SERVICE_QOS = QoSProfile(depth=1000)
@@ -48,7 +49,7 @@ SERVICE_QOS = QoSProfile(depth=1000)
 and whoever asked waits without end."""
 
 
-class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
+class ReportingNode(ExplainingNode, WiredNode, ABC):
     """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up.
 
     thresholds: of its figures, parameters `diagnostics.*` that may change while it runs.
@@ -107,11 +108,12 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
 
     def create_publisher(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
-        if kwargs.get("event_callbacks") is None:
-            kwargs["event_callbacks"] = event_handler.PublisherEventCallbacks(
-                use_default_callbacks=False
-            )
-        return super().create_publisher(*args, **kwargs)
+        return super().create_publisher(*args, **_without_handlers(kwargs))
+
+    def create_lifecycle_publisher(self, *args: Any, **kwargs: Any) -> Any:
+        """As LifecycleNode's, which passes over `create_publisher`."""
+        made: Any = super()
+        return made.create_lifecycle_publisher(*args, **_without_handlers(kwargs))
 
     def create_subscription(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
@@ -130,6 +132,36 @@ class ReportingNode(ExplainingNode, IntraProcessNode, ABC):
         self.thresholds = thresholds
 
 
+def _without_handlers(kwargs: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of a publisher, without rclpy's event handlers unless others are given."""
+    if kwargs.get("event_callbacks") is None:
+        kwargs["event_callbacks"] = event_handler.PublisherEventCallbacks(
+            use_default_callbacks=False
+        )
+    return kwargs
+
+
+class CameraInfoPublisher:
+    """Publishes calibration when it changes, and beside each image while somebody subscribes.
+
+    image_transport and image_pipeline match the two by their stamps.  On a latched topic late
+    subscribers get it at once.
+    """
+
+    def __init__(self, publisher: Publisher[Any]) -> None:
+        self._publisher, self._info = publisher, CameraInfo()
+
+    def change(self, info: CameraInfo) -> None:
+        """Publish another calibration, now and from now on."""
+        self._info = info
+        self._publisher.publish(info)
+
+    def publish(self, header: Header) -> None:
+        """Publish it with the header of an image."""
+        if self._publisher.get_subscription_count():
+            self._publisher.publish(with_header(self._info, header))
+
+
 RESULT_DEPTH = 10
 IMAGE_DEPTH = 5
 # A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
@@ -137,20 +169,6 @@ INPUT_DEPTH = 20
 WARNING_PERIOD_S = 5.0
 # Its messages are numbered, so that losses show without an event, which costs time in every wait.
 NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
-ShapedT = TypeVar("ShapedT", Grid, Surface)
-
-
-def value_of(
-    message: Any, from_msg: Callable[[Any, GridShape], ShapedT], shape: GridShape
-) -> ShapedT:
-    """What a message says, or the Result that came in its place.
-
-    Raises GeometryError, as from_msg, unless it has the given shape.
-    """
-    if not isinstance(message, Result):
-        return from_msg(message, shape)
-    check_shape(message.value.shape, shape)
-    return cast("ShapedT", message.value)
 
 
 class StageNode(ReportingNode):
@@ -190,60 +208,81 @@ class StageNode(ReportingNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
-    def add_input(
+    def add_result(
         self,
         message_type: type,
         topic: str,
-        callback: Callable[[Any], None],
+        to_msg: Callable[[Any, Any], Any],
+        depth: int = RESULT_DEPTH,
+    ) -> Output:
+        """What the stage makes of each frame; to_msg: makes a message of it and a header."""
+        return self.add_output(self.add_publisher(message_type, topic, depth), to_msg)
+
+    def add_input(  # noqa: PLR0913  each has a default
+        self,
+        message_type: type,
+        topic: str,
+        callback: Callable[[Any, Header], None],
+        from_msg: Callable[[Any], Any],
         *,
+        begin: Callable[[Any], Any] = lambda value: value,
+        needs_all: Callable[[], bool] = lambda: True,
         reliable: bool = True,
         newest: bool = False,
     ) -> None:
-        """Subscribe; whatever a message causes is logged and counted, never raised.
+        """Call back with what comes on a topic.
 
-        From a stage of the same container comes a Result in place of a message: see `value_of`.
-        newest: one message waits, and a newer one takes its place.
+        Whatever that causes is logged and counted, never raised.
+        callback: takes a value, as `from_msg` reads it or a stage of the same container made it,
+        and the header.  begin: does the first part of the work, on a thread of its own where two
+        views are at work; the callback takes what it returns.  needs_all: whether the value is to
+        be whole now, see `Output.is_wanted`.  newest: one frame waits, and a newer one takes its
+        place.
         """
-        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         name = self.resolve_topic_name(topic)
         depth = 1 if newest else INPUT_DEPTH
         watch = frame_watch.InputWatch(name, depth, newest=newest)
 
-        def guarded(message: Any, info: Any) -> None:
+        def begin_guarded(given: Given) -> Finish:
             self.diagnostics.frame_in()
-            if watch.take_message(stamp_ns(message.header.stamp), info) is frame_watch.Stamp.BACK:
+            header = given.header
+            if watch.take_message(stamp_ns(header.stamp), given.info) is frame_watch.Stamp.BACK:
                 self._run_guarded(name, self._on_time_back, topic)
-            self._run_guarded(name, callback, message)
+            begun: list[Any] = []
+            self._run_guarded(name, lambda: begun.append(begin(given.value)))
+            return lambda: self._run_guarded(name, callback, *begun, header) if begun else None
 
+        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        end = watch.end = Input(begin_guarded, from_msg, needs_all)
         qos = QoSProfile(depth=depth, reliability=policy)
-        watch.subscription = self._subscribe(message_type, topic, guarded, qos, watch)
-        watch.depth = watch.subscription.qos_profile.depth
+        self._subscribe(end, message_type, topic, qos, watch)
+        watch.depth = end.subscription.qos_profile.depth
         self.diagnostics.inputs.append(watch)
 
     def _subscribe(
         self,
+        end: Input,
         message_type: type,
         topic: str,
-        callback: Callable[[Any, Any], None],
         qos: QoSProfile,
         watch: frame_watch.InputWatch,
-    ) -> Any:
+    ) -> None:
         lost = None
         if get_rmw_implementation_identifier() not in NUMBERING_RMW:
             lost = lambda event: watch.add_lost(event.total_count_change)  # noqa: E731
         for message_lost in (lost, None):
             with suppress(event_handler.UnsupportedEventTypeError):
-                return self.create_subscription(
+                self.connect_input(
+                    end,
                     message_type,
                     topic,
-                    callback,
                     qos,
-                    takes_results=True,
                     event_callbacks=event_handler.SubscriptionEventCallbacks(
                         message_lost=message_lost, use_default_callbacks=False
                     ),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies(),
                 )
+                return
         raise AssertionError(topic)
 
     def _on_time_back(self, topic: str) -> None:
@@ -280,9 +319,9 @@ class StageNode(ReportingNode):
     def _update_diagnostics(self) -> None:
         """Refresh `diagnostics.extra` before a report; for subclasses."""
 
-    def _run_guarded(self, topic: str, callback: Callable[[Any], None], message: Any) -> None:
+    def _run_guarded(self, topic: str, callback: Callable[..., None], *arguments: Any) -> None:
         try:
-            callback(message)
+            callback(*arguments)
         except CmpTactileError as error:
             self.diagnostics.bad_frame(f"{topic}: {error}")
             self.warn(topic, str(error))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,6 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
 from rcl_interfaces.msg import Log
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
@@ -26,8 +24,6 @@ from tf2_msgs.msg import TFMessage
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.nodes.view_splitter import (
-    PATIENCE_S,
-    FramePacing,
     ViewSplitter,
 )
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
@@ -445,98 +441,6 @@ def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
     warnings = [log.msg for log in logs if log.name == name.replace("/", ".") and log.level >= 30]
     assert warnings == [f"{topic}: image: found 1024 x 100 px, expected 1024 x 768 px"]
     assert len(left) == 1
-
-
-@dataclass
-class Paced:
-    """A pacing with a clock of the test's; numbers stand for frames and their stamps."""
-
-    done: list[int] = field(default_factory=list)
-    now: float = 0.0
-
-    def __post_init__(self) -> None:
-        self.pacing = FramePacing(lambda msg: self.done.append(msg.header.stamp.nanosec), self.time)
-
-    def time(self) -> float:
-        return self.now
-
-    def take(self, *numbers: int) -> None:
-        for number in numbers:
-            self.pacing.take(Image(header=Header(stamp=Time(nanosec=number))))
-
-
-def test_newest_frame_waits_while_one_is_on_its_way():
-    paced = Paced()
-    paced.take(1)
-    paced.pacing.came_out(1)
-    paced.take(2, 3, 4, 5, 6)
-    assert paced.done == [1, 2]
-    paced.pacing.came_out(2)
-    assert paced.done == [1, 2, 6]
-    assert paced.pacing.passed_over == 3
-    # None waits, so none is sent; a wrench of another source says nothing.
-    paced.pacing.came_out(6)
-    paced.pacing.came_out(99)
-    paced.take(7)
-    assert paced.done == [1, 2, 6, 7]
-
-
-def test_frame_that_is_lost_on_its_way_holds_the_next_back_for_twice_the_last_latency():
-    paced = Paced()
-    paced.take(1)
-    paced.now += 0.02
-    paced.pacing.came_out(1)
-    paced.take(2)
-    paced.now += 0.03
-    paced.take(3)
-    assert paced.done == [1, 2]
-    paced.now += 0.02
-    paced.take(4, 5)
-    assert paced.done == [1, 2, 4]
-    paced.pacing.came_out(4)
-    assert paced.done == [1, 2, 4, 5]
-
-
-def test_every_frame_passes_while_no_wrench_comes():
-    """As before the force model is built, and once its node has ended."""
-    paced = Paced()
-    paced.take(*range(10))
-    assert paced.done == list(range(10))
-    paced.pacing.came_out(9)
-    paced.take(*range(10, 20))
-    assert paced.done == list(range(11))
-    paced.now += 2 * PATIENCE_S
-    paced.take(20, 21, 22)
-    assert paced.done[11:] == [20, 21, 22]
-
-
-def test_splitter_passes_frames_over_until_a_wrench_comes(ros, sample):
-    splitter = ros.start(ViewSplitter, frame_queue="newest")
-    # However long this computer takes, nothing is late.
-    splitter._pacing._clock = lambda: 0.0
-    left = ros.listen(Image, "left/image_raw")
-    wrench, image = ros.publisher(WrenchStamped, "wrench"), ros.publisher(Image, "image_raw")
-    frame = _frame_msg(sample("slide").frame)
-
-    def send(number: int) -> None:
-        frame.header.stamp = Time(sec=number)
-        image.publish(frame)
-        ros.wait(lambda: splitter.diagnostics.frames_in == number, "the frame")
-
-    def answer(number: int) -> None:
-        wrench.publish(WrenchStamped(header=Header(stamp=Time(sec=number))))
-
-    send(1)
-    ros.wait(lambda: left, "the first view")
-    answer(1)
-    ros.wait(lambda: splitter._pacing._answered, "its wrench")
-    for number in (2, 3, 4, 5):
-        send(number)
-    ros.wait(lambda: len(left) == 2, "one more view")
-    answer(2)
-    ros.wait(lambda: len(left) == 3, "the newest view")
-    assert [view.header.stamp.sec for view in left] == [1, 2, 5]
-    assert splitter.diagnostics.passed_over == 2
 
 
 def _frame_warnings(capfd) -> list[str]:

@@ -32,9 +32,9 @@ class _Faulty(StageNode):
     default_name = "faulty"
 
     def _set_up(self):
-        self.add_input(Surface, "surface", self._divide)
+        self.add_input(Surface, "surface", self._divide, lambda msg: msg)
 
-    def _divide(self, msg):
+    def _divide(self, msg, _header):
         return 1 / msg.rows
 
 
@@ -66,9 +66,9 @@ class _Slow(StageNode):
 
     def _set_up(self):
         self.results = self.add_publisher(Surface, "result")
-        self.add_input(Surface, "surface", self._work)
+        self.add_input(Surface, "surface", self._work, lambda msg: msg)
 
-    def _work(self, msg):
+    def _work(self, msg, _header):
         time.sleep(self.work_s)
         self.results.publish(msg)
         self.frame_out(msg.header)

@@ -10,7 +10,6 @@ import math
 import threading
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import QoSProfile
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.diagnostics import frame_watch
@@ -25,7 +24,7 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import (
 )
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames, StageDiagnostics, age_in_days
 from cmp_tactile_processing.ros.diagnostics.status import Finding, Hysteresis
-from cmp_tactile_processing.ros.intra_process import Inbox, Terms
+from cmp_tactile_processing.ros.wiring import Input
 
 pytestmark = pytest.mark.ros
 
@@ -91,18 +90,11 @@ def test_publishers_that_come_and_go_do_not_fill_the_memory():
     assert len(watch._numbers) <= MOST_PUBLISHERS
 
 
-def test_intra_process_knows_its_own_queue_and_losses():
-    """Numbers that come without a publisher are those of the hand-over: they count once."""
-
-    class Subscription:
-        inbox = Inbox(Terms("/t", object, QoSProfile(depth=3)), lambda _: None, lambda _: None)
-
+def test_the_entrance_knows_its_own_queue_and_losses():
     watch = InputWatch("/t", 20)
-    watch.subscription = Subscription()
-    for number in range(5):
-        Subscription.inbox.put(number, _info(number))
-    watch.take_message(1, _info(3, None))
-    watch.take_message(1, _info(9, None))
+    watch.end = Input(lambda _: lambda: None)
+    watch.end.dropped, watch.end.queued = 2, 3
+    watch.take_message(1, None)
     assert watch.lost == 2
     assert watch.waiting(60.0) == 3
     watch.take_message(1, _info(1, b"outside"))

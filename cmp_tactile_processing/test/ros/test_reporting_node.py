@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,22 +14,19 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.base_nodes import value_of
-from cmp_tactile_processing.ros.intra_process import Result
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
-from cmp_tactile_processing.ros.messages.reading import surface_from_msg
+from cmp_tactile_processing.ros.wiring import Wiring, joining
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -100,9 +98,10 @@ def test_the_wrench_is_published_first(ros, published):
 
 def test_both_views_are_published_before_anything_else_of_them(ros, published):
     node = ros.start(ViewSplitter)
-    for view in ("left", "right"):
-        ros.listen(Image, f"{view}/image_rect")
-    ros.wait_subscribed(node, "left/image_rect", "right/image_rect")
+    topics = {"image_raw": Image, "camera_info": CameraInfo, "image_rect": Image}
+    for view, topic in itertools.product(("left", "right"), topics):
+        ros.listen(topics[topic], f"{view}/{topic}")
+        ros.wait_subscribed(node, f"{view}/{topic}")
     order = published(node)
     frame = np.zeros((SENSOR.image.height, SENSOR.image.width), np.uint8)
     ros.publisher(Image, "image_raw").publish(image_to_msg(frame, "mono8", HEADER))
@@ -136,10 +135,15 @@ def test_the_grid_is_published_before_its_picture(ros, published):
     assert _until(ros, order, 2) == ["surface", "surface_points"]
 
 
-def test_the_result_of_another_pattern_is_refused():
+def test_the_surface_of_another_pattern_is_refused(ros):
     """Two sensors of one container may be remapped onto each other."""
-    surface = surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape)
-    result, other = Result(surface, HEADER, surface_to_msg), replace(surface.shape, rows=19)
-    assert value_of(result, surface_from_msg, surface.shape) is surface
-    with pytest.raises(GeometryError, match="found 20, 20, 6, expected 19, 20, 6"):
-        value_of(result, surface_from_msg, other)
+    other = replace(SENSOR.pattern, rows=SENSOR.pattern.rows - 1)
+    sensor = replace(SENSOR, pattern=other)
+    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    with joining(Wiring()):
+        node, source = ros.start(ForceReconstructor, wait_for_model=True), ros.start(ViewSplitter)
+        output = source.add_result(SurfaceMsg, "surface", surface_to_msg)
+    node.attach()
+    output.publish(surface, HEADER)
+    assert node.diagnostics.bad_frames == 1
+    assert "found 19, 20, 6, expected 20, 20, 6" in node.diagnostics.last_error

@@ -24,7 +24,6 @@ from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.services import answer_of
-from cmp_tactile_processing.ros.throttle import throttled
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes.controls import (
     RecordingButton,
@@ -93,17 +92,17 @@ class _Watched:
         self.topics = []
         for short, (kind, field) in kinds.items():
             name = f"{sensor.namespace}/{short}"
-            self.topics.append(PolledTopic(name, kind, field, (throttled(name), name)))
+            self.topics.append(PolledTopic(name, kind, field))
         # Small, and of every frame: for rate and latency.
         wrench = f"{sensor.namespace}/wrench"
-        self._wrench = PolledTopic(wrench, WrenchStamped, "wrench", (wrench,))
+        self._wrench = PolledTopic(wrench, WrenchStamped, "wrench")
         self._depth = BitDepth(f"{sensor.namespace}/image_raw", node.get_logger().info)
         self._group = Polled()
         self._shown: tuple[str, int] | None = None
         self._image_s, self._imaged_ns = 0.0, -1
 
     def subscribe(self) -> None:
-        """Also again, while it looks: throttled topics may have come."""
+        """Also again: nothing happens then."""
         for topic in (*self.topics, self._wrench):
             topic.subscribe(self._node, self._group)
 
@@ -303,8 +302,6 @@ class LiveSensors:
         if self._audience is None:
             return
         now_s = time.monotonic()
-        for item in self._watched:
-            item.subscribe()
         lines = [line for item in self._watched for line in item.silence()]
         lines += [
             HealthLine(Level.WARN, topic, text)

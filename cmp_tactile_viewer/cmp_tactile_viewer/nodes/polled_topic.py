@@ -6,7 +6,7 @@ import math
 import struct
 import time
 from collections import OrderedDict, deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -44,29 +44,23 @@ class PolledTopic:
     last_s: when the newest came, by time.monotonic().  sent_ns: when it was sent, time.time_ns().
     """
 
-    def __init__(self, name: str, message_type: Any, field: str, names: Sequence[str]) -> None:
-        """names: of topics with its messages, the best first; of those that are published."""
+    def __init__(self, name: str, message_type: Any, field: str) -> None:
         self.name, self.message_type, self.field = name, message_type, field
-        self._names, self._subscribed = names, ""
         self.kept: OrderedDict[int, bytes] = OrderedDict()
         self.stamps: deque[int] = deque(maxlen=RATE_FRAMES)
         self.last_s, self.sent_ns = time.monotonic(), 0
         self._subscription: Any = None
 
     def subscribe(self, node: Node, group: CallbackGroup) -> None:
-        """Also again: where a better topic of the same messages is published by now."""
-        published = (name for name in self._names if node.count_publishers(name))
-        best = next(published, self._subscribed or self.name)
-        if best == self._subscribed:
+        """Begin; again, nothing happens."""
+        if self._subscription is not None:
             return
-        self.unsubscribe(node)
         self.kept.clear()
         self.stamps.clear()
         self.last_s = time.monotonic()
-        self._subscribed = best
         self._subscription = node.create_subscription(
             self.message_type,
-            best,
+            self.name,
             lambda _: None,
             QoSProfile(depth=KEPT),
             callback_group=group,
@@ -75,7 +69,6 @@ class PolledTopic:
 
     def unsubscribe(self, node: Node) -> None:
         """Until `subscribe`."""
-        self._subscribed = ""
         if self._subscription is not None:
             node.destroy_subscription(self._subscription)
             self._subscription = None

@@ -154,16 +154,6 @@ def test_rate_and_latency_are_those_of_the_wrenches(rig, ros, snapshots):
     assert 0.9 <= shown.latency_s < 60.0
 
 
-def test_it_prefers_the_throttled_topics(rig, ros, snapshots):
-    """Those of a sensor that starts while the page looks, too; of others it takes all messages."""
-    rig.look()
-    publisher = ros.publisher(Surface, "surface_throttle")
-    count = ros.node.count_subscribers
-    ros.wait(lambda: not count(f"{ros.namespace}/surface"), "the end of the other subscription")
-    publisher.publish(surface_to_msg(snapshots[0].surface, _header(1)))
-    ros.wait(lambda: rig.audience.snapshots, "the surface")
-
-
 def test_an_image_that_comes_later_than_the_force_is_shown_with_its_grid(rig, ros, snapshots):
     """An image is large: it is shown with the next surface, never a grid on another image."""
     rig.look()

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.ros.intra_process import Inbox, inbox_of
+from cmp_tactile_processing.ros.wiring import Input
 from cmp_tactile_processing.sensor.parameters import check_parameters, parameter
 
 SECTION = "diagnostics"
@@ -182,7 +182,7 @@ class InputWatch(StampWatch):
     """Counts for one subscription; `take_message` once per message, in the order of the callbacks.
 
     newest: only the newest message is wanted.
-    subscription: where its messages are handed over in process, its inbox knows queue and losses.
+    end: where frames come by a plain call, it knows queue and losses of the entrance.
     """
 
     def __init__(self, topic: str, depth: int, *, newest: bool = False) -> None:
@@ -190,7 +190,7 @@ class InputWatch(StampWatch):
         self.topic = topic
         self._newest = newest
         self.depth = depth
-        self.subscription: Any = None
+        self.end: Input | None = None
         self.received = 0
         self._lost = 0
         self._numbers: dict[bytes, int] = {}
@@ -209,8 +209,7 @@ class InputWatch(StampWatch):
 
     @property
     def _never_taken(self) -> int:
-        inbox = self._inbox
-        return self._lost + (0 if inbox is None else inbox.dropped)
+        return self._lost + (0 if self.end is None else self.end.dropped)
 
     def add_lost(self, count: int) -> None:
         """Messages were lost, as the middleware says."""
@@ -229,26 +228,18 @@ class InputWatch(StampWatch):
     def waiting(self, rate: float) -> float:
         """How many messages waited at most since the last call; rate: at which they come, Hz.
 
-        From the time that a message waited, unless the subscription knows its queue.
+        Over DDS from the time that a message waited.
         """
         waited_s, self._waited_ns = self._waited_ns / NS_PER_S, 0
-        inbox = self._inbox
-        queued = 0 if inbox is None else inbox.queued
+        queued = 0 if self.end is None else self.end.queued
         return max(float(queued), min(waited_s * rate, float(self.depth)))
-
-    @property
-    def _inbox(self) -> Inbox | None:
-        return None if self.subscription is None else inbox_of(self.subscription)
 
     def _number(self, info: Mapping[str, Any]) -> None:
         number = info.get("publication_sequence_number")
         if number is None:
             return
-        publisher = info.get("publisher_gid", {})
-        if publisher is None:
-            return  # It was handed over: the inbox knows.
         # ROS 2 Jazzy does not name the publisher.
-        key = publisher.get("data", b"")
+        key = (info.get("publisher_gid") or {}).get("data", b"")
         last = self._numbers.get(key)
         if last is None and len(self._numbers) == MOST_PUBLISHERS:
             self._numbers.clear()

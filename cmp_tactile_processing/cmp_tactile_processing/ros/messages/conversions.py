@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from std_msgs.msg import Header
 
-from cmp_tactile_processing.ros.messages.making import MessageMaker
+from cmp_tactile_processing.ros.messages.making import MessageMaker, encoding_of
 
 
 @cache
@@ -53,3 +53,8 @@ image_to_msg = ROS_MESSAGES.image
 organised_cloud = ROS_MESSAGES.cloud
 surface_to_msg = ROS_MESSAGES.surface
 wrench_to_msg = ROS_MESSAGES.wrench_stamped
+
+
+def frame_to_msg(image: NDArray[np.uint8], header: Header) -> Any:
+    """The Image of a frame, (H, W) grey or (H, W, 3) BGR uint8."""
+    return image_to_msg(image, encoding_of(image), header)

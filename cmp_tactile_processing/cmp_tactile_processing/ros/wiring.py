@@ -1,0 +1,396 @@
+"""Which node of a sensor feeds which: results pass from node to node by a plain call.
+
+A node has outputs and inputs, each with a topic.  Where nodes of a sensor share a container, its
+`Wiring` connects them: what a stage made goes to the next one as the object of the core, on the
+same thread, so nobody may change it afterwards.  A message is made, once, where somebody else
+subscribes.  Frames of a source come on its own thread and wait in an `Entrance`, the only queue.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cached_property
+from queue import SimpleQueue
+from typing import Any, Protocol
+
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSCompatibility, qos_check_compatible
+
+from cmp_tactile_processing.cache.view_threads import ViewThreads
+
+Info = Mapping[str, Any]
+"""Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
+
+
+class Given(Protocol):
+    """What a node gives of one frame.
+
+    value: as the core has it.  message: what says the same.  header: of the message.  info: of a
+    message that came over DDS.
+    """
+
+    @property
+    def value(self) -> Any:
+        """Raises CmpTactileError where a message cannot be used."""
+
+    @property
+    def message(self) -> Any:
+        """Made by the first call."""
+
+    @property
+    def header(self) -> Any:
+        """A std_msgs/Header."""
+
+    @property
+    def info(self) -> Info | None:
+        """None where it came by a plain call."""
+
+
+class Made:
+    """What a stage of this process made; `to_msg` makes the message of value and header."""
+
+    info: Info | None = None
+
+    def __init__(self, value: Any, header: Any, to_msg: Callable[[Any, Any], Any]) -> None:
+        self.value, self.header, self._to_msg = value, header, to_msg
+
+    @cached_property
+    def message(self) -> Any:
+        """Made by the first call."""
+        return self._to_msg(self.value, self.header)
+
+
+class Received:
+    """A message that came over DDS; `from_msg` reads it."""
+
+    def __init__(self, message: Any, info: Info | None, from_msg: Callable[[Any], Any]) -> None:
+        self.message, self.info, self._from_msg = message, info, from_msg
+
+    @property
+    def header(self) -> Any:
+        """Of the message."""
+        return self.message.header
+
+    @cached_property
+    def value(self) -> Any:
+        """Read by the first call."""
+        return self._from_msg(self.message)
+
+
+Finish = Callable[[], None]
+"""The rest of the work on a frame, on the thread of the sensor."""
+
+
+class Input:
+    """Where a topic comes in.
+
+    dropped: frames that newer ones took the place of at the entrance.  subscription: over DDS; it
+    is not looked at while an output of the same container is connected.
+    """
+
+    def __init__(
+        self,
+        begin: Callable[[Given], Finish],
+        from_msg: Callable[[Any], Any] = lambda message: message,
+        needs_all: Callable[[], bool] = lambda: True,
+    ) -> None:
+        """begin: works on a frame, beside that of another view; needs_all: see `Output`."""
+        self.begin, self.needs_all = begin, needs_all
+        self._from_msg = from_msg
+        self.gate = _Gate()
+        self.subscription: Any = None
+        self.dropped = self.queued = 0
+
+    @property
+    def depth(self) -> int | None:
+        """Frames that may wait at the entrance; None for all."""
+        qos = self.subscription.qos_profile
+        return None if qos.history is HistoryPolicy.KEEP_ALL else max(1, qos.depth)
+
+    def take(self, given: Given) -> None:
+        """Work on a frame."""
+        self.begin(given)()
+
+    def take_message(self, message: Any, info: Info) -> None:
+        """The callback of the subscription."""
+        self.take(Received(message, info, self._from_msg))
+
+    def listen_to_dds(self, wanted: bool) -> None:
+        """Look at the subscription from now on, at what is yet to come, or not."""
+        if wanted and not self.gate.is_open:
+            handle = self.subscription.handle
+            with handle:
+                while handle.take_message(self.subscription.msg_type, True) is not None:
+                    pass
+        self.gate.is_open = wanted
+
+
+class _Gate(MutuallyExclusiveCallbackGroup):
+    """Of a subscription that an executor waits for only while the gate is open."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_open = True
+
+    def can_execute(self, entity: Any) -> bool:
+        """As the base class has it, while it is open."""
+        return self.is_open and bool(super().can_execute(entity))
+
+
+class Entrance:
+    """Frames of another thread that wait for the thread of the sensor; the oldest is dropped."""
+
+    def __init__(self, end: Input, wake: Callable[[Entrance], None]) -> None:
+        self.end, self._wake = end, wake
+        self._waiting: deque[Given] = deque()
+        self._lock = threading.Lock()
+
+    def take(self, given: Given) -> None:
+        """Let a frame wait."""
+        depth = self.end.depth
+        with self._lock:
+            if depth is not None and len(self._waiting) == depth:
+                self._waiting.popleft()
+                self.end.dropped += 1
+            self._waiting.append(given)
+            self.end.queued = len(self._waiting)
+        self._wake(self)
+
+    def pass_on(self) -> None:
+        """Let the input take the oldest."""
+        with self._lock:
+            given = self._waiting.popleft() if self._waiting else None
+            self.end.queued = len(self._waiting)
+        if given is not None:
+            self.end.take(given)
+
+
+class Output:
+    """Publishes what a node makes, as messages only while somebody outside subscribes.
+
+    Of a value that takes long to make whole, `is_wanted` says whether anybody needs all of it.
+    """
+
+    def __init__(
+        self, publisher: Any, to_msg: Callable[[Any, Any], Any], *, own_thread: bool = False
+    ) -> None:
+        """to_msg: makes a message of value and header.  own_thread: it publishes on a thread of
+        its own, not on that of the sensor.
+        """
+        self.publisher, self.own_thread = publisher, own_thread
+        self._to_msg = to_msg
+        self.ends: tuple[Input | Entrance, ...] = ()
+
+    @property
+    def topic_name(self) -> str:
+        """Resolved."""
+        return str(self.publisher.topic_name)
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether somebody subscribes who is not connected."""
+        return bool(self.publisher.get_subscription_count() > len(self.ends))
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anybody needs the whole value."""
+        return self.is_heard or any(input_of(end).needs_all() for end in self.ends)
+
+    def publish(self, value: Any, header: Any) -> None:
+        """Give away a value, which nobody may change any more; first to the next stage."""
+        given = Made(value, header, self._to_msg)
+        for end in self.ends:
+            end.take(given)
+        self._send(given)
+
+    def _send(self, given: Made) -> None:
+        if self.is_heard and getattr(self.publisher, "is_activated", True):
+            self.publisher.publish(given.message)
+
+
+def input_of(end: Input | Entrance) -> Input:
+    """Where an end of an output leads to."""
+    return end.end if isinstance(end, Entrance) else end
+
+
+def publish_side_by_side(
+    outputs: Sequence[Output], values: Sequence[Any], headers: Sequence[Any], threads: ViewThreads
+) -> None:
+    """Publish a value of each output; what they begin runs at once, and is finished in order."""
+    given = [
+        Made(value, header, output._to_msg)  # noqa: SLF001  of the same module
+        for output, value, header in zip(outputs, values, headers, strict=True)
+    ]
+    begins = [
+        (input_of(end), item)
+        for output, item in zip(outputs, given, strict=True)
+        for end in output.ends
+    ]
+    for finish in threads.map(lambda begin: begin[0].begin(begin[1]), begins):
+        finish()
+    for output, item in zip(outputs, given, strict=True):
+        output._send(item)  # noqa: SLF001  of the same module
+
+
+class FairLock:
+    """A lock for which a thread that waits comes before one that has just released it.
+
+    Python's own may be taken again and again by one busy thread, while the other starves.
+    """
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._held = threading.Lock()
+
+    def __enter__(self) -> None:
+        with self._turn:
+            self._held.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._held.release()
+
+
+class Wiring:
+    """Connects the outputs and inputs of one sensor's nodes in a container.
+
+    lock: whoever calls a node holds it: the thread of the frames, and that of the executor.
+    """
+
+    def __init__(self) -> None:
+        self.lock = FairLock()
+        self._outputs: list[Output] = []
+        self._inputs: list[Input] = []
+        self._due: SimpleQueue[Entrance | None] = SimpleQueue()
+        self._thread: threading.Thread | None = None
+
+    def add(self, *ends: Output | Input) -> None:
+        """Connect ends from now on.  Hold the lock."""
+        self._outputs += [item for item in ends if isinstance(item, Output)]
+        self._inputs += [item for item in ends if isinstance(item, Input)]
+        self._connect()
+
+    def remove(self, *ends: Output | Input) -> None:
+        """Connect ends no more.  Hold the lock."""
+        self._outputs = [item for item in self._outputs if item not in ends]
+        self._inputs = [item for item in self._inputs if item not in ends]
+        for item in ends:
+            if isinstance(item, Output):
+                item.ends = ()
+        self._connect()
+
+    def _connect(self) -> None:
+        connected = set()
+        for output in self._outputs:
+            known = {input_of(end): end for end in output.ends}
+            fitting = [item for item in self._inputs if _fit(output, item)]
+            output.ends = tuple(known.get(item) or self._end(output, item) for item in fitting)
+            connected.update(fitting)
+        for item in self._inputs:
+            item.listen_to_dds(item not in connected)
+
+    def close(self) -> None:
+        """Take no more frames; waits for the last one."""
+        if self._thread is not None:
+            self._due.put(None)
+            self._thread.join()
+            self._thread = None
+
+    def _end(self, output: Output, end: Input) -> Input | Entrance:
+        if not output.own_thread:
+            return end
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="frames", daemon=True)
+            self._thread.start()
+        return Entrance(end, self._due.put)
+
+    def _work(self) -> None:
+        while (entrance := self._due.get()) is not None:
+            with self.lock:
+                try:
+                    entrance.pass_on()
+                except BaseException as error:  # noqa: BLE001  the next frame may be better
+                    get_logger("wiring").error(f"a frame is lost: {error!r}")
+
+
+def _fit(output: Output, end: Input) -> bool:
+    publisher, subscription = output.publisher, end.subscription
+    if publisher.topic_name != subscription.topic_name:
+        return False
+    if publisher.msg_type is not subscription.msg_type:
+        return False
+    verdict, _ = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
+    return bool(verdict != QoSCompatibility.ERROR)
+
+
+_joined: ContextVar[Wiring | None] = ContextVar("wiring", default=None)
+
+
+@contextmanager
+def joining(wiring: Wiring | None) -> Iterator[None]:
+    """Nodes that are built in here are connected by this wiring; None for by none."""
+    token = _joined.set(wiring)
+    try:
+        yield
+    finally:
+        _joined.reset(token)
+
+
+class WiredNode(Node):
+    """Stands before Node or LifecycleNode among the bases of a node with outputs and inputs.
+
+    In a container, outputs are connected as they are made, for a source may begin at once; inputs
+    once `attach` says that the node is built.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._wiring = _joined.get()
+        self._attached = self._wiring is None
+        self._ends: list[Output | Input] = []
+        super().__init__(*args, **kwargs)
+
+    def attach(self) -> None:
+        """Connect the inputs, as the node is built.  The container holds the lock."""
+        self._attached = True
+        if self._wiring is not None:
+            self._wiring.add(*(item for item in self._ends if isinstance(item, Input)))
+
+    def detach(self) -> None:
+        """Connect nothing any more, before the node is destroyed.  The container holds the lock."""
+        if self._wiring is not None:
+            self._wiring.remove(*self._ends)
+            self._wiring = None
+
+    def add_output(
+        self, publisher: Any, to_msg: Callable[[Any, Any], Any], *, own_thread: bool = False
+    ) -> Output:
+        """What the publisher sends, for the next stage too: see `Output`."""
+        output = Output(publisher, to_msg, own_thread=own_thread)
+        self._ends.append(output)
+        if self._wiring is not None:
+            with self._wiring.lock:
+                self._wiring.add(output)
+        return output
+
+    def connect_input(
+        self, end: Input, message_type: Any, topic: str, qos: Any, **kwargs: Any
+    ) -> None:
+        """Subscribe; kwargs: those of create_subscription."""
+        end.subscription = self.create_subscription(
+            message_type, topic, end.take_message, qos, callback_group=end.gate, **kwargs
+        )
+        self._ends.append(end)
+        if self._attached and self._wiring is not None:
+            self._wiring.add(end)
+
+    def disconnect_input(self, end: Input) -> None:
+        """Unsubscribe."""
+        self._ends.remove(end)
+        if self._attached and self._wiring is not None:
+            self._wiring.remove(end)
+        self.destroy_subscription(end.subscription)

@@ -1,0 +1,320 @@
+"""Nodes of one sensor in one container: results pass by a plain call, and to others over DDS."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+pytest.importorskip("rclpy")
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle.publisher import LifecyclePublisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
+from waiting import wait_until
+
+from cmp_tactile_processing.cache.view_threads import ViewThreads
+from cmp_tactile_processing.ros.wiring import (
+    Given,
+    Input,
+    Output,
+    WiredNode,
+    Wiring,
+    joining,
+    publish_side_by_side,
+)
+
+_numbers = itertools.count()
+
+
+def _to_msg(value: int, header: Header) -> Image:
+    return Image(header=header, width=value)
+
+
+def _of(given: Given) -> int:
+    value = given.value
+    return int(value.width) if isinstance(value, Image) else int(value)
+
+
+class Container:
+    """Nodes that one wiring connects, in a namespace of the test, and somebody outside."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self.namespace = f"/wired_{os.getpid()}_{next(_numbers)}"
+        self.wiring = Wiring()
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.nodes: list[Any] = []
+        self.outside = self._add(
+            rclpy.create_node("outside", context=self.context, namespace=self.namespace)
+        )
+
+    def node(self, name: str, *bases: type) -> Any:
+        kind = type("Sample", bases or (WiredNode,), {})
+        with joining(self.wiring):
+            return self._add(kind(name, context=self.context, namespace=self.namespace))
+
+    def stage(self, name: str, topic: str, **fields: Any) -> Stage:
+        """A node with one input."""
+        node = self.node(name)
+        stage = Stage(node, topic, **fields)
+        with self.wiring.lock:
+            node.attach()
+        return stage
+
+    def output(self, topic: str, **fields: Any) -> Output:
+        """That of a node of its own."""
+        node = self.node(f"source_{next(_numbers)}")
+        return node.add_output(node.create_publisher(Image, topic, 10), _to_msg, **fields)
+
+    def listen(self, topic: str) -> list[int]:
+        """What arrives outside."""
+        heard: list[int] = []
+        self.outside.create_subscription(Image, topic, lambda m: heard.append(m.width), 100)
+        return heard
+
+    def wait(self, condition: Any, what: str) -> None:
+        wait_until(condition, what, step=lambda: self.executor.spin_once(timeout_sec=0.05))
+
+    def detach(self, node: Any) -> None:
+        with self.wiring.lock:
+            node.detach()
+
+    def settle(self) -> None:
+        """Let what is under way arrive."""
+        for _ in range(20):
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def close(self) -> None:
+        self.wiring.close()
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        self.context.try_shutdown()
+
+    def _add(self, node: Any) -> Any:
+        self.nodes.append(node)
+        self.executor.add_node(node)
+        return node
+
+
+class Stage:
+    """Keeps what comes, and on which threads; `gate` holds the work up while it is closed."""
+
+    def __init__(self, node: Any, topic: str, depth: int = 10, **qos: Any) -> None:
+        self.node = node
+        self.seen: list[int] = []
+        self.values: list[Any] = []
+        self.threads: list[int] = []
+        self.gate = threading.Event()
+        self.gate.set()
+        self.end = Input(self._begin)
+        node.connect_input(self.end, Image, topic, QoSProfile(depth=depth, **qos))
+
+    def _begin(self, given: Given) -> Any:
+        self.threads.append(threading.get_ident())
+        self.gate.wait()
+        return lambda: (self.values.append(given.value), self.seen.append(_of(given)))
+
+
+@pytest.fixture
+def container() -> Iterator[Container]:
+    container = Container()
+    yield container
+    container.close()
+
+
+def test_a_value_passes_by_a_plain_call_and_dds_carries_nothing(container, monkeypatch):
+    stage, output = container.stage("stage", "grid"), container.output("grid")
+    sent: list[Any] = []
+    monkeypatch.setattr(output.publisher, "publish", sent.append)
+    container.wait(output.publisher.get_subscription_count, "the stage to be matched")
+    value = 1234567
+    output.publish(value, Header())
+    assert stage.values[0] is value
+    assert stage.threads == [threading.get_ident()]
+    assert sent == []
+
+
+def test_who_listens_outside_gets_each_message_and_the_stage_gets_none_twice(container):
+    stage, output = container.stage("stage", "grid"), container.output("grid")
+    heard = container.listen("grid")
+    container.wait(lambda: output.is_heard, "the listener")
+    for number in range(20):
+        output.publish(number, Header())
+    container.wait(lambda: len(heard) == 20, "the messages")
+    container.settle()
+    assert heard == stage.seen == list(range(20))
+
+
+def test_a_message_is_made_once_for_all_who_ask(container):
+    made: list[int] = []
+
+    def to_msg(value: int, header: Header) -> Image:
+        made.append(value)
+        return _to_msg(value, header)
+
+    node = container.node("source")
+    output = node.add_output(node.create_publisher(Image, "grid", 10), to_msg)
+    messages: list[Image] = []
+    recorder = container.node("recorder")
+    end = Input(lambda given: lambda: messages.append(given.message))
+    recorder.connect_input(end, Image, "grid", 10)
+    with container.wiring.lock:
+        recorder.attach()
+    heard = container.listen("grid")
+    container.wait(lambda: output.is_heard, "the listener")
+    output.publish(2, Header())
+    container.wait(lambda: 2 in heard, "the message outside")
+    assert made == [2]
+    assert [message.width for message in messages] == [2]
+
+
+def test_a_stage_hears_dds_before_and_after_its_neighbour_is_there(container):
+    stage = container.stage("stage", "grid")
+    outside = container.outside.create_publisher(Image, "grid", 10)
+    container.wait(outside.get_subscription_count, "the stage")
+    outside.publish(_to_msg(1, Header()))
+    container.wait(lambda: stage.seen == [1], "a message from outside")
+    output = container.output("grid")
+    # What comes from elsewhere meanwhile is of another source, and is not looked at.
+    outside.publish(_to_msg(2, Header()))
+    output.publish(3, Header())
+    container.settle()
+    assert stage.seen == [1, 3]
+    container.detach(container.nodes[-1])
+    outside.publish(_to_msg(4, Header()))
+    container.wait(lambda: 4 in stage.seen, "a message from outside, again")
+    assert stage.seen == [1, 3, 4]
+
+
+def test_a_stage_that_is_gone_is_not_called(container):
+    stage, output = container.stage("stage", "grid"), container.output("grid")
+    container.detach(stage.node)
+    output.publish(1, Header())
+    assert stage.seen == []
+    again = container.stage("again", "grid")
+    output.publish(2, Header())
+    assert again.seen == [2]
+
+
+def test_ends_that_dds_would_not_connect_are_not_connected(container):
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node = container.node("weak")
+    weak = node.add_output(node.create_publisher(Image, "grid", best_effort), _to_msg)
+    stage = container.stage("stage", "grid")
+    assert weak.ends == ()
+    assert stage.end.gate.is_open
+
+
+def test_a_source_is_not_held_up_and_the_newest_frame_is_taken(container):
+    newest = container.stage("newest", "image", depth=1)
+    every = container.stage("every", "image", depth=10)
+    output = container.output("image", own_thread=True)
+    newest.gate.clear()
+    output.publish(0, Header())
+    wait_until(lambda: newest.threads, "the first frame to be at work")
+    for number in range(1, 6):
+        output.publish(number, Header())
+    newest.gate.set()
+    wait_until(lambda: len(every.seen) == 6 and newest.seen[-1:] == [5], "the last frame")
+    assert newest.seen == [0, 5]
+    assert (newest.end.dropped, every.end.dropped) == (4, 0)
+    assert every.seen == list(range(6))
+    assert {*newest.threads, *every.threads} == {newest.threads[0]}
+    assert newest.threads[0] != threading.get_ident()
+
+
+def test_an_entrance_that_is_full_drops_the_oldest_and_counts_it(container):
+    stage = container.stage("stage", "image", depth=3)
+    output = container.output("image", own_thread=True)
+    with container.wiring.lock:
+        for number in range(10):
+            output.publish(number, Header())
+        waiting = stage.end.queued
+    wait_until(lambda: stage.end.dropped + len(stage.seen) == 10, "the rest")
+    assert stage.seen[-3:] == [7, 8, 9]
+    assert waiting == 3
+
+
+def test_both_views_are_begun_at_once_and_finished_in_order_on_one_thread(container):
+    """Were one begun after the other, the first would wait for the second without end."""
+    both = threading.Barrier(2)
+    order: list[tuple[str, int]] = []
+    outputs = []
+    for view in ("left", "right"):
+        node = container.node(view)
+
+        def begin(_given: Given, view: str = view) -> Any:
+            both.wait(timeout=60)
+            return lambda: order.append((view, threading.get_ident()))
+
+        node.connect_input(Input(begin), Image, f"{view}/image", 10)
+        with container.wiring.lock:
+            node.attach()
+        outputs.append(container.output(f"{view}/image"))
+    publish_side_by_side(outputs, [1, 2], [Header(), Header()], ViewThreads(2))
+    here = threading.get_ident()
+    assert order == [("left", here), ("right", here)]
+
+
+def test_whole_values_are_wanted_while_anybody_looks(container):
+    output = container.output("surface")
+    assert not output.is_wanted
+    looks = False
+    node = container.node("viewer")
+    end = Input(lambda _: lambda: None, needs_all=lambda: looks)
+    node.connect_input(end, Image, "surface", 10)
+    with container.wiring.lock:
+        node.attach()
+    container.wait(output.publisher.get_subscription_count, "the viewer to be matched")
+    assert not output.is_wanted
+    looks = True
+    assert output.is_wanted
+    looks = False
+    container.listen("surface")
+    container.wait(lambda: output.is_wanted, "the listener outside")
+
+
+def test_a_lifecycle_publisher_sends_no_message_before_it_is_active(container):
+    stage = container.stage("stage", "image")
+    node = container.node("camera", WiredNode, LifecycleNode)
+    publisher = node.create_lifecycle_publisher(Image, "image", 10)
+    assert isinstance(publisher, LifecyclePublisher)
+    output = node.add_output(publisher, _to_msg)
+    heard = container.listen("image")
+    container.wait(lambda: output.is_heard, "the listener")
+    output.publish(1, Header())
+    node.trigger_configure()
+    node.trigger_activate()
+    output.publish(2, Header())
+    container.wait(lambda: heard, "a message")
+    assert heard == [2]
+    assert stage.seen == [1, 2]
+
+
+def test_a_frame_that_cannot_be_used_loses_no_other(container):
+    node = container.node("stage")
+    seen: list[int] = []
+
+    def begin(given: Given) -> Any:
+        return lambda: seen.append(10 // _of(given))
+
+    node.connect_input(Input(begin), Image, "image", 10)
+    with container.wiring.lock:
+        node.attach()
+    output = container.output("image", own_thread=True)
+    for number in (5, 0, 2):
+        output.publish(number, Header())
+    wait_until(lambda: seen == [2, 5], "the frames that can be used")
