@@ -17,8 +17,9 @@ from std_msgs.msg import Header
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.graphs.description import Component
-from cmp_tactile_processing.ros.intra_process import IntraProcessNode
-from cmp_tactile_processing.ros.messages.conversions import image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
+from cmp_tactile_processing.ros.wiring import Finish, Given, Input, WiredNode
 
 SIZE = (768, 1024)
 COUNT = 300
@@ -26,18 +27,19 @@ ROUNDS = 3
 INTERVAL_S = 1 / 60
 
 
-class Sender(IntraProcessNode):
-    """Publishes images when asked to."""
+class Sender(WiredNode):
+    """A source of images."""
 
     built: Sender
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__("sender", **node_kwargs)
         Sender.built = self
-        self.publisher = self.create_publisher(Image, "hop", 10)
+        publisher = self.create_publisher(Image, "hop", 10)
+        self.output = self.add_output(publisher, frame_to_msg, own_thread=True)
 
 
-class Receiver(IntraProcessNode):
+class Receiver(WiredNode):
     """Keeps when images arrive."""
 
     built: Receiver
@@ -46,10 +48,11 @@ class Receiver(IntraProcessNode):
         super().__init__("receiver", **node_kwargs)
         Receiver.built = self
         self.arrivals: list[float] = []
-        self.create_subscription(Image, "hop", self._arrive, 10)
+        self.connect_input(Input(self._begin, image_from_msg), Image, "hop", 10)
 
-    def _arrive(self, _image: Image) -> None:
-        self.arrivals.append(time.perf_counter())
+    def _begin(self, given: Given) -> Finish:
+        assert given.value.shape == SIZE
+        return lambda: self.arrivals.append(time.perf_counter())
 
 
 COMPONENTS: dict[str, Any] = {"Sender": Sender, "Receiver": Receiver}
@@ -59,24 +62,24 @@ def hop_rows() -> list[str]:
     """A Markdown table: the best of some rounds of each, in turn."""
     rows: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     for _ in range(ROUNDS):
-        for handed, found in rows.items():
-            found.append(_round(handed=handed))
-    best = {handed: tuple(np.min(found, axis=0)) for handed, found in rows.items()}
+        for connected, found in rows.items():
+            found.append(_round(connected=connected))
+    best = {connected: tuple(np.min(found, axis=0)) for connected, found in rows.items()}
     lines = ["| hop of an image, 1024 x 768 | processor ms | median latency ms |", "|---|---|---|"]
-    for handed, name in ((True, "handed over"), (False, "DDS")):
-        lines.append(f"| {name} | {best[handed][0]:.2f} | {best[handed][1]:.2f} |")
+    for connected, name in ((True, "plain call"), (False, "DDS")):
+        lines.append(f"| {name} | {best[connected][0]:.2f} | {best[connected][1]:.2f} |")
     ratio = best[True][0] / best[False][0]
     return [*lines, f"| ratio | {ratio:.2f} | {best[True][1] / best[False][1]:.2f} |"]
 
 
-def _round(*, handed: bool) -> tuple[float, float]:
-    """Processor time of a hop and its latency, both in ms, without making the message."""
+def _round(*, connected: bool) -> tuple[float, float]:
+    """Processor time of a hop and its latency, both in ms, from image to image."""
     context = rclpy.Context()
     context.init(args=[])
     container = ComponentContainer(context, lookup=lambda _, plugin: COMPONENTS[plugin])
     try:
         for plugin in ("Receiver", "Sender"):
-            container.load(Component("hop", plugin, namespace="/hops", intra_process=handed))
+            container.load(Component("hop", plugin, namespace="/hops", intra_process=connected))
         return _measure()
     finally:
         container.shutdown()
@@ -85,12 +88,12 @@ def _round(*, handed: bool) -> tuple[float, float]:
 
 def _measure() -> tuple[float, float]:
     sender, receiver = Sender.built, Receiver.built
-    image = image_to_msg(np.zeros(SIZE, np.uint8), "mono8", Header())
+    image = np.zeros(SIZE, np.uint8)
     time.sleep(0.5)
     sent, busy = [], time.process_time()
     for _ in range(COUNT):
         sent.append(time.perf_counter())
-        sender.publisher.publish(image)
+        sender.output.publish(image, Header())
         time.sleep(INTERVAL_S)
     busy = time.process_time() - busy
     latency = np.array(receiver.arrivals) - np.array(sent[: len(receiver.arrivals)])

@@ -52,7 +52,6 @@ from cmp_tactile_processing.ros.messages.conversions import (
     image_to_msg,
     surface_to_msg,
 )
-from cmp_tactile_processing.ros.throttle import IMAGE_HZ, RESULT_HZ, throttled
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
@@ -132,27 +131,22 @@ class Publisher:
         self._frames, self._period_s = frames, 1 / rate_hz
         self._node = rclpy.create_node("frames")
         kinds = {
-            "image_raw": (Image, IMAGE_HZ),
-            "left/grid": (Grid, IMAGE_HZ),
-            "right/grid": (Grid, IMAGE_HZ),
-            "surface": (Surface, RESULT_HZ),
-            "force_field": (ForceField, RESULT_HZ),
+            "image_raw": Image,
+            "left/grid": Grid,
+            "right/grid": Grid,
+            "surface": Surface,
+            "force_field": ForceField,
         }
-        # As nodes do, for a viewer: the first frame of each period.
         self._publishers = [
             {
-                topic: (
-                    self._node.create_publisher(kind, f"/{throttled(f'{name}/{topic}')}", 2),
-                    hz,
-                )
-                for topic, (kind, hz) in kinds.items()
+                topic: self._node.create_publisher(kind, f"/{name}/{topic}", 2)
+                for topic, kind in kinds.items()
             }
             for name in names
         ]
         self._wrenches = [
             self._node.create_publisher(WrenchStamped, f"/{name}/wrench", 10) for name in names
         ]
-        self._last_ns = 0
         # Apart from stamp and surface, what is sent is made once.
         self._made = [
             {
@@ -180,7 +174,6 @@ class Publisher:
             now_ns = time.time_ns()
             for sensor in range(len(self._publishers)):
                 self._publish(sensor, count, now_ns)
-            self._last_ns = now_ns
             count, due = count + 1, due + self._period_s
 
     def _publish(self, sensor: int, count: int, now_ns: int) -> None:
@@ -198,9 +191,7 @@ class Publisher:
         }
         self.sent[sensor][number] = now_ns * 1e-6
         self._wrenches[sensor].publish(WrenchStamped(header=header))
-        for topic, (publisher, hz) in self._publishers[sensor].items():
-            if now_ns * hz // 10**9 == self._last_ns * hz // 10**9:
-                continue
+        for topic, publisher in self._publishers[sensor].items():
             message = messages[topic]
             message.header = header
             publisher.publish(serialize_message(message))

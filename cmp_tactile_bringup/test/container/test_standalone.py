@@ -95,7 +95,7 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], "error: found argument 'pace', expected one of: frame_rate, sens"),
         (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
-        (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of surface"),
+        (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of force"),
         (["simulate", "--only-sensor", "thumb"], "r: found 'thumb', expected one of sample_rig"),
     ],
 )

@@ -63,8 +63,12 @@ class ForceStage:
         """Force under which the reference in use was taken, N; 0 where none is known of."""
         return float(np.linalg.norm(self._zeroed))
 
-    def process(self, surface: Surface, stamp_ns: int | None = None) -> ForceField:
+    def process(
+        self, surface: Surface, stamp_ns: int | None = None, *, slip: bool = True
+    ) -> ForceField:
         """Force, contacts and slip of a surface.
+
+        slip: without it that stays unknown, and is judged from the next frame on that has it.
 
         stamp_ns: of the camera frame; without it relaxation is left in.  Begins again where the
         displacement counts from another reference than before, and where time goes back, as where
@@ -82,7 +86,11 @@ class ForceStage:
             flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
         relaxed = self._relaxation is not None and stamp_ns is not None
         self._last = field
-        return self._slip.update(replace(field, relaxed=relaxed, flags=flags), surface)
+        field = replace(field, relaxed=relaxed, flags=flags)
+        if slip:
+            return self._slip.update(field, surface)
+        self._slip.reset()
+        return field
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""

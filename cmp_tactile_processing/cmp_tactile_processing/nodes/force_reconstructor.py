@@ -155,7 +155,7 @@ class ForceReconstructor(StageNode):
         if stage is None:
             self.diagnostics.passed_over += 1
             return
-        field = stage.process(surface, stamp_ns(header.stamp))
+        field = stage.process(surface, stamp_ns(header.stamp), slip=self._field.is_wanted)
         # First what a controller waits for.
         self._wrench.publish(field, header)
         self._field.publish(field, header)

@@ -100,7 +100,9 @@ class StereoTriangulator(base_nodes.StageNode):
         self._pairing.forget(topic.partition("/")[0])
 
     def _on_grids(self, grids: dict[str, Grid], stamp: Any) -> None:
-        markers = self._rig.triangulate(grids.get("left"), grids.get("right"))
+        markers = self._rig.triangulate(
+            grids.get("left"), grids.get("right"), virtual_markers=self._surface.is_wanted
+        )
         # It may be a new reference that this displacement is against.
         self._keep_reference(markers, stamp)
         surface = self._keeper.reference.surface(markers)

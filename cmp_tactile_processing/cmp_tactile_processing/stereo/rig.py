@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,14 @@ from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.refraction import RayBundle, RayModel
-from cmp_tactile_processing.measured import Grid, GridShape, MarkerFault, Markers3D, Status
+from cmp_tactile_processing.measured import (
+    Grid,
+    GridShape,
+    MarkerFault,
+    Markers3D,
+    Status,
+    no_virtual_markers,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.triangulation import Triangulated, meet_surface, triangulate
 from cmp_tactile_processing.stereo.virtual_markers import (
@@ -48,6 +56,7 @@ class StereoRig:
         self._lines = LineTriangulator(sensor.pattern.shape, self._options, known_surface)
         shape = sensor.pattern.shape
         self._sizes = _array_sizes(shape)
+        self._no_lines = no_virtual_markers(shape)
         # Fresh memory would have to be mapped in every frame.
         self._room = {
             (name, kind): RayBundle.empty(math.prod(size))
@@ -76,13 +85,16 @@ class StereoRig:
         left, right = self._views["left"], self._views["right"]
         return float(np.linalg.norm(right.centre - left.centre))
 
-    def triangulate(self, left: Grid | None, right: Grid | None) -> Markers3D:
+    def triangulate(
+        self, left: Grid | None, right: Grid | None, *, virtual_markers: bool = True
+    ) -> Markers3D:
         """Markers in 3-D from the grids of both views in one frame.
 
         A marker is measured where both views measured it, predicted where one of them predicted
         it; where it is missing, `fault` says why.  A monocular sensor takes its one grid (the
         other is None) and gives the point of the known surface on the marker's ray, with z NaN.
-        Virtual markers are placed along the gridlines as curves: see LineTriangulator.
+        Virtual markers are placed along the gridlines as curves: see LineTriangulator; without
+        `virtual_markers` all of them are missing, which takes less time.
         Raises GeometryError for a grid of another shape, with arrays of another one, or a missing
         one.
         """
@@ -98,11 +110,10 @@ class StereoRig:
             status.reshape(shape.corners),
             corners.covariance.reshape(*shape.corners, 3, 3),
         )
-        rows = self._virtual_markers("row_lines", seen, nodes)
-        cols = self._virtual_markers("col_lines", seen, nodes)
-        for position in () if len(seen) == 2 else (nodes, rows, cols):
+        lines = self._lines_of(seen, nodes) if virtual_markers else self._no_lines
+        if len(seen) == 1:
             # One view does not measure the height, which so far was that of the known surface.
-            position.position[..., 2] = np.nan
+            nodes.position[..., 2] = np.nan
         return Markers3D(
             shape=shape,
             position=nodes.position,
@@ -110,13 +121,22 @@ class StereoRig:
             fault=corners.fault.reshape(shape.corners),
             covariance=nodes.covariance,
             ray_gap=corners.gap.reshape(shape.corners),
-            row_position=rows.position,
-            row_status=rows.status,
-            row_std=rows.std,
-            col_position=cols.position,
-            col_status=cols.status,
-            col_std=cols.std,
+            **lines,
         )
+
+    def _lines_of(self, seen: dict[str, Grid], nodes: LineNodes) -> dict[str, NDArray[Any]]:
+        """The fields of Markers3D for virtual markers."""
+        found: dict[str, NDArray[Any]] = {}
+        for name, kind in (("row", "row_lines"), ("col", "col_lines")):
+            lines = self._virtual_markers(kind, seen, nodes)
+            if len(seen) == 1:
+                lines.position[..., 2] = np.nan  # as that of the corners
+            found |= {
+                f"{name}_position": lines.position,
+                f"{name}_status": lines.status,
+                f"{name}_std": lines.std,
+            }
+        return found
 
     def _virtual_markers(self, kind: str, grids: dict[str, Grid], nodes: LineNodes) -> Lines3D:
         """Virtual markers along the rows or along the columns; kind: row_lines or col_lines."""
