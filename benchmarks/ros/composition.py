@@ -51,8 +51,8 @@ class Receiver(WiredNode):
         self.connect_input(Input(self._begin, image_from_msg), Image, "hop", 10)
 
     def _begin(self, given: Given) -> Finish:
-        assert given.value.shape == SIZE
-        return lambda: self.arrivals.append(time.perf_counter())
+        frame = given.value
+        return lambda: self.arrivals.append(time.perf_counter()) if frame.shape == SIZE else None
 
 
 COMPONENTS: dict[str, Any] = {"Sender": Sender, "Receiver": Receiver}

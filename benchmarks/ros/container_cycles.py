@@ -23,7 +23,6 @@ from real_time import Wrenches, container, spin_until
 from soak import Footprint, arrived, print_row
 
 from cmp_tactile_bringup.container.graph_runner import ContainerClient, container_client
-from cmp_tactile_bringup.container.services import REQUEST_THREADS
 from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_bringup.recordings.simulated import find_recording
 
@@ -33,8 +32,7 @@ PARTS = 10
 WRENCHES = 5
 # A node of rclpy leaves 0.1 MB behind in ROS and DDS when it is destroyed, a sensor has seven.
 MAX_GROWTH_MB_PER_CYCLE = 1.5
-# Threads: those that serve requests come one by one when they are needed first.
-MAX_GROWTH = {"handles": 4, "threads": REQUEST_THREADS}
+MAX_GROWTH = {"handles": 4, "threads": 2}
 SILENCE_S = 120.0
 
 Part = tuple[dict[str, float], Footprint]

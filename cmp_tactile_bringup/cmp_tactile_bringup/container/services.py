@@ -9,14 +9,14 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import rclpy
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -29,9 +29,6 @@ from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
 from cmp_tactile_processing.ros.diagnostics.graph_watch import DISCOVERY_S, NamesInUse
 from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
 from cmp_tactile_processing.ros.process import JoinError, joining_ros
-
-REQUEST_THREADS = 16
-"""Requests served at once: a slow constructor keeps one thread busy, not the others."""
 
 ERROR_PAUSE_S = 0.1
 ERROR_LOG_PERIOD_S = 5.0
@@ -109,6 +106,7 @@ def _leave_at_once(code: int) -> None:
 class ContainerServices:
     """Offers `~/_container/load_node`, `unload_node` and `list_nodes` for a container.
 
+    Each request has a thread of its own while it is served: a slow constructor holds up no other.
     Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
     """
 
@@ -133,13 +131,13 @@ class ContainerServices:
             self._node.create_service(
                 kind,
                 service,
-                self._guarded(callback),
+                self._served(callback),
                 qos_profile=SERVICE_QOS,
                 callback_group=group,
             )
         self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
-        self._executor = MultiThreadedExecutor(REQUEST_THREADS, context=container.context)
+        self._executor = SingleThreadedExecutor(context=container.context)
         self._executor.add_node(self._node)
         self._stop = Future()
         self._thread = threading.Thread(target=self._spin, name="container_services", daemon=True)
@@ -174,17 +172,25 @@ class ContainerServices:
                 # An error that stays must leave the cores to the components.
                 time.sleep(ERROR_PAUSE_S)
 
-    def _guarded(self, callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
+    def _served(self, callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
         """Answers every request, with what was raised where the callback cannot."""
 
-        def answer(request: Any, response: Any) -> Any:
+        def work(request: Any, response: Any, done: Future[None]) -> None:
             try:
                 callback(request, response)
-            except Exception as error:  # noqa: BLE001  the executor would end with it
+            except Exception as error:  # noqa: BLE001  whoever asks gets an answer
                 self._node.get_logger().error(traceback.format_exc())
                 if hasattr(response, "error_message"):
                     response.success = False
                     response.error_message = f"{type(error).__name__}: {error}"
+            done.set_result(None)
+            with suppress(Exception):  # the container ends meanwhile
+                self._executor.wake()
+
+        async def answer(request: Any, response: Any) -> Any:
+            done: Future[None] = Future()
+            threading.Thread(target=work, args=(request, response, done), daemon=True).start()
+            await done
             return response
 
         return answer
