@@ -106,13 +106,14 @@ class LoadedComponent:
         with suppress(Exception):  # stopped meanwhile
             self.ready.set_result(node.get_fully_qualified_name())
 
-    def end(self) -> None:
-        """Destroy the node, on the thread that spins it."""
+    def end(self, release: Callable[[], None] = lambda: None) -> None:
+        """Destroy the node, on the thread that spins it; release: called before others know."""
         node, self.node = self.node, None
         if node is not None:
             _destroy(node)
         # Else whoever loads it waits without end, where it ended before it ran.
         self.fail(self.ending or "the ROS context has ended")
+        release()
         self._gone.set()
 
     def report(self, error: BaseException) -> None:
@@ -181,6 +182,12 @@ class Spinner:
                 return
         job()
 
+    def join(self, timeout: float) -> bool:
+        """Wait for the thread to end; False where that takes longer, in s."""
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
+
     def add(self, component: LoadedComponent) -> None:
         """Spin a component that is built; a job."""
         node = component.node
@@ -201,8 +208,7 @@ class Spinner:
             if isinstance(component.node, WiredNode):
                 component.node.detach()
             self._executor.remove_node(component.node)
-        component.end()
-        self._release(self)
+        component.end(partial(self._release, self))
 
     def end(self) -> None:
         """Run no more; a job."""
@@ -387,6 +393,7 @@ class ComponentContainer:
         self._context = get_default_context() if context is None else context
         self._lookup = lookup
         self._spinners: dict[str, Spinner] = {}
+        self._ending: list[Spinner] = []
         self._threads_before = frozenset(threading.enumerate())
         self._lock = threading.Lock()
         self._next_id = 1
@@ -505,6 +512,9 @@ class ComponentContainer:
             for name in [names.get(key, "a component that is being built")]
             if not self._end(name, life, max(0.0, deadline - time.monotonic()))
         ]
+        for spinner in self._ending:
+            # Else it would end beside the ROS context.
+            spinner.join(max(0.0, deadline - time.monotonic()))
         if late:
             message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
             get_logger("component_container").warning(message)
@@ -562,6 +572,7 @@ class ComponentContainer:
                 return
             kept = {key: item for key, item in self._spinners.items() if item is not spinner}
             self._spinners = kept
+            self._ending = [item for item in self._ending if not item.join(0)] + [spinner]
         spinner.do(spinner.end)
 
     def _register(self, life: LoadedComponent) -> int:
