@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -109,13 +108,18 @@ class SurfaceVisualizer(StageNode):
         self._prepare(self._dense.value)
         self._marker_publisher = self.add_publisher(MarkerArray, "markers")
         self._dense_publisher = self.add_publisher(PointCloud2, "dense_points")
-        read = partial(reading.surface_from_msg, shape=self.sensor.pattern.shape)
-        self.add_input(SurfaceMsg, "surface", self._on_surface, read, needs_all=self._needs_surface)
+        self.add_input(
+            SurfaceMsg,
+            "surface",
+            self._on_surface,
+            self._read_surface,
+            needs_all=self._needs_surface,
+        )
         self.add_input(
             ForceFieldMsg,
             "force_field",
             self._on_force,
-            reading.force_field_from_msg,
+            self._read_force,
             needs_all=self._anybody_looks,
         )
 
@@ -124,7 +128,18 @@ class SurfaceVisualizer(StageNode):
         grid = grid_over(pattern.shape, pattern.pitch, options.dense_spacing, margin)
         self._interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid, margin)
 
-    def _on_surface(self, surface: Surface, header: Header) -> None:
+    def _read_surface(self, msg: SurfaceMsg) -> Surface | None:
+        if not self._needs_surface():
+            return None
+        return reading.surface_from_msg(msg, self.sensor.pattern.shape)
+
+    def _read_force(self, msg: ForceFieldMsg) -> ForceField | None:
+        return reading.force_field_from_msg(msg) if self._anybody_looks() else None
+
+    def _on_surface(self, surface: Surface | None, header: Header) -> None:
+        if surface is None:
+            self._forget_all()
+            return
         reading.check_shape(surface.shape, self.sensor.pattern.shape)
         self._show("surface", Shown(surface, header))
         if self._dense_publisher.get_subscription_count():
@@ -133,8 +148,9 @@ class SurfaceVisualizer(StageNode):
             self._dense_publisher.publish(organised_cloud(header, *fields))
             self.frame_out(header)
 
-    def _on_force(self, field: ForceField, header: Header) -> None:
-        self._show("force_field", Shown(field, header))
+    def _on_force(self, field: ForceField | None, header: Header) -> None:
+        if field is not None:
+            self._show("force_field", Shown(field, header))
 
     def _needs_surface(self) -> bool:
         return self._anybody_looks() or self._dense_publisher.get_subscription_count() > 0
