@@ -371,6 +371,10 @@ class FrameCollection(Generic[Frame]):
             found = f"found {len(self.frames)} frames on {topics} in {timeout_s:g} s"
             self.finish(False, f"{found}, expected {self.wanted}")
 
+        executor = node.executor
+        if executor is not None:
+            # The last frame comes on another thread, which the executor does not see.
+            self.outcome.add_done_callback(lambda _: executor.wake())
         timer = node.create_timer(timeout_s, give_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
         result = await self.outcome
         node.destroy_timer(timer)

@@ -91,7 +91,8 @@ class Input:
     """Where a topic comes in.
 
     dropped: frames that newer ones took the place of at the entrance.  subscription: over DDS; it
-    is not looked at while an output of the same container is connected.
+    is not looked at while an output of the same container is connected.  is_wired: whether its node
+    is there, and a wiring may connect it.
     """
 
     def __init__(
@@ -105,6 +106,7 @@ class Input:
         self._from_msg = from_msg
         self.gate = _Gate()
         self.subscription: Any = None
+        self.is_wired = False
         self.dropped = self.queued = 0
 
     @property
@@ -167,7 +169,7 @@ class Entrance:
         with self._lock:
             given = self._waiting.popleft() if self._waiting else None
             self.end.queued = len(self._waiting)
-        if given is not None:
+        if given is not None and self.end.is_wired:
             self.end.take(given)
 
 
@@ -271,17 +273,23 @@ class Wiring:
 
     def add(self, *ends: Output | Input) -> None:
         """Connect ends from now on.  Hold the lock."""
-        self._outputs += [item for item in ends if isinstance(item, Output)]
-        self._inputs += [item for item in ends if isinstance(item, Input)]
+        for end in ends:
+            if isinstance(end, Output):
+                self._outputs.append(end)
+            else:
+                self._inputs.append(end)
+                end.is_wired = True
         self._connect()
 
     def remove(self, *ends: Output | Input) -> None:
         """Connect ends no more.  Hold the lock."""
-        self._outputs = [item for item in self._outputs if item not in ends]
-        self._inputs = [item for item in self._inputs if item not in ends]
-        for item in ends:
-            if isinstance(item, Output):
-                item.ends = ()
+        for end in ends:
+            if isinstance(end, Output):
+                self._outputs.remove(end)
+                end.ends = ()
+            elif end.is_wired:
+                self._inputs.remove(end)
+                end.is_wired = False
         self._connect()
 
     def _connect(self) -> None:
@@ -348,6 +356,8 @@ class WiredNode(Node):
     once `attach` says that the node is built.
     """
 
+    _wiring: Wiring | None = None
+
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self._wiring = _joined.get()
         self._attached = self._wiring is None
@@ -365,6 +375,14 @@ class WiredNode(Node):
         if self._wiring is not None:
             self._wiring.remove(*self._ends)
             self._wiring = None
+
+    def destroy_node(self) -> None:
+        """As Node's; of a node whose constructor has failed, the outputs are connected no more."""
+        wiring = self._wiring
+        if wiring is not None:
+            with wiring.lock:
+                self.detach()
+        super().destroy_node()
 
     def add_output(
         self, publisher: Any, to_msg: Callable[[Any, Any], Any], *, own_thread: bool = False
@@ -391,6 +409,6 @@ class WiredNode(Node):
     def disconnect_input(self, end: Input) -> None:
         """Unsubscribe."""
         self._ends.remove(end)
-        if self._attached and self._wiring is not None:
+        if self._wiring is not None:
             self._wiring.remove(end)
         self.destroy_subscription(end.subscription)

@@ -318,3 +318,32 @@ def test_a_frame_that_cannot_be_used_loses_no_other(container):
     for number in (5, 0, 2):
         output.publish(number, Header())
     wait_until(lambda: seen == [2, 5], "the frames that can be used")
+
+
+def test_frames_that_wait_for_a_stage_that_goes_are_dropped(container):
+    stage = container.stage("stage", "image")
+    other = container.stage("other", "image")
+    output = container.output("image", own_thread=True)
+    with container.wiring.lock:
+        for number in range(3):
+            output.publish(number, Header())
+        stage.node.detach()
+    wait_until(lambda: other.seen == [0, 1, 2], "the frames of who stays")
+    assert stage.seen == []
+
+
+def test_a_node_whose_constructor_fails_leaves_nothing_connected(container):
+    class Fails(WiredNode):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            self.add_output(self.create_publisher(Image, "grid", 10), _to_msg)
+            self.destroy_node()
+            msg = "not here"
+            raise ValueError(msg)
+
+    stage = container.stage("stage", "grid")
+    with joining(container.wiring), pytest.raises(ValueError, match="not here"):
+        Fails("fails", context=container.context, namespace=container.namespace)
+    assert stage.end.gate.is_open
+    container.output("grid").publish(1, Header())
+    assert stage.seen == [1]
