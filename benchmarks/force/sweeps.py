@@ -13,13 +13,11 @@ import numpy as np
 from cases import LINEAR, SMOOTH, SOLVED_N, ForceCase, load_neo_hookean_cases
 from errors import NOISE_M, ForceErrors, Limits, errors_of, noisy, oracle_l2, reconstructed
 from numpy.typing import NDArray
-from scipy import sparse
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.traction_spectrum import (
-    TANGENTIAL_SHARE,
     TractionSpectrum,
     nodal_force_matrix,
     smoothness,
@@ -237,12 +235,10 @@ def _first_pass_time(
 ) -> float:
     """What the force model does first with every frame, made of the same parts."""
     nodes, markers = model.elastic.nodes, model.elastic.markers
-    components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
-    precision = np.kron(smoothness(nodes, sensor.force.smoothing_length), components)
-    nodal = sparse.csr_array(np.kron(nodal_force_matrix(nodes), np.eye(3)))
+    precision = smoothness(nodes, sensor.force.smoothing_length)
     noise = np.tile(NOISE_M, markers.rows * markers.cols)
     response = model.elastic.compliance / noise[:, None]
-    spectrum = TractionSpectrum(markers, nodes, response, precision, nodal)
+    spectrum = TractionSpectrum(markers, nodes, response, precision, nodal_force_matrix(nodes))
     data, known = moved.ravel() / noise, np.ones(moved.size, dtype=bool)
     return _shortest(lambda: spectrum.solve(data, known), REPEATS)
 

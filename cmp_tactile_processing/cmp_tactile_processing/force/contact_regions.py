@@ -25,63 +25,47 @@ MERGE_RATIO = 0.4
 # which it may be an error of the reconstruction, and so many of its own standard deviations.
 LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
 
-Covariances = Callable[[NDArray[np.intp]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+# Of the wrenches of some sets of nodes, for each by noise alone and what comes to it.
+Covariances = Callable[[list[Numbers]], list[tuple[Array, Array]]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def resultant_matrix(
-    place: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def resultant_matrix(place: Array, weight: Array) -> Array:
     """(6, 3 n): force and moment about the origin of n nodal forces, each counted with a weight.
 
     place (n, 3): where they act, times the weight; weight (n,).
     """
-    count = len(place)
-    found: NDArray[np.float64] = np.zeros((6, 3 * count))
-    for i in range(count):
-        x, y, z = place[i]
-        for component in range(3):
-            found[component, 3 * i + component] = weight[i]
-        found[3, 3 * i + 1], found[3, 3 * i + 2] = -z, y
-        found[4, 3 * i], found[4, 3 * i + 2] = z, -x
-        found[5, 3 * i], found[5, 3 * i + 1] = -y, x
-    return found
+    found = np.zeros((6, len(place), 3))
+    x, y, z = place.T
+    for axis in range(3):
+        found[axis, :, axis] = weight
+    found[3, :, 1], found[3, :, 2] = -z, y
+    found[4, :, 0], found[4, :, 2] = z, -x
+    found[5, :, 0], found[5, :, 1] = -y, x
+    return found.reshape(6, -1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def wrench_of(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrench_of(force: Array, place: Array) -> Array:
     """Force and moment about the origin (6,) of nodal forces (n, 3) that act at `place` (n, 3)."""
-    wrench: NDArray[np.float64] = np.zeros(6)
-    for i in range(len(force)):
-        fx, fy, fz = force[i]
-        x, y, z = place[i]
-        wrench[0] += fx
-        wrench[1] += fy
-        wrench[2] += fz
-        wrench[3] += y * fz - z * fy
-        wrench[4] += z * fx - x * fz
-        wrench[5] += x * fy - y * fx
-    return wrench
+    arms = place.T @ force
+    moment = arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]
+    return np.array([*force.sum(axis=0), *moment])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def material_covariance(
-    wrench: NDArray[np.float64],
-    place: NDArray[np.float64],
-    normal_std: float,
-    tangential_std: float,
-) -> NDArray[np.float64]:
+    wrench: Array, place: Array, normal_std: float, tangential_std: float
+) -> Array:
     """Covariance (6, 6) of a wrench of not quite known normal and tangential scale.
 
     normal_std, tangential_std: relative.  The moments follow the forces that make them: those of
     the normal force about x and y, those of the tangential force at height place (3,) m as well.
     """
-    force, moment = wrench[:3], wrench[3:]
-    x, y, height = force[0], force[1], place[2]
-    by_tangential = np.array([x, y, 0.0, -height * y, height * x, moment[2]])
+    x, y, height = wrench[0], wrench[1], place[2]
+    by_tangential = np.array([x, y, 0.0, -height * y, height * x, wrench[5]])
     by_normal = wrench - by_tangential
-    covariance: NDArray[np.float64] = normal_std**2 * np.outer(by_normal, by_normal)
-    return covariance + tangential_std**2 * np.outer(by_tangential, by_tangential)
+    covariance = normal_std**2 * np.outer(by_normal, by_normal)
+    return np.asarray(covariance + tangential_std**2 * np.outer(by_tangential, by_tangential))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -177,7 +161,6 @@ class _Load(NamedTuple):
 class _Shape(NamedTuple):
     """What a Contact says of its own, besides how well it is known."""
 
-    wrench: NDArray[np.float64]
     area: float
     centre_of_pressure: NDArray[np.float64]
     outline: NDArray[np.float64]
@@ -203,7 +186,7 @@ class ContactRegions:
         # Compiled here, before the first frame.
         one, nothing = np.zeros((rows * cols, 3)), (np.zeros((6, 6)), np.zeros((6, 6)))
         one[0, 2] = -1.0
-        self.contacts(one, one[:, 2] < 0, np.zeros(one.shape), lambda _: nothing)
+        self.contacts(one, one[:, 2] < 0, np.zeros(one.shape), lambda sets: [nothing] * len(sets))
 
     def contacts(
         self,
@@ -215,8 +198,9 @@ class ContactRegions:
         """Separate contacts, that of the largest normal force first.
 
         force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
-        the forces act, on the deformed surface; covariances: (6, 6) of the wrench of some nodes, of
-        noise alone and what comes to it.  The first decides what is a contact.
+        the forces act, on the deformed surface; covariances: for each of
+        some sets of nodes (6, 6) of its wrench, of noise alone and what comes to it.  The first
+        decides what is a contact.
 
         A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
         hills that a deep pass parts.  To its nodes belong those next to the mask that bear the
@@ -237,14 +221,16 @@ class ContactRegions:
         if not mask.any():
             return ()
         load = _load(force, place, mask, self._area, self._shape)
-        found = []
-        for number in np.flatnonzero(load.pressing > LEAST_SHARE * max(load.pressing.max(), 0.0)):
-            nodes = np.flatnonzero(load.owner == number)
-            noise, more = covariances(nodes)
+        least = LEAST_SHARE * max(load.pressing.max(), 0.0)
+        numbers = np.flatnonzero(load.pressing > least)
+        found, owned = [], [np.flatnonzero(load.owner == number) for number in numbers]
+        for number, nodes, (noise, more) in zip(numbers, owned, covariances(owned), strict=True):
             if load.pressing[number] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
                 continue
-            wrench, area, centre, points, at_border = _shape(load, nodes, self._area, self.border)
-            found.append(Contact(nodes, wrench, noise + more, area, centre, points, at_border))
+            shape = _shape(load, nodes, self._area, self.border)
+            found.append(
+                Contact(nodes, wrench_of(force[nodes], place[nodes]), noise + more, *shape)
+            )
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 
 
@@ -303,7 +289,7 @@ def _shape(
     highest = load.passes[load.owner[nodes[0]] - 1] * (1 - 1e-9)
     points, cells = outline(height, normal / core_area, highest)
     points = _lifted(points, load.place, (rows, cols))
-    return _Shape(wrench_of(force, place), cells * core_area / core, centre, points, at_border)
+    return _Shape(cells * core_area / core, centre, points, at_border)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
