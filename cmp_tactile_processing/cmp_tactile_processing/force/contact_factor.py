@@ -37,6 +37,14 @@ class DirectFactor:
         half = forward(self._lower, right)
         return half.T @ half, backward(self._lower, half)[unknowns]
 
+    def trace(self, smooth: Array) -> Array:
+        """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3)."""
+        inverse = lapack.dpotri(self._lower, lower=1)[0]
+        parts = [np.tril(inverse[axis::3, axis::3]) for axis in range(3)]
+        doubled = 2.0 * smooth
+        np.fill_diagonal(doubled, np.diag(smooth))
+        return np.array([np.vdot(part, doubled) for part in parts])
+
     def variance(self, unknowns: Numbers) -> Array:
         """Diagonal of the inverse at some unknowns (k,)."""
         units = np.zeros((len(self._lower), len(unknowns)), order="F")

@@ -26,6 +26,7 @@ MERGE_RATIO = 0.4
 LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 # Of the wrenches of some sets of nodes, for each by noise alone and what comes to it.
 Covariances = Callable[[list[Numbers]], list[tuple[Array, Array]]]
@@ -68,7 +69,6 @@ def material_covariance(
     return np.asarray(covariance + tangential_std**2 * np.outer(by_tangential, by_tangential))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def basins(
     pressure: NDArray[np.float64], inside: NDArray[np.bool_], merge_ratio: float
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -78,8 +78,8 @@ def basins(
     `merge_ratio` of the lower one's peak.  Returns the numbers (rows, cols) and, per hill, the
     lowest pass that joined its parts, inf where it is of one piece.
     """
-    nodes, heights = np.flatnonzero(inside), pressure.copy().reshape(-1)
-    order = nodes[np.argsort(-heights[nodes], kind="mergesort")]
+    nodes, heights = np.flatnonzero(inside), pressure.astype(np.float64).reshape(-1)
+    order = nodes[np.argsort(-heights[nodes], kind="stable")]
     number = np.zeros(pressure.size, dtype=np.intp)
     passes = np.full(len(order) + 1, np.inf)
     count = _flood(heights, order, pressure.shape[1], merge_ratio, number, passes)
@@ -234,79 +234,46 @@ class ContactRegions:
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _load(
-    force: NDArray[np.float64],
-    place: NDArray[np.float64],
-    contact: NDArray[np.bool_],
-    area: NDArray[np.float64],
-    shape: tuple[int, int],
-) -> _Load:
+def _load(force: Array, place: Array, contact: Mask, area: Array, shape: tuple[int, int]) -> _Load:
     """The hills of a frame; area (M,): of the nodes."""
-    mask, loaded = np.zeros(len(force), np.bool_), np.zeros(len(force), np.bool_)
-    pressure: NDArray[np.float64] = np.zeros(len(force))
-    for node in range(len(force)):
-        if np.isfinite(force[node]).all() and np.isfinite(place[node]).all():
-            mask[node] = contact[node]
-            loaded[node] = force[node].any()
-            pressure[node] = -force[node, 2] / area[node]
-    grid = pressure.reshape(shape)
+    known = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
+    mask, loaded = known & contact, known & force.any(axis=1)
+    grid = np.where(known, -force[:, 2] / area, 0.0).reshape(shape)
     numbers, passes = basins(grid, mask.reshape(shape), MERGE_RATIO)
     owner = _with_neighbours(numbers, grid, loaded.reshape(shape)).reshape(-1)
-    pressing = np.zeros(len(passes) + 1)
-    for node in range(len(force)):
-        if owner[node] > 0:
-            pressing[owner[node]] -= force[node, 2]
+    normal = np.where(owner > 0, -force[:, 2], 0.0)
+    pressing = np.asarray(np.bincount(owner, normal, len(passes) + 1), np.float64)
     return _Load(force, place, mask, grid, owner, pressing, passes)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shape(
-    load: _Load,
-    nodes: NDArray[np.intp],
-    area: NDArray[np.float64],
-    border: NDArray[np.bool_],
-) -> _Shape:
+def _shape(load: _Load, nodes: Numbers, area: Array, border: Mask) -> _Shape:
     """One contact, by its nodes."""
     rows, cols = load.pressure.shape
-    force, place = load.force[nodes], load.place[nodes]
+    force, place, core = load.force[nodes], load.place[nodes], load.mask[nodes]
+    pressing = np.maximum(-force[:, 2], 0.0)
+    total = float(pressing.sum())
+    centre = pressing @ place / total if total > 0 else np.full(3, np.nan)
     height = np.zeros((rows + 2, cols + 2))
-    centre: NDArray[np.float64] = np.zeros(3)
-    total, normal, core, core_area, at_border = 0.0, 0.0, 0, 0.0, False
-    for k, node in enumerate(nodes):
-        i, j = node // cols, node % cols
-        height[i + 1, j + 1] = max(load.pressure[i, j], 0.0)
-        pressing = max(-force[k, 2], 0.0)
-        total += pressing
-        centre += pressing * place[k]
-        if load.mask[node]:
-            normal -= force[k, 2]
-            core_area += area[node]
-            core += 1
-            at_border |= border[node]
-    centre = centre / total if total > 0 else np.full(3, np.nan)
+    at = nodes // cols, nodes % cols
+    height[at[0] + 1, at[1] + 1] = np.maximum(load.pressure[at], 0.0)
+    core_area = float(area[nodes][core].sum())
     # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
+    level = float(-force[core, 2].sum()) / core_area
     highest = load.passes[load.owner[nodes[0]] - 1] * (1 - 1e-9)
-    points, cells = outline(height, normal / core_area, highest)
+    points, cells = outline(height, level, highest)
     points = _lifted(points, load.place, (rows, cols))
-    return _Shape(cells * core_area / core, centre, points, at_border)
+    at_border = bool(border[nodes][core].any())
+    return _Shape(cells * core_area / np.count_nonzero(core), centre, points, at_border)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _lifted(
-    points: NDArray[np.float64], place: NDArray[np.float64], shape: tuple[int, int]
-) -> NDArray[np.float64]:
+def _lifted(points: Array, place: Array, shape: tuple[int, int]) -> Array:
     """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
-    found: NDArray[np.float64] = np.empty((len(points), 3))
-    for k in range(len(points)):
-        j, i = min(int(points[k, 0]), shape[1] - 2), min(int(points[k, 1]), shape[0] - 2)
-        u, v, first = points[k, 0] - j, points[k, 1] - i, i * shape[1] + j
-        for c in range(3):
-            lower = (1 - u) * place[first, c] + u * place[first + 1, c]
-            first_up = first + shape[1]
-            upper = (1 - u) * place[first_up, c] + u * place[first_up + 1, c]
-            found[k, c] = (1 - v) * lower + v * upper
-    return found
+    last = np.array([shape[1] - 2, shape[0] - 2])
+    corner = np.minimum(points.astype(np.intp), last)
+    first, (u, v) = corner[:, 1] * shape[1] + corner[:, 0], (points - corner).T[..., None]
+    lower = (1 - u) * place[first] + u * place[first + 1]
+    upper = (1 - u) * place[first + shape[1]] + u * place[first + shape[1] + 1]
+    return np.asarray((1 - v) * lower + v * upper)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

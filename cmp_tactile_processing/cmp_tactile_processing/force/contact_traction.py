@@ -39,14 +39,19 @@ MIN_TANGENTIAL, MIN_NORMAL_N = 0.02, 1e-9
 WEIGHT_STEP = 0.4
 # Standard deviation of a weight's logarithm: what the grid and one step of MacKay's rule leave.
 WEIGHT_DOUBT = 0.5
+# MacKay's rule goes some half of the way to the likeliest size where the data say little.
+OVERSHOOT = 2.0
+# How many numbers the data determine is worked out in full on so many nodes, or where data are
+# missing, and else as if the whole surface were in contact.
+MOST_TRACED = 100
 # Nodes come into a mask and leave it in threes, as neighbours of one that stands out.
 TOGETHER = 3.0
 # Masks of more than this share of the nodes are solved by what is beside them, if not more data
 # than this share of the unknowns are missing.
 WIDE, FEW_MISSING = 0.5, 0.15
 # Factors that are kept, for masks that come and go, and bytes of inverses, for a press that grows
-# and falls: a dozen of 20 x 20 nodes.
-KEPT_FACTORS, KEPT_BYTES = 8, 36e6
+# and falls: twenty of 20 x 20 nodes.
+KEPT_FACTORS, KEPT_BYTES = 8, 60e6
 
 
 class Weights(NamedTuple):
@@ -152,6 +157,27 @@ class ContactTraction:
         key = weights, nodes.tobytes(), seen.missing
         factor = self._factors.get(key, lambda: self._new_factor(nodes, weights, seen))
         return self._posterior(seen, nodes, weights, factor)
+
+    def scale(self, posterior: TractionPosterior, missing: bool) -> TractionScale:
+        """A likelier size of the coefficients, by a step of MacKay's rule from the weights'.
+
+        missing: whether data are.
+        """
+        nodes, (tangential, normal) = posterior.nodes, posterior.weights
+        # The drift is what the weighted smoothness makes of the coefficients.
+        energy = posterior.coefficient @ posterior.drift / (tangential, normal)
+        if isinstance(posterior.factor, DirectFactor) and (len(nodes) <= MOST_TRACED or missing):
+            smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
+            trace = posterior.factor.trace(smooth)
+            left = tangential * trace[:2].sum(), normal * trace[2]
+            determined = np.array([2.0, 1.0]) * len(nodes) - left
+        else:
+            determined = self._spectrum.determined(*posterior.weights)
+            determined = determined * len(nodes) / len(self._smoothness)
+        sizes = np.sqrt(energy / np.maximum(determined, 1.0))
+        before = np.sqrt(posterior.noise_squared / np.array(posterior.weights))
+        sizes = before * (sizes / before) ** OVERSHOOT
+        return TractionScale(float(sizes[1]), float(sizes[0]))
 
     def again(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
         """The posterior for other data of the same markers, on the same nodes, with the weights."""

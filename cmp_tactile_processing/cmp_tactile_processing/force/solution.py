@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
+from cmp_tactile_processing.force.contact_factor import ComplementFactor
 from cmp_tactile_processing.force.contact_mask import ContactRule
 from cmp_tactile_processing.force.contact_regions import resultant_matrix
 from cmp_tactile_processing.force.contact_traction import (
@@ -32,6 +33,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Grid = TypeVar("Grid", NDArray[np.float64], NDArray[np.bool_])
 
+# Steps from the scale of the first pass to the contact's own, mostly none or one; that of a wide
+# contact is nearly the first pass's.
+SCALE_STEPS, WIDE_STEPS = 3, 1
 # Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
 # contacts solved on finer nodes show it, and of that the share along x and y.
 UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
@@ -109,7 +113,7 @@ class ForceSolver:
         seen = self._second.seen(data, known)
         posterior = self._on(mask, first, seen)
         posterior = self._with_left_out(first, posterior, seen)
-        return self._second_pass(first, self._with_its_scale(first, posterior, seen))
+        return self._second_pass(first, self._with_its_scale(posterior, seen))
 
     def again(self, before: ForceSolution, data: Array, known: Mask) -> ForceSolution:
         """Coefficients for data that are nearly those of an earlier solution, with its mask.
@@ -162,21 +166,17 @@ class ForceSolver:
         scale = TractionScale(dense * scale.normal, dense * scale.tangential)
         return self._second.weights(scale, noise_squared)
 
-    def _with_its_scale(
-        self, first: FirstPass, posterior: TractionPosterior, seen: SeenData
-    ) -> TractionPosterior:
-        """The posterior for its own noise and sizes, where the first pass shows less noise.
-
-        As on a gel that does not follow the model.
-        """
-        noise_squared, nodes = posterior.noise_squared, posterior.nodes
-        if noise_squared <= LEFT_OUT * first.noise_squared:
-            return posterior
-        coefficient = self._on_all_nodes(posterior).ravel()
-        scale = self._spectrum.scale_of(coefficient, *posterior.weights)
-        weights = self._weights(scale, len(nodes), noise_squared)
-        found = self._second.solve(seen, nodes, weights)
-        return replace(found, edge=posterior.edge)
+    def _with_its_scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
+        """The posterior for the sizes and the noise that it shows itself."""
+        wide = isinstance(posterior.factor, ComplementFactor)
+        for _ in range(WIDE_STEPS if wide else SCALE_STEPS):
+            scale = self._second.scale(posterior, bool(seen.missing))
+            weights = self._second.weights(scale, posterior.noise_squared)
+            if weights == posterior.weights:
+                break
+            found = self._second.solve(seen, posterior.nodes, weights)
+            posterior = replace(found, edge=posterior.edge)
+        return posterior
 
     def _with_left_out(
         self, first: FirstPass, posterior: TractionPosterior, seen: SeenData

@@ -275,13 +275,18 @@ class TractionSpectrum:
         """
         found = coefficient.reshape(-1, 3)
         energy = np.einsum("ij,ij->j", found, self._smoothness @ found)
+        determined = np.maximum(self.determined(tangential, normal), 1.0)
+        return TractionScale(
+            float(np.sqrt(energy[2] / determined[1])),
+            float(np.sqrt((energy[0] + energy[1]) / determined[0])),
+        )
+
+    def determined(self, tangential: float, normal: float) -> Array:
+        """How many numbers of the tangential and of the normal part data determine, (2,)."""
         along = tangential * TANGENTIAL_SHARE**2
         of_normal = self._normal_share * self.values / (self.values + normal)
         of_tangential = (1 - self._normal_share) * self.values / (self.values + along)
-        return TractionScale(
-            float(np.sqrt(energy[2] / max(of_normal.sum(), 1.0))),
-            float(np.sqrt((energy[0] + energy[1]) / max(of_tangential.sum(), 1.0))),
-        )
+        return np.array([of_tangential.sum(), of_normal.sum()])
 
     def _mapped(
         self,
