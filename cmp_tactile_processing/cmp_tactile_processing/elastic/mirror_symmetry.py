@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -73,29 +73,6 @@ class Parity:
 PARITIES = tuple(Parity(x, y) for x in (1, -1) for y in (1, -1))
 
 
-class PartProducts:
-    """Product of a matrix that falls into parts by parity with what a frame brings.
-
-    fold: from the values on a grid to those of all parts, one part after the other.  parts: the
-    matrix of each, in single or double precision.  unfold: back to the values on a grid; None where
-    the product is asked for part by part.
-    """
-
-    def __init__(
-        self, fold: SparseRows | None, parts: Sequence[NDArray[Any]], unfold: SparseRows | None
-    ) -> None:
-        self._fold, self._parts, self._unfold = fold, tuple(parts), unfold
-        # Compiled, or read from numba's cache, before the first frame.
-        width = sum(part.shape[1] for part in parts) if fold is None else fold.shape[1]
-        self.of_vector(np.zeros(width))
-
-    def of_vector(self, vector: Array) -> Array:
-        """The product with a vector."""
-        folded = vector if self._fold is None else self._fold.of_vector(vector)
-        product = product_of_parts(self._parts, folded)
-        return product if self._unfold is None else self._unfold.of_vector(product)
-
-
 def mirrored_response(
     responses: Iterable[NDArray[Any]], source: SurfaceGrid, target: SurfaceGrid, values: Array
 ) -> Array:
@@ -105,31 +82,17 @@ def mirrored_response(
     single or double precision.
     """
     folded = _folds(source.rows, source.cols).of_vector(values)
-    return _unfolds(target.rows, target.cols).of_vector(product_of_parts(tuple(responses), folded))
+    return _unfolds(target.rows, target.cols).of_vector(product_of_parts(responses, folded))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def product_of_parts(parts: tuple[NDArray[Any], ...], values: Array) -> Array:
-    """Each part's matrix times its share of the values, one after the other."""
-    total = 0
+def product_of_parts(parts: Iterable[NDArray[Any]], values: Array) -> Array:
+    """Each part's matrix times its share of the values (n,) or (n, k), one after the other."""
+    products, place = [], 0
     for part in parts:
-        total += part.shape[0]
-    product: Array = np.empty(total)
-    row = column = 0
-    for part in parts:
-        share = np.dot(part, values[column : column + part.shape[1]].astype(part.dtype))
-        for i in range(len(share)):
-            product[row + i] = share[i]
-        row, column = row + part.shape[0], column + part.shape[1]
-    return product
-
-
-class Rows(NamedTuple):
-    """A sparse matrix: row i has values[k] at columns[k] for k from starts[i] to starts[i + 1]."""
-
-    starts: NDArray[np.intp]
-    columns: NDArray[np.intp]
-    values: Array
+        share = values[place : place + part.shape[1]]
+        products.append(part @ share.astype(part.dtype, copy=False))
+        place += part.shape[1]
+    return np.concatenate(products, dtype=np.float64)
 
 
 class SparseRows:
@@ -142,20 +105,19 @@ class SparseRows:
         rows = sparse.csr_array(matrix)
         self.shape: tuple[int, int] = rows.shape
         starts, columns = rows.indptr.astype(np.intp), rows.indices.astype(np.intp)
-        self.rows = Rows(starts, columns, rows.data.astype(np.float64))
+        self._rows = starts, columns, rows.data.astype(np.float64)
         # Compiled, or read from numba's cache, before the first frame.
         self.of_vector(np.zeros(self.shape[1]))
-        self.of_columns(np.zeros((self.shape[1], 1)))
 
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector (columns,)."""
         _require(vector.shape, self.shape[1:])
-        return sparse_product(self.rows, _plain(vector))
+        return _product(*self._rows, _plain(vector).reshape(-1, 1)).reshape(-1)
 
     def of_columns(self, matrix: Array) -> Array:
         """The product with a matrix (columns, k)."""
         _require(matrix.shape[:1], self.shape[1:])
-        return _of_columns(self.rows, _plain(matrix))
+        return _product(*self._rows, _plain(matrix))
 
 
 def _plain(values: Array) -> Array:
@@ -173,27 +135,18 @@ def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sparse_product(rows: Rows, vector: Array) -> Array:
-    """The product with a vector (columns,), to be called from compiled code."""
-    starts, columns, values = rows
-    product: Array = np.empty(len(starts) - 1)
-    for row in range(len(product)):
-        total = 0.0
-        for k in range(starts[row], starts[row + 1]):
-            total += values[k] * vector[columns[k]]
-        product[row] = total
-    return product
+def _product(
+    starts: NDArray[np.intp], columns: NDArray[np.intp], values: Array, matrix: Array
+) -> Array:
+    """Product of a sparse matrix, of which row i has values[k] at columns[k], with a matrix.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _of_columns(rows: Rows, matrix: Array) -> Array:
-    starts, columns, values = rows
+    k goes from starts[i] to starts[i + 1].
+    """
     product: Array = np.zeros((len(starts) - 1, matrix.shape[1]))
     for row in range(len(product)):
         for k in range(starts[row], starts[row + 1]):
-            source = matrix[columns[k]]
             for j in range(matrix.shape[1]):
-                product[row, j] += values[k] * source[j]
+                product[row, j] += values[k] * matrix[columns[k], j]
     return product
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.sensor.parameters import ForceParameters
@@ -26,26 +25,20 @@ class ContactRule:
 
     def __init__(self, parameters: ForceParameters, shape: tuple[int, int], area: float) -> None:
         self._shape = shape
-        self._limits = (
-            float(parameters.contact_threshold),
-            float(parameters.contact_pressure_floor * area),
-            float(parameters.contact_deviations),
-        )
-        # Compiled, or read from numba's cache, before the first frame.
-        nothing = np.zeros((shape[0] * shape[1], 3))
-        for rule in (self.pressed, self.bearing, self.loaded):
-            self.edge(rule(nothing, nothing[:, 0].copy()))
+        self._share = float(parameters.contact_threshold)
+        self._floor = float(parameters.contact_pressure_floor * area)
+        self._deviations = float(parameters.contact_deviations)
 
     def pressed(self, force: Array, normal_std: Array) -> Mask:
         """Nodes (n,) in contact: force (n, 3) N on the gel, normal_std (n,) N of its z."""
-        return _pressed(force, np.ascontiguousarray(normal_std), self._limits)
+        return np.asarray(-force[:, 2] > np.maximum(self._least(force), self._noise(normal_std)))
 
     def loaded(self, force: Array, normal_std: Array) -> Mask:
         """Nodes (n,) that may bear a force: those pressed, pulled or dragged, and around them.
 
         force (n, 3) N on the gel, normal_std (n,) N of its z.
         """
-        return _widened(self.bearing(force, normal_std), self._shape)
+        return self._widened(self.bearing(force, normal_std))
 
     def bearing(self, force: Array, normal_std: Array) -> Mask:
         """Nodes (n,) that are pressed, pulled or dragged, from the same arrays.
@@ -54,73 +47,35 @@ class ContactRule:
         moved by no force, as from a reference of another day or in a row that is numbered wrongly,
         are explained by such.
         """
-        return _bearing(force, np.ascontiguousarray(normal_std), self._limits, self._shape)
+        pressed = self.pressed(force, normal_std)
+        size = np.sqrt(np.einsum("ij,ij->i", force, force))
+        noise = ANY_DIRECTION * self._noise(normal_std)
+        others = (size > np.maximum(self._least(force), noise)) & ~pressed
+        return pressed if self.spans(others) else pressed | others
 
     def spans(self, nodes: Mask) -> bool:
         """Whether nodes (n,) reach opposite sides of the grid."""
-        return bool(_spans(nodes, self._shape))
+        grid = nodes.reshape(self._shape)
+        between_rows = grid[0].any() and grid[-1].any()
+        return bool(between_rows or (grid[:, 0].any() and grid[:, -1].any()))
 
     def edge(self, nodes: Mask) -> Mask:
         """Those of some nodes (n,) that have a neighbour on the grid which is none of them."""
-        return nodes & _widened(~nodes, self._shape)
+        return np.asarray(nodes & self._widened(~nodes))
 
+    def _least(self, force: Array) -> float:
+        """What stands out of the rest and of the floor, N."""
+        return max(self._share * float(np.abs(force).max(initial=0.0)), self._floor)
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _least(force: Array, limits: tuple[float, float, float]) -> float:
-    """What stands out of the rest and of the floor, N."""
-    peak = 0.0
-    for node in range(len(force)):
-        for c in range(3):
-            peak = max(peak, abs(force[node, c]))
-    return max(limits[0] * peak, limits[1])
+    def _noise(self, normal_std: Array) -> Array:
+        return np.asarray(self._deviations * normal_std)
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _pressed(force: Array, normal_std: Array, limits: tuple[float, float, float]) -> Mask:
-    """As ContactRule.pressed; limits: share of the peak, floor in N, deviations of the noise."""
-    least = _least(force, limits)
-    found: Mask = np.empty(len(force), dtype=np.bool_)
-    for node in range(len(force)):
-        found[node] = -force[node, 2] > max(least, limits[2] * normal_std[node])
-    return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _bearing(
-    force: Array,
-    normal_std: Array,
-    limits: tuple[float, float, float],
-    shape: tuple[int, int],
-) -> Mask:
-    """As ContactRule.bearing; limits: see _pressed."""
-    pressed = _pressed(force, normal_std, limits)
-    least, deviations = _least(force, limits), ANY_DIRECTION * limits[2]
-    others: Mask = np.zeros(len(force), dtype=np.bool_)
-    for node in range(len(force)):
-        size = np.sqrt(force[node, 0] ** 2 + force[node, 1] ** 2 + force[node, 2] ** 2)
-        stands_out = size > max(least, deviations * normal_std[node])
-        others[node] = stands_out and not pressed[node]
-    return pressed if _spans(others, shape) else pressed | others
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _spans(nodes: Mask, shape: tuple[int, int]) -> bool:
-    grid = nodes.reshape(shape)
-    between_rows = grid[0].any() and grid[-1].any()
-    between_columns = grid[:, 0].any() and grid[:, -1].any()
-    return bool(between_rows or between_columns)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _widened(nodes: Mask, shape: tuple[int, int]) -> Mask:
-    """With the four neighbours of each: what the resolution cuts off at the edge of a contact."""
-    rows, cols = shape
-    found: Mask = nodes.copy()
-    for i in range(rows):
-        for j in range(cols):
-            if nodes[i * cols + j]:
-                found[max(i - 1, 0) * cols + j] = True
-                found[min(i + 1, rows - 1) * cols + j] = True
-                found[i * cols + max(j - 1, 0)] = True
-                found[i * cols + min(j + 1, cols - 1)] = True
-    return found
+    def _widened(self, nodes: Mask) -> Mask:
+        """With the four neighbours of each: what the resolution cuts off at a contact's edge."""
+        grid = nodes.reshape(self._shape)
+        found = grid.copy()
+        found[1:] |= grid[:-1]
+        found[:-1] |= grid[1:]
+        found[:, 1:] |= grid[:, :-1]
+        found[:, :-1] |= grid[:, 1:]
+        return np.asarray(found.ravel())

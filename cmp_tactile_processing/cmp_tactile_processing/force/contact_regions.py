@@ -25,66 +25,50 @@ MERGE_RATIO = 0.4
 # which it may be an error of the reconstruction, and so many of its own standard deviations.
 LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
 
-Covariances = Callable[[NDArray[np.intp]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+# Of the wrenches of some sets of nodes, for each by noise alone and what comes to it.
+Covariances = Callable[[list[Numbers]], list[tuple[Array, Array]]]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def resultant_matrix(
-    place: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def resultant_matrix(place: Array, weight: Array) -> Array:
     """(6, 3 n): force and moment about the origin of n nodal forces, each counted with a weight.
 
     place (n, 3): where they act, times the weight; weight (n,).
     """
-    count = len(place)
-    found: NDArray[np.float64] = np.zeros((6, 3 * count))
-    for i in range(count):
-        x, y, z = place[i]
-        for component in range(3):
-            found[component, 3 * i + component] = weight[i]
-        found[3, 3 * i + 1], found[3, 3 * i + 2] = -z, y
-        found[4, 3 * i], found[4, 3 * i + 2] = z, -x
-        found[5, 3 * i], found[5, 3 * i + 1] = -y, x
-    return found
+    found = np.zeros((6, len(place), 3))
+    x, y, z = place.T
+    for axis in range(3):
+        found[axis, :, axis] = weight
+    found[3, :, 1], found[3, :, 2] = -z, y
+    found[4, :, 0], found[4, :, 2] = z, -x
+    found[5, :, 0], found[5, :, 1] = -y, x
+    return found.reshape(6, -1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def wrench_of(force: NDArray[np.float64], place: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrench_of(force: Array, place: Array) -> Array:
     """Force and moment about the origin (6,) of nodal forces (n, 3) that act at `place` (n, 3)."""
-    wrench: NDArray[np.float64] = np.zeros(6)
-    for i in range(len(force)):
-        fx, fy, fz = force[i]
-        x, y, z = place[i]
-        wrench[0] += fx
-        wrench[1] += fy
-        wrench[2] += fz
-        wrench[3] += y * fz - z * fy
-        wrench[4] += z * fx - x * fz
-        wrench[5] += x * fy - y * fx
-    return wrench
+    arms = place.T @ force
+    moment = arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]
+    return np.array([*force.sum(axis=0), *moment])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def material_covariance(
-    wrench: NDArray[np.float64],
-    place: NDArray[np.float64],
-    normal_std: float,
-    tangential_std: float,
-) -> NDArray[np.float64]:
+    wrench: Array, place: Array, normal_std: float, tangential_std: float
+) -> Array:
     """Covariance (6, 6) of a wrench of not quite known normal and tangential scale.
 
     normal_std, tangential_std: relative.  The moments follow the forces that make them: those of
     the normal force about x and y, those of the tangential force at height place (3,) m as well.
     """
-    force, moment = wrench[:3], wrench[3:]
-    x, y, height = force[0], force[1], place[2]
-    by_tangential = np.array([x, y, 0.0, -height * y, height * x, moment[2]])
+    x, y, height = wrench[0], wrench[1], place[2]
+    by_tangential = np.array([x, y, 0.0, -height * y, height * x, wrench[5]])
     by_normal = wrench - by_tangential
-    covariance: NDArray[np.float64] = normal_std**2 * np.outer(by_normal, by_normal)
-    return covariance + tangential_std**2 * np.outer(by_tangential, by_tangential)
+    covariance = normal_std**2 * np.outer(by_normal, by_normal)
+    return np.asarray(covariance + tangential_std**2 * np.outer(by_tangential, by_tangential))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def basins(
     pressure: NDArray[np.float64], inside: NDArray[np.bool_], merge_ratio: float
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -94,8 +78,8 @@ def basins(
     `merge_ratio` of the lower one's peak.  Returns the numbers (rows, cols) and, per hill, the
     lowest pass that joined its parts, inf where it is of one piece.
     """
-    nodes, heights = np.flatnonzero(inside), pressure.copy().reshape(-1)
-    order = nodes[np.argsort(-heights[nodes], kind="mergesort")]
+    nodes, heights = np.flatnonzero(inside), pressure.astype(np.float64).reshape(-1)
+    order = nodes[np.argsort(-heights[nodes], kind="stable")]
     number = np.zeros(pressure.size, dtype=np.intp)
     passes = np.full(len(order) + 1, np.inf)
     count = _flood(heights, order, pressure.shape[1], merge_ratio, number, passes)
@@ -177,7 +161,6 @@ class _Load(NamedTuple):
 class _Shape(NamedTuple):
     """What a Contact says of its own, besides how well it is known."""
 
-    wrench: NDArray[np.float64]
     area: float
     centre_of_pressure: NDArray[np.float64]
     outline: NDArray[np.float64]
@@ -203,7 +186,7 @@ class ContactRegions:
         # Compiled here, before the first frame.
         one, nothing = np.zeros((rows * cols, 3)), (np.zeros((6, 6)), np.zeros((6, 6)))
         one[0, 2] = -1.0
-        self.contacts(one, one[:, 2] < 0, np.zeros(one.shape), lambda _: nothing)
+        self.contacts(one, one[:, 2] < 0, np.zeros(one.shape), lambda sets: [nothing] * len(sets))
 
     def contacts(
         self,
@@ -215,8 +198,9 @@ class ContactRegions:
         """Separate contacts, that of the largest normal force first.
 
         force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
-        the forces act, on the deformed surface; covariances: (6, 6) of the wrench of some nodes, of
-        noise alone and what comes to it.  The first decides what is a contact.
+        the forces act, on the deformed surface; covariances: for each of
+        some sets of nodes (6, 6) of its wrench, of noise alone and what comes to it.  The first
+        decides what is a contact.
 
         A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
         hills that a deep pass parts.  To its nodes belong those next to the mask that bear the
@@ -237,90 +221,59 @@ class ContactRegions:
         if not mask.any():
             return ()
         load = _load(force, place, mask, self._area, self._shape)
-        found = []
-        for number in np.flatnonzero(load.pressing > LEAST_SHARE * max(load.pressing.max(), 0.0)):
-            nodes = np.flatnonzero(load.owner == number)
-            noise, more = covariances(nodes)
+        least = LEAST_SHARE * max(load.pressing.max(), 0.0)
+        numbers = np.flatnonzero(load.pressing > least)
+        found, owned = [], [np.flatnonzero(load.owner == number) for number in numbers]
+        for number, nodes, (noise, more) in zip(numbers, owned, covariances(owned), strict=True):
             if load.pressing[number] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
                 continue
-            wrench, area, centre, points, at_border = _shape(load, nodes, self._area, self.border)
-            found.append(Contact(nodes, wrench, noise + more, area, centre, points, at_border))
+            shape = _shape(load, nodes, self._area, self.border)
+            found.append(
+                Contact(nodes, wrench_of(force[nodes], place[nodes]), noise + more, *shape)
+            )
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _load(
-    force: NDArray[np.float64],
-    place: NDArray[np.float64],
-    contact: NDArray[np.bool_],
-    area: NDArray[np.float64],
-    shape: tuple[int, int],
-) -> _Load:
+def _load(force: Array, place: Array, contact: Mask, area: Array, shape: tuple[int, int]) -> _Load:
     """The hills of a frame; area (M,): of the nodes."""
-    mask, loaded = np.zeros(len(force), np.bool_), np.zeros(len(force), np.bool_)
-    pressure: NDArray[np.float64] = np.zeros(len(force))
-    for node in range(len(force)):
-        if np.isfinite(force[node]).all() and np.isfinite(place[node]).all():
-            mask[node] = contact[node]
-            loaded[node] = force[node].any()
-            pressure[node] = -force[node, 2] / area[node]
-    grid = pressure.reshape(shape)
+    known = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
+    mask, loaded = known & contact, known & force.any(axis=1)
+    grid = np.where(known, -force[:, 2] / area, 0.0).reshape(shape)
     numbers, passes = basins(grid, mask.reshape(shape), MERGE_RATIO)
     owner = _with_neighbours(numbers, grid, loaded.reshape(shape)).reshape(-1)
-    pressing = np.zeros(len(passes) + 1)
-    for node in range(len(force)):
-        if owner[node] > 0:
-            pressing[owner[node]] -= force[node, 2]
+    normal = np.where(owner > 0, -force[:, 2], 0.0)
+    pressing = np.asarray(np.bincount(owner, normal, len(passes) + 1), np.float64)
     return _Load(force, place, mask, grid, owner, pressing, passes)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shape(
-    load: _Load,
-    nodes: NDArray[np.intp],
-    area: NDArray[np.float64],
-    border: NDArray[np.bool_],
-) -> _Shape:
+def _shape(load: _Load, nodes: Numbers, area: Array, border: Mask) -> _Shape:
     """One contact, by its nodes."""
     rows, cols = load.pressure.shape
-    force, place = load.force[nodes], load.place[nodes]
+    force, place, core = load.force[nodes], load.place[nodes], load.mask[nodes]
+    pressing = np.maximum(-force[:, 2], 0.0)
+    total = float(pressing.sum())
+    centre = pressing @ place / total if total > 0 else np.full(3, np.nan)
     height = np.zeros((rows + 2, cols + 2))
-    centre: NDArray[np.float64] = np.zeros(3)
-    total, normal, core, core_area, at_border = 0.0, 0.0, 0, 0.0, False
-    for k, node in enumerate(nodes):
-        i, j = node // cols, node % cols
-        height[i + 1, j + 1] = max(load.pressure[i, j], 0.0)
-        pressing = max(-force[k, 2], 0.0)
-        total += pressing
-        centre += pressing * place[k]
-        if load.mask[node]:
-            normal -= force[k, 2]
-            core_area += area[node]
-            core += 1
-            at_border |= border[node]
-    centre = centre / total if total > 0 else np.full(3, np.nan)
+    at = nodes // cols, nodes % cols
+    height[at[0] + 1, at[1] + 1] = np.maximum(load.pressure[at], 0.0)
+    core_area = float(area[nodes][core].sum())
     # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
+    level = float(-force[core, 2].sum()) / core_area
     highest = load.passes[load.owner[nodes[0]] - 1] * (1 - 1e-9)
-    points, cells = outline(height, normal / core_area, highest)
+    points, cells = outline(height, level, highest)
     points = _lifted(points, load.place, (rows, cols))
-    return _Shape(wrench_of(force, place), cells * core_area / core, centre, points, at_border)
+    at_border = bool(border[nodes][core].any())
+    return _Shape(cells * core_area / np.count_nonzero(core), centre, points, at_border)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _lifted(
-    points: NDArray[np.float64], place: NDArray[np.float64], shape: tuple[int, int]
-) -> NDArray[np.float64]:
+def _lifted(points: Array, place: Array, shape: tuple[int, int]) -> Array:
     """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
-    found: NDArray[np.float64] = np.empty((len(points), 3))
-    for k in range(len(points)):
-        j, i = min(int(points[k, 0]), shape[1] - 2), min(int(points[k, 1]), shape[0] - 2)
-        u, v, first = points[k, 0] - j, points[k, 1] - i, i * shape[1] + j
-        for c in range(3):
-            lower = (1 - u) * place[first, c] + u * place[first + 1, c]
-            first_up = first + shape[1]
-            upper = (1 - u) * place[first_up, c] + u * place[first_up + 1, c]
-            found[k, c] = (1 - v) * lower + v * upper
-    return found
+    last = np.array([shape[1] - 2, shape[0] - 2])
+    corner = np.minimum(points.astype(np.intp), last)
+    first, (u, v) = corner[:, 1] * shape[1] + corner[:, 0], (points - corner).T[..., None]
+    lower = (1 - u) * place[first] + u * place[first + 1]
+    upper = (1 - u) * place[first + shape[1]] + u * place[first + shape[1] + 1]
+    return np.asarray((1 - v) * lower + v * upper)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

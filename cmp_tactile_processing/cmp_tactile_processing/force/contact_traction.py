@@ -1,240 +1,248 @@
 """Second pass: the traction on the nodes that are in contact, all others being free of it.
 
-The posterior of a linear model with Gaussian noise and a smooth prior.  How large the normal and
-the tangential traction are expected to be, and how large the noise is, follows from the frame
-itself (type-II maximum likelihood, MacKay 1992).
+The posterior of a linear model with Gaussian noise and a smooth prior.  How large normal and
+tangential traction are expected to be follows from the first pass, and the noise from what the
+solution leaves over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.force import likeliest_scale
-from cmp_tactile_processing.force.likeliest_scale import Likeliest, Problem, Solution
-from cmp_tactile_processing.force.positive_definite import Array, backward, forward
+from cmp_tactile_processing.force.contact_factor import (
+    ComplementFactor,
+    DirectFactor,
+    WholeSurface,
+)
+from cmp_tactile_processing.force.traction_spectrum import (
+    MIN_NOISE_SQUARED,
+    TractionScale,
+    TractionSpectrum,
+)
 
-# Draws from the posterior that traces and nodal deviations are estimated from: 3 % of a trace.
-DRAWS = 32
-# Deviation of a weight's logarithm above which the evidence is too flat to show it.
-DOUBTFUL = 0.5
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Value = TypeVar("Value")
+
+# The tangential traction is never expected to be less than this share of the normal one.
+MIN_TANGENTIAL, MIN_NORMAL_N = 0.02, 1e-9
+# Weights of the smoothness are taken from this grid, in decades: a fifth of a size, which changes
+# the forces by a fraction of their deviations, so that a factor serves many frames.
+WEIGHT_STEP = 0.4
+# Standard deviation of a weight's logarithm: what the grid and one step of MacKay's rule leave.
+WEIGHT_DOUBT = 0.5
+# MacKay's rule goes some half of the way to the likeliest size where the data say little.
+OVERSHOOT = 2.0
+# How many numbers the data determine is worked out in full on so many nodes, or where data are
+# missing, and else as if the whole surface were in contact.
+MOST_TRACED = 100
 # Nodes come into a mask and leave it in threes, as neighbours of one that stands out.
 TOGETHER = 3.0
-NONE_ABSENT = np.zeros((0, 0))
+# Masks of more than this share of the nodes are solved by what is beside them, if not more data
+# than this share of the unknowns are missing.
+WIDE, FEW_MISSING = 0.5, 0.15
+# Factors that are kept, for masks that come and go, and bytes of inverses, for a press that grows
+# and falls: twenty of 20 x 20 nodes.
+KEPT_FACTORS, KEPT_BYTES = 8, 60e6
 
 
-@dataclass(frozen=True)
-class TractionScale:
-    """Expected size of normal and tangential coefficients, N, and squared noise of the data."""
+class Weights(NamedTuple):
+    """Weights of the smoothness of tangential and normal coefficients, squared noise being 1."""
 
-    normal: float
     tangential: float
-    noise_squared: float
+    normal: float
 
-    @classmethod
-    def from_array(cls, parts: Array) -> TractionScale:
-        """From an array (3,) as `likeliest_scale` has them."""
-        return cls(float(parts[1]), float(parts[0]), float(parts[2]))
 
-    def as_array(self) -> Array:
-        """Array (3,) as `likeliest_scale` has them."""
-        return np.array([self.tangential, self.normal, self.noise_squared], dtype=np.float64)
+class SeenData(NamedTuple):
+    """Data (m,) in units of the noise, 0 where they are not known; known (m,).
 
-    def over(self, other: TractionScale) -> TractionScale:
-        """Each part of this scale as a share of the other's."""
-        return TractionScale.from_array(self.as_array() / other.as_array())
+    pull (3 nodes,): G' d.  missing: bytes of the numbers of those that are not known.
+    """
 
-    def times(self, share: TractionScale) -> TractionScale:
-        """This scale changed by such shares."""
-        return TractionScale.from_array(self.as_array() * share.as_array())
+    data: Array
+    known: Mask
+    pull: Array
+    missing: bytes
 
 
 @dataclass(frozen=True)
 class TractionPosterior:
     """Coefficients on the nodes of the mask, and how well they are known.
 
-    nodes (k,): numbers.  coefficient (3 k,) N.  draws (DRAWS, 3 k): deviations as the posterior has
-    them.  scale: the likeliest, which the coefficients are for; solution: for one nearby.
-    drift (3 k, 2): how the coefficients change along the two ways in which the scale may be off by
-    its own deviation.  edge (k,): nodes that a little more noise would have left out of the mask,
-    so that whether they bear anything is in doubt.
+    nodes (k,): numbers.  coefficient (3 k,) N.  noise_squared: of the data.  weights: of their
+    prior.  factor: inverse (3 k, 3 k) of the normal equations, the covariance for noise of 1.
+    drift (3 k, 2): what a change of the two weights' logarithms adds to the normal equations.
+    edge (k,): nodes that a little more noise would have left out of the mask, so that whether they
+    bear anything is in doubt.
     """
 
     nodes: NDArray[np.intp]
     coefficient: Array
-    draws: Array
-    scale: TractionScale
-    solution: Solution
+    noise_squared: float
+    weights: Weights
+    factor: DirectFactor | ComplementFactor
     drift: Array
-    edge: NDArray[np.bool_] | None = None
-
-    @property
-    def factor(self) -> Array:
-        """R (3 k, 3 k), of which the upper triangle counts: R' R is the covariance's inverse."""
-        return self.solution.upper
-
-    @cached_property
-    def _edge_nodes(self) -> NDArray[np.intp]:
-        none = np.zeros(0, dtype=np.intp)
-        return none if self.edge is None else np.flatnonzero(self.edge)
+    edge: Mask
 
     def covariances(self, functionals: Array) -> tuple[Array, Array]:
-        """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for this scale.
+        """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for these weights.
 
-        With it what scale and edge leave open on top of that, (j, j).
+        With it what weights and edge leave open on top of that, (j, j).
         """
-        return _covariances(
-            functionals, self.factor, self.drift, self.coefficient, self.draws, self._edge_nodes
-        )
+        count = len(functionals)
+        at, pull = self._edge_pull
+        joint, rows = self.factor.joint(np.hstack([functionals.T, self.drift]), at)
+        of_weights = WEIGHT_DOUBT * joint[:count, count:]
+        # How functionals change where a node of the edge is free of traction.
+        lost = (rows[:, :count] * pull[:, None]).reshape(-1, 3, count).sum(axis=1)
+        doubt = of_weights @ of_weights.T + TOGETHER * lost.T @ lost
+        return self.noise_squared * joint[:count, :count], doubt
+
+    @cached_property
+    def _edge_pull(self) -> tuple[NDArray[np.intp], Array]:
+        """Unknowns of the edge, and what has to pull at each for it to bear nothing."""
+        at = unknowns_of(np.flatnonzero(self.edge))
+        return at, self.coefficient[at] / self.factor.variance(at)
 
 
 class ContactTraction:
     """Solves for the coefficients on some of the nodes.
 
-    response G (3 markers, 3 nodes): displacement in units of its noise, per N.  pull: gives G' d.
+    response G (3 markers, 3 nodes): displacement in units of its noise, per N.
     smoothness (nodes, nodes): precision of one component.
+
+    Factors are kept by what they follow from, the mask, the weights and which data are missing, so
+    that a solution owes nothing to those before it.
     """
 
-    def __init__(self, response: Array, pull: Callable[[Array], Array], smoothness: Array) -> None:
-        self._response, self._pull = response, pull
+    def __init__(self, spectrum: TractionSpectrum, response: Array, smoothness: Array) -> None:
+        self._spectrum, self._response, self._smoothness = spectrum, response, smoothness
         self._normal = np.asarray(response.T @ response)
-        self._smoothness = smoothness
-        draws = np.random.default_rng(0).normal(size=(len(self._normal), DRAWS))
-        self._draws = np.ascontiguousarray(draws.T)
-        # Compiled, or read from numba's cache, before the first frame.
-        data, known = np.ones(len(response)), np.ones(len(response), dtype=bool)
-        one = self.solve(data, known, np.arange(1), TractionScale(1, 1, 1))
-        self.again(one, data, known).covariances(np.zeros((1, 3)))
+        self._felt = response.any(axis=1)
+        size = sum(part.gram.nbytes for part in spectrum.parts)
+        self._factors: _Kept[DirectFactor | ComplementFactor] = _Kept(KEPT_FACTORS)
+        self._inverses: _Kept[WholeSurface] = _Kept(max(2, int(KEPT_BYTES / size)))
+        self._variances: _Kept[Array] = _Kept(KEPT_FACTORS)
 
-    def solve(
-        self,
-        data: Array,
-        known: NDArray[np.bool_],
-        nodes: NDArray[np.intp],
-        first: TractionScale,
-        begin: TractionScale | None = None,
-    ) -> TractionPosterior:
-        """Posterior given data (m,), in units of the noise, of which the `known` count.
+    def weights(self, scale: TractionScale, noise_squared: float) -> Weights:
+        """Weights for coefficients of an expected size, the nearest on the grid."""
+        normal = max(scale.normal, MIN_NORMAL_N)
+        sizes = max(scale.tangential, MIN_TANGENTIAL * normal), normal
+        exact = [noise_squared / (size**2 * self._spectrum.scale) for size in sizes]
+        steps = [round(float(np.log10(weight)) / WEIGHT_STEP) for weight in exact]
+        return Weights(*(self._spectrum.scale * 10 ** (WEIGHT_STEP * step) for step in steps))
 
-        nodes (k,): where there may be traction.  first: a scale from this frame alone, to begin
-        with.  begin: one from elsewhere that may be nearer; it decides how many solutions it takes
-        to find the likeliest scale, and not where they end.  Raises GeometryError for no nodes.
+    def seen(self, data: Array, known: Mask) -> SeenData:
+        """What of data (m,), in units of the noise, counts: the `known`."""
+        data = np.where(known, data, 0.0)
+        missing = np.flatnonzero(~known & self._felt)
+        return SeenData(data, known, self._spectrum.pull(data), missing.tobytes())
+
+    def solve(self, seen: SeenData, nodes: NDArray[np.intp], weights: Weights) -> TractionPosterior:
+        """Posterior given what is seen.
+
+        nodes (k,): where there may be traction.  Raises GeometryError for no nodes.
         """
-        problem = self._problem(data, known, nodes)
-        found = likeliest_scale.search(problem, (begin or first).as_array())
-        if found.doubt > DOUBTFUL and begin is not None:
-            # So flat that where the search ends may hang on where it began.
-            found = likeliest_scale.search(problem, first.as_array())
-        return _posterior(nodes, found)
-
-    def posterior(
-        self,
-        data: Array,
-        known: NDArray[np.bool_],
-        nodes: NDArray[np.intp],
-        scale: TractionScale,
-    ) -> TractionPosterior:
-        """The posterior for a scale that is known; all else as in `solve`."""
-        problem, parts = self._problem(data, known, nodes), scale.as_array()
-        solution = likeliest_scale.solve(problem, parts)
-        none = np.zeros((len(problem.pull), 2))
-        found = Likeliest(solution, parts, solution.right, none, 0.0)
-        return _posterior(nodes, found)
-
-    def again(
-        self, posterior: TractionPosterior, data: Array, known: NDArray[np.bool_]
-    ) -> TractionPosterior:
-        """The posterior for other data of the same markers, on the same nodes, for the same scale.
-
-        A tenth of the work: all but the coefficients stays.
-        """
-        pull = self._pull(np.where(known, data, 0.0))[_unknowns(posterior.nodes)]
-        scale, smoothness = posterior.scale.as_array(), self._smoothness
-        coefficient = likeliest_scale.solve_again(
-            posterior.solution, scale, pull, smoothness, posterior.nodes
-        )
-        return replace(posterior, coefficient=coefficient)
-
-    def _problem(self, data: Array, known: NDArray[np.bool_], nodes: NDArray[np.intp]) -> Problem:
         if not len(nodes):
             msg = "nodes: found none, expected at least 1"
             raise GeometryError(msg)
-        unknowns, missing = _unknowns(nodes), np.flatnonzero(~known)
-        absent = NONE_ABSENT
-        if len(missing):
-            data = np.where(known, data, 0.0)
-            rows = self._response[missing][:, unknowns]
-            absent = np.ascontiguousarray(rows.T @ rows)
-        return Problem(
-            self._normal,
-            self._smoothness,
-            nodes,
-            absent,
-            self._pull(data)[unknowns],
-            float(data @ data),
-            len(data) - len(missing),
-            _normalised(self._draws, nodes),
-        )
+        key = weights, nodes.tobytes(), seen.missing
+        factor = self._factors.get(key, lambda: self._new_factor(nodes, weights, seen))
+        return self._posterior(seen, nodes, weights, factor)
+
+    def scale(self, posterior: TractionPosterior, missing: bool) -> TractionScale:
+        """A likelier size of the coefficients, by a step of MacKay's rule from the weights'.
+
+        missing: whether data are.
+        """
+        nodes, (tangential, normal) = posterior.nodes, posterior.weights
+        # The drift is what the weighted smoothness makes of the coefficients.
+        energy = posterior.coefficient @ posterior.drift / (tangential, normal)
+        if isinstance(posterior.factor, DirectFactor) and (len(nodes) <= MOST_TRACED or missing):
+            smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
+            trace = posterior.factor.trace(smooth)
+            left = tangential * trace[:2].sum(), normal * trace[2]
+            determined = np.array([2.0, 1.0]) * len(nodes) - left
+        else:
+            determined = self._spectrum.determined(*posterior.weights)
+            determined = determined * len(nodes) / len(self._smoothness)
+        sizes = np.sqrt(energy / np.maximum(determined, 1.0))
+        before = np.sqrt(posterior.noise_squared / np.array(posterior.weights))
+        sizes = before * (sizes / before) ** OVERSHOOT
+        return TractionScale(float(sizes[1]), float(sizes[0]))
+
+    def again(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
+        """The posterior for other data of the same markers, on the same nodes, with the weights."""
+        found = self._posterior(seen, posterior.nodes, posterior.weights, posterior.factor)
+        return replace(found, edge=posterior.edge)
+
+    def nodal_variance(self, weights: Weights) -> Array:
+        """As TractionSpectrum.nodal_variance."""
+        return self._variances.get(weights, lambda: self._spectrum.nodal_variance(*weights))
+
+    def _posterior(
+        self,
+        seen: SeenData,
+        nodes: NDArray[np.intp],
+        weights: Weights,
+        factor: DirectFactor | ComplementFactor,
+    ) -> TractionPosterior:
+        pull = seen.pull[unknowns_of(nodes)]
+        coefficient = factor.solve(pull[:, None])[:, 0]
+        # That of the greatest evidence for these weights.
+        left = float(seen.data @ seen.data - coefficient @ pull)
+        noise = max(left / np.count_nonzero(seen.known), MIN_NOISE_SQUARED)
+        whole = np.zeros((len(self._smoothness), 3))
+        whole[nodes] = coefficient.reshape(-1, 3)
+        smoothed = (self._smoothness @ whole)[nodes]
+        drift = np.zeros((len(pull), 2))
+        drift[0::3, 0], drift[1::3, 0] = weights.tangential * smoothed[:, :2].T
+        drift[2::3, 1] = weights.normal * smoothed[:, 2]
+        no_edge = np.zeros(len(nodes), dtype=bool)
+        return TractionPosterior(nodes, coefficient, noise, weights, factor, drift, no_edge)
+
+    def _new_factor(
+        self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData
+    ) -> DirectFactor | ComplementFactor:
+        unknowns = unknowns_of(nodes)
+        gone = self._response[np.frombuffer(seen.missing, np.intp)]
+        if len(nodes) > WIDE * len(self._smoothness) and len(gone) < FEW_MISSING * len(unknowns):
+            whole = self._inverses.get(weights, lambda: WholeSurface(self._spectrum, *weights))
+            return ComplementFactor(whole, unknowns, gone)
+        matrix = self._normal.take(unknowns, axis=0).take(unknowns, axis=1)
+        if len(gone):
+            of_contact = gone.take(unknowns, axis=1)
+            matrix -= of_contact.T @ of_contact
+        smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
+        for axis, weight in enumerate((weights.tangential, weights.tangential, weights.normal)):
+            matrix[axis::3, axis::3] += weight * smooth
+        return DirectFactor(matrix)
 
 
-def _posterior(nodes: NDArray[np.intp], found: Likeliest) -> TractionPosterior:
-    scale, right = TractionScale.from_array(found.scale), found.right
-    return TractionPosterior(nodes, right[0], right[1:], scale, found.solved, found.drift)
+class _Kept(Generic[Value]):
+    """The latest values, by what they follow from."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._values = most, OrderedDict[Hashable, Value]()
+
+    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """The value of a key, made where it is not kept."""
+        if key not in self._values:
+            self._values[key] = make()
+        self._values.move_to_end(key)
+        if len(self._values) > self._most:
+            self._values.popitem(last=False)
+        return self._values[key]
 
 
-def _unknowns(nodes: NDArray[np.intp]) -> NDArray[np.intp]:
+def unknowns_of(nodes: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Numbers (3 k,) of the coefficients of nodes (k,)."""
     return np.asarray((3 * nodes[:, None] + np.arange(3)).ravel())
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _normalised(draws: Array, nodes: NDArray[np.intp]) -> Array:
-    """Draws (j, 3 k) with each component's square exactly what it is expected to be.
-
-    Where the data say little of many coefficients, the few that they fix would else be lost in
-    the scatter of the others.  draws (j, 3 nodes): of all nodes.
-    """
-    found: Array = np.empty((len(draws), 3 * len(nodes)))
-    for row in range(len(draws)):
-        for c in range(3):
-            total = 0.0
-            for node in nodes:
-                total += draws[row, 3 * node + c] ** 2
-            size = np.sqrt(total / len(nodes))
-            for place, node in enumerate(nodes):
-                found[row, 3 * place + c] = draws[row, 3 * node + c] / size
-    return found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _covariances(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
-    functionals: Array,
-    upper: Array,
-    drift: Array,
-    coefficient: Array,
-    draws: Array,
-    edge: NDArray[np.intp],
-) -> tuple[Array, Array]:
-    """As TractionPosterior.covariances; edge: which of the mask's nodes are on it."""
-    half = functionals.copy()
-    forward(upper, half)
-    for_scale = np.dot(half, half.T)
-    of_scale = np.dot(functionals, drift)
-    doubt = np.dot(of_scale, of_scale.T)
-    if len(edge) > 0:
-        # How functionals change where a node of the edge is free of traction.
-        backward(upper, half)
-        for node in edge:
-            lost: Array = np.zeros(len(half))
-            for i in range(3 * node, 3 * node + 3):
-                # The variance as the draws show it.
-                pull = coefficient[i] / (draws[:, i] ** 2).mean()
-                for j in range(len(half)):
-                    lost[j] += half[j, i] * pull
-            doubt += TOGETHER * np.outer(lost, lost)
-    return for_scale, doubt

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -61,6 +59,9 @@ LINEAR_DOUBT = 0.5
 SETTLED_SHARE = 5e-3
 
 
+Array = NDArray[np.float64]
+
+
 class _Measured(NamedTuple):
     """data (3 markers,) in units of the noise, known (3 markers,), valid: share of the markers."""
 
@@ -107,20 +108,9 @@ class ForceModel:
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
         self._gradual: GradualSettling | None = None
-        self._of_corrected = self._solver
         if self._large is not None and large_press_steps:
             self._gradual = GradualSettling(self._large, large_press_steps)
-            # One with a memory of its own: scales of the linear force are others.
-            self._of_corrected = copy(self._solver)
-            self._of_corrected.reset()
         self._out_of_reach = np.inf
-        self._unstated = np.zeros((markers.rows, markers.cols, 3, 3))
-        # Compiled, or read from numba's cache, before the first frame.
-        at_rest, seen = np.zeros((markers.rows, markers.cols, 3)), (markers.rows, markers.cols)
-        self._measurements(within_reach(at_rest, sensor), np.ones(seen, np.uint8), None)
-        point, every = np.zeros((1, 3)), np.ones((len(self._position), 3))
-        self._model_covariance(wrench_of(point, point), point, point)
-        self.elastic.node_displacement(every)
 
     def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
@@ -145,7 +135,6 @@ class ForceModel:
         """
         measured = self._measurements(displacement, status, covariance)
         if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():
-            self._solver.reset()
             return self._unknown(measured.valid, ForceFlag.FEW_MARKERS)
         if not self._plausibility.allows_displacement(self._known_of(measured, measured.data)):
             self.reset()
@@ -184,9 +173,9 @@ class ForceModel:
             nonlocal found, solved
             data = np.where(measured.known, moved.ravel() / self._noise, 0.0)
             if solved is not None and _is_near(data, solved):
-                found = self._of_corrected.again(found, data, measured.known)
+                found = self._solver.again(found, data, measured.known)
             else:
-                found, solved = self._of_corrected.solve(data, measured.known), data
+                found, solved = self._solver.solve(data, measured.known), data
             return found.coefficient
 
         moved = self._known_of(measured, measured.data)
@@ -211,7 +200,7 @@ class ForceModel:
         # What is fitted now is the measured displacement without the excess.
         excess = large.latest if self._gradual is None else self._gradual.taken_off
         data = np.where(measured.known, measured.data - excess.ravel() / self._noise, 0.0)
-        found = self._of_corrected.completed(found)
+        found = self._solver.completed(found)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
         if ForceFlag.IMPLAUSIBLE in corrected.flags:
             self.reset()
@@ -231,10 +220,8 @@ class ForceModel:
         return _doubted(field, LINEAR_DOUBT * self._depth_of(linear))
 
     def reset(self) -> None:
-        """Forget where scales and large press have settled; all else is of one frame alone."""
+        """Forget where a large press has settled; all else is of one frame alone."""
         self._out_of_reach = np.inf
-        self._solver.reset()
-        self._of_corrected.reset()
         for large in (self._large, self._gradual):
             if large is not None:
                 large.reset()
@@ -257,17 +244,20 @@ class ForceModel:
             if found.shape != wanted:
                 msg = f"{self._sensor.name}: {name}: found shape {found.shape}, expected {wanted}"
                 raise GeometryError(msg)
-        stated = self._unstated if covariance is None else covariance
-        return _Measured(
-            *_measured(
-                _plain(moved),
-                np.require(states, np.uint8, ["C", "W"]),
-                _plain(stated),
-                max(self._sensor.elastomer.size),
-                self._noise,
-                self._depth_seen,
-            )
-        )
+        moved = within_reach(moved, self._sensor).reshape(-1, 3)
+        known = np.isfinite(moved) & (states.reshape(-1, 1) != Status.MISSING.value)
+        if covariance is not None:
+            variance = np.einsum("ijkk->ij", covariance).reshape(-1, 1)
+            stated = np.isfinite(variance) & (variance > 0)
+            seen = stated & known.any(axis=1, keepdims=True)
+            if seen.any():
+                most = MUCH_NOISIER**2 * np.median(variance[seen])
+                known &= ~stated | (variance <= most)
+        if not self._depth_seen:
+            known[:, 2] = False
+        valid = np.count_nonzero(known.any(axis=1)) / len(known)
+        known = known.ravel()
+        return _Measured(np.where(known, moved.ravel() / self._noise, 0.0), known, valid)
 
     def _field(
         self,
@@ -286,22 +276,23 @@ class ForceModel:
             return self._unknown(valid, ForceFlag.IMPLAUSIBLE)
         place = self._position + moved
         wrench = wrench_of(force, place)
-        everywhere = np.ones(len(force), dtype=bool)
-        of_all = self._covariances(solution, valid, place, everywhere)
-        loaded = force.any(axis=1)
+        of_all: list[tuple[Array, Array]] = []
 
-        def of_some(nodes: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            some = np.zeros(len(force), dtype=bool)
-            some[nodes] = True
-            whole = some[loaded].all()
-            return of_all if whole else self._covariances(solution, valid, place, some)
+        def of_some(sets: list[NDArray[np.intp]]) -> list[tuple[Array, Array]]:
+            # All in one, as what is solved for several costs little more than for one.
+            every = np.arange(len(force))
+            found = self._covariances(solution, valid, place, [every, *sets])
+            of_all.append(found[0])
+            return found[1:]
 
         pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
         contacts = tuple(
             self._with_model_error(item, force, place)
             for item in self._regions.contacts(force, pressed, place, of_some)
         )
-        covariance = of_all[0] + of_all[1] + self._model_covariance(wrench, place, force)
+        if not of_all:
+            of_some([])
+        covariance = sum(of_all[0]) + self._model_covariance(wrench, place, force)
         contact = np.zeros(len(force), dtype=bool)
         for item in contacts:
             contact[item.nodes] = pressed[item.nodes]
@@ -330,20 +321,26 @@ class ForceModel:
         self,
         solution: ForceSolution,
         valid: float,
-        place: NDArray[np.float64],
-        some: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Covariance (6, 6) of the wrench of some nodes (nodes,), of noise and resolution alone.
+        place: Array,
+        sets: list[NDArray[np.intp]],
+    ) -> list[tuple[Array, Array]]:
+        """Covariance (6, 6) of the wrench of each set of nodes, of noise and resolution alone.
 
         With it what scale and edge of the second pass leave open on top of that.  valid: share of
         the markers that are seen.
         """
         if solution.posterior is None:
             # That of all nodes, for want of a better one; fewer markers average less noise.
-            return solution.noise_squared / valid * self._rest_covariance, np.zeros((6, 6))
-        weight = some.astype(np.float64)
-        functionals = self._solver.functionals(place, weight, solution.posterior.nodes)
-        return solution.posterior.covariances(functionals)
+            noise = solution.noise_squared / valid * self._rest_covariance
+            return [(noise, np.zeros((6, 6)))] * len(sets)
+        weights = np.zeros((len(sets), len(place)))
+        for weight, nodes in zip(weights, sets, strict=True):
+            weight[nodes] = 1.0
+        nodes = solution.posterior.nodes
+        functionals = [self._solver.functionals(place, weight, nodes) for weight in weights]
+        noise, doubt = solution.posterior.covariances(np.concatenate(functionals))
+        blocks = [slice(6 * k, 6 * k + 6) for k in range(len(sets))]
+        return [(noise[block, block], doubt[block, block]) for block in blocks]
 
     def _with_model_error(
         self,
@@ -371,9 +368,16 @@ class ForceModel:
             normal = float(np.hypot(normal, record.normal_std))
             tangential = float(np.hypot(tangential, record.tangential_std))
         error, height = self._parameters.model_error, self._sensor.elastomer.size[2]
-        covariance, centre = _model_covariance(
-            wrench, place, force, (normal, tangential), LEAK_SHARE * error, error * height
-        )
+        sizes = np.sqrt(np.einsum("ij,ij->i", force, force))
+        total = float(sizes.sum())
+        centre = sizes @ place / total if total else np.zeros(3)
+        covariance = material_covariance(wrench, centre, normal, tangential)
+        # Where the forces act is as uncertain as the mesh that says how far they have moved.
+        lever = error * height * np.linalg.norm(wrench[:3])
+        about = error * height * np.hypot(wrench[0], wrench[1])
+        covariance[3:, 3:] += np.diag(np.square([lever, lever, about]))
+        leaking = LEAK_SHARE * error * total * resultant_matrix(centre[None], np.ones(1))
+        covariance += leaking @ leaking.T
         if not self._depth_seen:
             size = float(np.linalg.norm(wrench[:3]))
             reach = float(np.linalg.norm(centre)) + self._sensor.elastomer.size[2]
@@ -441,96 +445,6 @@ class ForceModel:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
-    wrench: NDArray[np.float64],
-    place: NDArray[np.float64],
-    force: NDArray[np.float64],
-    scales: tuple[float, float],
-    leak: float,
-    lever: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the model leaves open of a wrench, (6, 6), and the centre (3,) of its forces.
-
-    scales: relative deviations of the normal and the tangential force.  leak: of the forces' sum.
-    lever: by which the forces may act elsewhere, m.
-    """
-    total = 0.0
-    centre: NDArray[np.float64] = np.zeros(3)
-    for i in range(len(force)):
-        size = np.sqrt(force[i, 0] ** 2 + force[i, 1] ** 2 + force[i, 2] ** 2)
-        total += size
-        for c in range(3):
-            centre[c] += size * place[i, c]
-    if total > 0:
-        centre /= total
-    covariance: NDArray[np.float64] = material_covariance(wrench, centre, scales[0], scales[1])
-    # Where the forces act is as uncertain as the mesh that says how far they have moved.
-    across = np.hypot(wrench[0], wrench[1])
-    along = np.hypot(across, wrench[2])
-    covariance[3, 3] += (lever * along) ** 2
-    covariance[4, 4] += (lever * along) ** 2
-    covariance[5, 5] += (lever * across) ** 2
-    leaking = leak * total * resultant_matrix(centre.reshape(1, 3), np.ones(1))
-    covariance += np.dot(leaking, leaking.T)
-    return covariance, centre
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _measured(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
-    moved: NDArray[np.float64],
-    states: NDArray[np.uint8],
-    covariance: NDArray[np.float64],
-    farthest: float,
-    noise: NDArray[np.float64],
-    depth_seen: bool,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
-    """As _Measured, for arrays as of `reconstruct`; farthest, m: how far a marker can move."""
-    count = states.size
-    data, known = np.zeros(3 * count), np.zeros(3 * count, np.bool_)
-    values, variance = moved.reshape(-1), np.zeros(count)
-    for i, state in enumerate(states.flat):
-        of_marker = values[3 * i : 3 * i + 3]
-        if state == Status.MISSING.value or _beyond(of_marker, farthest):
-            continue
-        for c in range(3):
-            known[3 * i + c] = np.isfinite(of_marker[c])
-        if known[3 * i : 3 * i + 3].any():
-            trace = 0.0
-            for c in range(3):
-                trace += covariance[i // states.shape[1], i % states.shape[1], c, c]
-            variance[i] = trace
-    stated = np.isfinite(variance) & (variance > 0)
-    most = MUCH_NOISIER**2 * np.median(variance[stated]) if stated.any() else np.inf
-    valid = 0
-    for i in range(count):
-        is_certain = not stated[i] or variance[i] <= most
-        seen = False
-        for k in range(3 * i, 3 * i + 3):
-            known[k] = known[k] and is_certain and (depth_seen or k % 3 < 2)
-            if known[k]:
-                data[k] = values[k] / noise[k]
-                seen = True
-        valid += seen
-    return data, known, valid / count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _beyond(moved: NDArray[np.float64], farthest: float) -> bool:
-    # Not by the largest of them, which may be NaN.
-    return bool(abs(moved[0]) > farthest or abs(moved[1]) > farthest or abs(moved[2]) > farthest)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _within_reach(moved: NDArray[np.float64], farthest: float) -> NDArray[np.float64]:
-    found: NDArray[np.float64] = moved.copy()
-    for i in range(moved.shape[0]):
-        for j in range(moved.shape[1]):
-            if _beyond(moved[i, j], farthest):
-                found[i, j] = np.nan
-    return found
-
-
 def within_reach(
     displacement: NDArray[np.float64], sensor: SensorDescription
 ) -> NDArray[np.float64]:
@@ -538,12 +452,10 @@ def within_reach(
 
     No marker moves farther than the gel is large.
     """
-    return _within_reach(_plain(displacement), max(sensor.elastomer.size))
-
-
-def _plain(values: NDArray[Any]) -> NDArray[np.float64]:
-    """As what is compiled takes it."""
-    return np.require(values, np.float64, ["C", "W"])
+    farthest = max(sensor.elastomer.size)
+    # Not by the largest of them, which may be NaN.
+    beyond = np.any(np.abs(displacement) > farthest, axis=-1, keepdims=True)
+    return np.where(beyond, np.nan, displacement) if beyond.any() else displacement
 
 
 def _is_near(data: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh, solve_triangular
@@ -100,10 +99,6 @@ class Plausibility:
         wide = np.sqrt(area) / (4 * thickness)
         self._most_pressed = float(elastomer.young * (1 + 2 * wide**2) * area)
         self._most_pulled = float(min(TEARS_AT * elastomer.young, AIR_PA) * area)
-        # Compiled, or read from numba's cache, before the first frame.
-        at_rest = np.zeros(self._rest.shape)
-        self.allows_displacement(at_rest)
-        self.allows_force(np.zeros((1, 3)), at_rest)
 
     def allows_displacement(self, moved: NDArray[np.float64]) -> bool:
         """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""
@@ -125,63 +120,42 @@ class Plausibility:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _keeps_order(
     moved: NDArray[np.float64], rest: NDArray[np.float64], farthest: float, shallow: float
 ) -> bool:
     """As Plausibility.allows_displacement; rest (rows, cols, 3) m."""
-    rows, cols = rest.shape[:2]
+    unseen = np.isnan(moved[..., 2])
     # Of one view the depth is not known, nor is it needed here; but without the depth steep flanks
     # are not known either: only what changes places is refused.
-    most = 1.0 if np.isnan(moved[:, :, 2]).all() else MOST_CHANGED
-    flat: NDArray[np.float64] = moved.copy()
-    flat[:, :, 2] = np.where(np.isnan(moved[:, :, 2]), 0.0, moved[:, :, 2])
-    if ((flat**2).sum(axis=2) > farthest**2).any():
+    most = 1.0 if unseen.all() else MOST_CHANGED
+    flat = np.where(unseen[..., None] & [False, False, True], 0.0, moved)
+    if (np.einsum("ijk,ijk->ij", flat, flat) > farthest**2).any():
         return False
-    for i in range(rows):
-        for j in range(cols):
-            for k, m in ((i + 1, j), (i, j + 1)):
-                if k == rows or m == cols:
-                    continue
-                deep = max(abs(flat[i, j, 2]), abs(flat[k, m, 2])) > shallow
-                step, apart = 0.0, 0.0
-                for c in range(3):
-                    along = rest[k, m, c] - rest[i, j, c]
-                    step += (flat[k, m, c] - flat[i, j, c]) * along
-                    apart += along**2
-                if not deep and abs(step) > most * apart:
-                    return False
+    deep = np.abs(flat[..., 2]) > shallow
+    for axis in (0, 1):
+        along = np.diff(rest, axis=axis)
+        step = np.einsum("ijk,ijk->ij", np.diff(flat, axis=axis), along)
+        apart = np.einsum("ijk,ijk->ij", along, along)
+        flank = deep[1:] | deep[:-1] if axis == 0 else deep[:, 1:] | deep[:, :-1]
+        if (~flank & (np.abs(step) > most * apart)).any():
+            return False
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _is_borne(force: NDArray[np.float64], most_pulled: float, most_pressed: float) -> bool:
-    pulled, pressed = 0.0, 0.0
-    for node in range(len(force)):
-        pulled += max(force[node, 2], 0.0)
-        pressed += max(-force[node, 2], 0.0)
-    return not (pulled > most_pulled or pressed > most_pressed)
+    normal = force[:, 2]
+    pressed = -float(normal[normal < 0].sum())
+    return not (float(normal[normal > 0].sum()) > most_pulled or pressed > most_pressed)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _is_explained(unexplained: NDArray[np.float64], pitch: float) -> bool:
     """Whether little is left of the displacement, of all together and between neighbours."""
-    rows, cols = unexplained.shape[:2]
-    total, known, most = 0.0, 0, UNEXPLAINED_STEP * pitch
-    for i in range(rows):
-        for j in range(cols):
-            for c in range(3):
-                value = unexplained[i, j, c]
-                if np.isfinite(value):
-                    total += value**2
-                    known += 1
-                if c == 2:
-                    continue
-                if i + 1 < rows and abs(unexplained[i + 1, j, c] - value) > most:
-                    return False
-                if j + 1 < cols and abs(unexplained[i, j + 1, c] - value) > most:
-                    return False
-    return total <= (UNEXPLAINED * pitch) ** 2 * known
+    across = unexplained[..., :2]
+    for axis in (0, 1):
+        if (np.abs(np.diff(across, axis=axis)) > UNEXPLAINED_STEP * pitch).any():
+            return False
+    known = unexplained[np.isfinite(unexplained)]
+    return bool(known @ known <= (UNEXPLAINED * pitch) ** 2 * len(known))
 
 
 def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
@@ -263,8 +237,6 @@ class BorderContact:
             outside_part / (1 + outside_part),
             np.log1p(outside_part).sum(axis=2),
         )
-        # Compiled, or read from numba's cache, before the first frame.
-        _is_outside_likelier(np.zeros(len(self._fold.rows.starts) - 1), self._explanations)
 
     def reaches_beyond(self, displacement: NDArray[np.float64], force: NDArray[np.float64]) -> bool:
         """Whether these displacements are those of a force outside, at least in part.
@@ -329,33 +301,25 @@ class BorderContact:
         return np.asarray(part[:, size > LEAST_RIGID * np.linalg.norm(1 / self._noise)])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
 def _is_outside_likelier(folded: NDArray[np.float64], weighed: _Explanations) -> bool:
     """Whether data, folded by parity, are likelier with loads outside than without."""
     parts = product_of_parts(weighed.basis, folded)
-    of_modes = np.dot(weighed.probe, parts.astype(np.float32))
-    count, (outsides, insides, modes) = len(parts), weighed.gain.shape
-    squares: NDArray[np.float64] = parts**2
-    misfit = np.dot(weighed.shrink, squares)
-    alone, both = -np.inf, -np.inf
-    for i in range(insides):
-        alone = max(alone, _log_evidence(misfit[i], weighed.volume[i], count))
-        for o in range(outsides):
-            explained = 0.0
-            for m in range(modes):
-                explained += weighed.gain[o, i, m] * np.float64(of_modes[i * modes + m]) ** 2
-            volume = weighed.volume[i] + weighed.more_volume[o, i]
-            both = max(both, _log_evidence(misfit[i] - explained, volume, count))
-    least: float = LEAST_EVIDENCE + 0.5 * MODEL_ERROR**2 * squares.sum()
-    return both - alone > least
+    of_modes = (weighed.probe @ parts.astype(np.float32)).astype(np.float64) ** 2
+    squares = parts**2
+    misfit = weighed.shrink @ squares
+    explained = np.einsum("oim,im->oi", weighed.gain, of_modes.reshape(weighed.gain.shape[1:]))
+    alone = _log_evidence(misfit, weighed.volume, len(parts)).max()
+    volume = weighed.volume + weighed.more_volume
+    both = _log_evidence(misfit - explained, volume, len(parts)).max()
+    return bool(both - alone > LEAST_EVIDENCE + 0.5 * MODEL_ERROR**2 * squares.sum())
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _log_evidence(misfit: float, volume: float, count: int) -> float:
-    """Of data (count,) with this misfit, for the noise that is likeliest."""
-    noise = max(misfit / count, MIN_NOISE_SQUARED)
-    evidence: float = -0.5 * (count * np.log(noise) + misfit / noise + volume)
-    return evidence
+def _log_evidence(
+    misfit: NDArray[np.float64], volume: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
+    """Of data (count,) with these misfits, for the noise that is likeliest."""
+    noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
+    return np.asarray(-0.5 * (count * np.log(noise) + misfit / noise + volume))
 
 
 def _of_smooth(

@@ -13,12 +13,10 @@ own mirror image falls into four parts by parity, each a quarter of the whole in
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
@@ -26,13 +24,12 @@ from scipy.linalg import eigh
 from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,
     Parity,
-    PartProducts,
-    Rows,
     SparseRows,
     product_of_parts,
-    sparse_product,
 )
 from cmp_tactile_processing.measured import SurfaceGrid
+
+Array = NDArray[np.float64]
 
 # The noise is never taken for less than this share of what the parameters say, squared.
 MIN_NOISE_SQUARED = 0.05**2
@@ -100,6 +97,14 @@ def _mass(count: int) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
+class TractionScale:
+    """Expected size of normal and tangential coefficients, N."""
+
+    normal: float
+    tangential: float
+
+
+@dataclass(frozen=True)
 class FirstPass:
     """What the first pass found.
 
@@ -109,12 +114,12 @@ class FirstPass:
     nodal_std (nodes,): of the consistent nodal force along z that noise alone causes, N.
     """
 
-    coefficient: NDArray[np.float64]
-    data: NDArray[np.float64]
+    coefficient: Array
+    data: Array
     noise_squared: float
     weight: float
     evidence: float
-    nodal_std: NDArray[np.float64]
+    nodal_std: Array
 
 
 class _Part:
@@ -124,231 +129,212 @@ class _Part:
         self,
         parity: Parity,
         grids: tuple[SurfaceGrid, SurfaceGrid],
-        response: NDArray[np.float64],
-        precision: NDArray[np.float64],
+        response: Array,
+        smooth: tuple[sparse.csr_array, sparse.csr_array],
         nodal: sparse.csr_array,
     ) -> None:
         self.of_markers, self.of_nodes = (
             parity.orthonormal(grid.rows, grid.cols) for grid in grids
         )
-        part = np.ascontiguousarray(self.of_markers.T @ response @ self.of_nodes)
-        prior = self.of_nodes.T @ precision @ self.of_nodes
-        values, vectors = eigh(part.T @ part, prior, check_finite=False)
-        self.response = part
+        # Each unknown of the grid belongs to one of the part's at most, with such a share.
+        entries = self.of_nodes.tocoo()
+        self.place = np.zeros(entries.shape[0], np.intp)
+        self.share = np.zeros(entries.shape[0])
+        self.place[entries.row], self.share[entries.row] = entries.col, entries.data
+        self.response = part = np.ascontiguousarray(self.of_markers.T @ response @ self.of_nodes)
+        self.tangential, self.normal = (
+            (self.of_nodes.T @ matrix @ self.of_nodes).toarray() for matrix in smooth
+        )
+        self.gram = part.T @ part
+        prior = self.tangential / TANGENTIAL_SHARE**2 + self.normal
+        values, vectors = eigh(self.gram, prior, check_finite=False)
         self.values = np.maximum(values, 0.0)
         self.vectors = np.ascontiguousarray(vectors)
         self.analysis = np.ascontiguousarray(vectors.T @ part.T)
-        along_z = sparse.csr_array((nodal @ self.of_nodes)[2::3])
+        # Every mode has energy 1 in the prior; so much of it is of the normal traction.
+        self.normal_share = np.einsum("ik,ik->k", vectors, self.normal @ vectors)
         quarter = _quarter(grids[1])[0]
-        self.nodal_squares = np.asarray(along_z[quarter] @ vectors) ** 2
+        rows = (3 * quarter[:, None] + np.arange(3)).ravel()
+        self.nodal_squares = np.asarray((nodal @ self.of_nodes)[rows] @ vectors) ** 2
 
 
 class TractionSpectrum:
     """f with the smallest |G f - d|^2 + weight f' P f, for the weight of greatest evidence.
 
     response G: (3 markers, 3 nodes), markers' displacement in units of its noise per N, the same
-    noise at each marker.  precision P (3 nodes, 3 nodes).  nodal: consistent nodal forces from
-    coefficients, (3 nodes, 3 nodes).
+    noise at each marker.  smoothness (nodes, nodes): precision of one component of the
+    coefficients; P is that of the normal one, and over TANGENTIAL_SHARE^2 that of the tangential
+    ones.  lumped (nodes, nodes): from coefficients to consistent nodal forces.
     """
 
     def __init__(
         self,
         markers: SurfaceGrid,
         nodes: SurfaceGrid,
-        response: NDArray[np.float64],
-        precision: NDArray[np.float64],
-        nodal: sparse.csr_array,
+        response: Array,
+        smoothness: Array,
+        lumped: Array,
     ) -> None:
-        parts = [_Part(p, (markers, nodes), response, precision, nodal) for p in PARITIES]
-        self._parts = parts
-        to_markers = sparse.hstack([part.of_markers for part in parts])
-        to_nodes = sparse.hstack([part.of_nodes for part in parts])
-        from_markers, self._from_nodes = SparseRows(to_markers.T), SparseRows(to_nodes.T)
-        onto_markers, onto_nodes = SparseRows(to_markers), SparseRows(to_nodes)
-        of_parts = [part.response for part in parts]
+        along = np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])
+        smooth = [sparse.csr_array(sparse.kron(smoothness, components)) for components in along]
+        nodal = sparse.csr_array(sparse.kron(lumped, sparse.eye_array(3)))
+        self.parts = [
+            _Part(parity, (markers, nodes), response, (smooth[0], smooth[1]), nodal)
+            for parity in PARITIES
+        ]
+        self._smoothness = smoothness
+        to_markers = sparse.hstack([part.of_markers for part in self.parts])
+        to_nodes = sparse.hstack([part.of_nodes for part in self.parts])
+        self.from_markers, self.from_nodes = SparseRows(to_markers.T), SparseRows(to_nodes.T)
+        self.onto_markers, self.onto_nodes = SparseRows(to_markers), SparseRows(to_nodes)
+        self._analysis = [part.analysis for part in self.parts]
+        self._pull = [np.ascontiguousarray(part.response.T) for part in self.parts]
         # For what a solution leaves over 1e-7 of it will do, in half the time.
-        self._respond = PartProducts(self._from_nodes, _single(of_parts), onto_markers)
-        self._pull = PartProducts(from_markers, [part.T for part in of_parts], onto_nodes)
-        self._at_nodes = _slices([part.of_nodes.shape[1] for part in parts])
-        self.values = np.concatenate([part.values for part in parts])
+        self._response = [part.response.astype(np.float32) for part in self.parts]
+        self._vectors = [part.vectors.astype(np.float32) for part in self.parts]
+        squares = np.concatenate([part.nodal_squares for part in self.parts], axis=1)
+        self._nodal_squares = np.ascontiguousarray(
+            squares.reshape(-1, 3, squares.shape[1]).transpose(1, 0, 2), np.float32
+        )
+        self._of_quarter = _quarter(nodes)[1]
+        self._normal_share = np.concatenate([part.normal_share for part in self.parts])
+        self.values = np.concatenate([part.values for part in self.parts])
         self.scale = float(self.values.max())
         weights = WEIGHTS[:, None] * self.scale
-        shrink = 1 / (self.values + weights)
-        self._modes = _Modes(
-            from_markers.rows,
-            onto_markers.rows,
-            onto_nodes.rows,
-            tuple(part.analysis for part in parts),
-            _single([part.vectors for part in parts]),
-            _single([part.nodal_squares for part in parts]),
-            _quarter(nodes)[1],
-            self.values,
-            shrink,
-            0.5 * np.log(weights * shrink).sum(axis=1),
-        )
-        # Compiled, or read from numba's cache, before the first frame.
-        count = 3 * markers.rows * markers.cols
-        self.solve(np.zeros(count), np.ones(count, dtype=bool))
+        self._shrink = 1 / (self.values + weights)
+        self._log_prior = 0.5 * np.log(weights * self._shrink).sum(axis=1)
 
     def solve(
-        self,
-        data: NDArray[np.float64],
-        known: NDArray[np.bool_],
-        weight: float | None = None,
+        self, data: Array, known: NDArray[np.bool_], weight: float | None = None
     ) -> FirstPass:
         """First pass over data (m,), in units of the noise, of which only the `known` count.
 
         weight: relative; chosen by the evidence where it is not given.
         """
-        index = -1 if weight is None else int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
-        found = _first_pass(self._modes, data, known, index)
-        coefficient, data, noise, index, evidence, nodal_std = found
-        return FirstPass(coefficient, data, noise, float(WEIGHTS[index]), evidence, nodal_std)
+        data, count = np.where(known, data, 0.0), int(np.count_nonzero(known))
+        total = float(data @ data)
+        given = None if weight is None else int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
+        index, modes = self._weighted(data, count, given)
+        if count < len(data):
+            data = self._filled(data, known, self._shrink[index])
+            index, modes = self._weighted(data, count, given)
+        gain = self._shrink[index]
+        misfit = max(float(data @ data - gain @ modes**2), 0.0)
+        noise = max(misfit / count, MIN_NOISE_SQUARED)
+        evidence = float(_log_evidence(misfit, noise, count) + self._log_prior[index])
+        alone = max(total / count, MIN_NOISE_SQUARED)
+        coefficient = self.onto_nodes.of_vector(product_of_parts(self._vectors, gain * modes))
+        variance = self._nodal_squares[2] @ (noise * self.values * gain**2).astype(np.float32)
+        return FirstPass(
+            coefficient,
+            data,
+            noise,
+            float(WEIGHTS[index]),
+            evidence - float(_log_evidence(total, alone, count)),
+            np.sqrt(variance[self._of_quarter].astype(np.float64)),
+        )
 
-    def respond(self, coefficient: NDArray[np.float64]) -> NDArray[np.float64]:
+    def respond(self, coefficient: Array) -> Array:
         """G f: data (m,) that coefficients (n,) cause."""
-        return self._respond.of_vector(coefficient)
+        return self._mapped(self.from_nodes, self._response, self.onto_markers, coefficient)
 
-    def pull(self, data: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pull(self, data: Array) -> Array:
         """G' d: what data (m,) ask of the coefficients, (n,)."""
-        return self._pull.of_vector(data)
+        return self._mapped(self.from_markers, self._pull, self.onto_nodes, data)
 
-    def noise_covariance(
-        self, functionals: NDArray[np.float64], weight: float
-    ) -> NDArray[np.float64]:
+    def noise_covariance(self, functionals: Array, weight: float) -> Array:
         """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
-        folded = self._from_nodes.of_columns(functionals.T)
-        parts = zip(self._parts, self._at_nodes, strict=True)
-        of_modes = np.concatenate([part.vectors.T @ folded[place] for part, place in parts])
+        folded = self.from_nodes.of_columns(functionals.T)
+        of_modes = product_of_parts([part.vectors.T for part in self.parts], folded)
         half = of_modes * (np.sqrt(self.values) / (self.values + weight * self.scale))[:, None]
         return np.asarray(half.T @ half)
 
+    def nodal_variance(self, tangential: float, normal: float) -> Array:
+        """Posterior variance (nodes, 3) of consistent nodal forces for noise of 1.
 
-class _Modes(NamedTuple):
-    """The generalised eigenvectors of data and prior, n of them, part by part.
+        Were the whole surface in contact; tangential, normal: weights of the two smoothnesses.
+        """
+        found = np.empty((len(self._of_quarter), 3))
+        for axis, weight in enumerate((tangential * TANGENTIAL_SHARE**2,) * 2 + (normal,)):
+            variance = 1 / (self.values + weight)
+            of_quarter = self._nodal_squares[axis] @ variance.astype(np.float32)
+            found[:, axis] = of_quarter[self._of_quarter]
+        return found
 
-    from_markers, onto_markers, onto_nodes: between the grids and the parts.  analysis: from data to
-    modes; vectors: from modes to coefficients; nodal_squares: from the modes' variances to those of
-    the nodal forces along z on a quarter, of_quarter (nodes,): its points.  values (n,).
-    shrink (w, n), log_prior (w,): of the weights.
-    """
+    def scale_of_first(self, first: FirstPass) -> TractionScale:
+        """Expected size of what the first pass found."""
+        normal = first.weight * self.scale
+        return self.scale_of(first.coefficient, normal / TANGENTIAL_SHARE**2, normal)
 
-    from_markers: Rows
-    onto_markers: Rows
-    onto_nodes: Rows
-    analysis: tuple[NDArray[np.float64], ...]
-    vectors: tuple[NDArray[np.float32], ...]
-    nodal_squares: tuple[NDArray[np.float32], ...]
-    of_quarter: NDArray[np.intp]
-    values: NDArray[np.float64]
-    shrink: NDArray[np.float64]
-    log_prior: NDArray[np.float64]
+    def scale_of(self, coefficient: Array, tangential: float, normal: float) -> TractionScale:
+        """Expected size of coefficients (n,) on the whole surface, by one step of MacKay's rule.
 
+        From the sizes that the weights of the two smoothnesses stand for towards those for which
+        the data are likeliest: the energy of either part over how many numbers of it the data
+        determine.
+        """
+        found = coefficient.reshape(-1, 3)
+        energy = np.einsum("ij,ij->j", found, self._smoothness @ found)
+        determined = np.maximum(self.determined(tangential, normal), 1.0)
+        return TractionScale(
+            float(np.sqrt(energy[2] / determined[1])),
+            float(np.sqrt((energy[0] + energy[1]) / determined[0])),
+        )
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _first_pass(
-    of: _Modes, data: NDArray[np.float64], known: NDArray[np.bool_], index: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float, int, float, NDArray[np.float64]]:
-    """Coefficients, filled data, noise, number of the weight, evidence and nodal deviations.
+    def determined(self, tangential: float, normal: float) -> Array:
+        """How many numbers of the tangential and of the normal part data determine, (2,)."""
+        along = tangential * TANGENTIAL_SHARE**2
+        of_normal = self._normal_share * self.values / (self.values + normal)
+        of_tangential = (1 - self._normal_share) * self.values / (self.values + along)
+        return np.array([of_tangential.sum(), of_normal.sum()])
 
-    index: of the weight; below 0 it is chosen by the evidence.
-    """
-    data = np.where(known, data, 0.0)
-    count, total, is_given = int(known.sum()), np.dot(data, data), index >= 0
-    modes = _analysed(of, data)
-    if not is_given:
-        index = _likeliest_weight(of, np.dot(data, data), modes, count)
-    if count < len(data):
-        data = _filled(of, data, known, index)
-        modes = _analysed(of, data)
-        if not is_given:
-            index = _likeliest_weight(of, np.dot(data, data), modes, count)
-    gain = of.shrink[index]
-    misfit = max(np.dot(data, data) - np.dot(gain, modes**2), 0.0)
-    noise = max(misfit / count, MIN_NOISE_SQUARED)
-    variance = _summed(of.nodal_squares, noise * of.values * gain**2)
-    nothing = _log_evidence(total, max(total / count, MIN_NOISE_SQUARED), count)
-    evidence = _log_evidence(misfit, noise, count) + of.log_prior[index] - nothing
-    coefficient = sparse_product(of.onto_nodes, product_of_parts(of.vectors, gain * modes))
-    return coefficient, data, noise, index, evidence, np.sqrt(variance[of.of_quarter])
+    def _mapped(
+        self,
+        fold: SparseRows,
+        parts: list[NDArray[np.float32]] | list[Array],
+        unfold: SparseRows,
+        values: Array,
+    ) -> Array:
+        return unfold.of_vector(product_of_parts(parts, fold.of_vector(values)))
 
+    def _weighted(self, data: Array, count: int, given: int | None) -> tuple[int, Array]:
+        """Number of the weight, of greatest evidence where none is given, and modes of the data."""
+        modes = product_of_parts(self._analysis, self.from_markers.of_vector(data))
+        if given is not None:
+            return given, modes
+        misfit = np.maximum(data @ data - self._shrink @ modes**2, 0.0)
+        noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
+        return int(np.argmax(_log_evidence(misfit, noise, count) + self._log_prior)), modes
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _analysed(of: _Modes, data: NDArray[np.float64]) -> NDArray[np.float64]:
-    return product_of_parts(of.analysis, sparse_product(of.from_markers, data))
+    def _filled(self, data: Array, known: NDArray[np.bool_], gain: Array) -> Array:
+        """Missing data as the solution itself predicts them, which is to leave them out.
 
+        The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers);
+        the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
+        """
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _likeliest_weight(of: _Modes, power: float, modes: NDArray[np.float64], count: int) -> int:
-    """Number of the weight of greatest evidence; power: the data's square."""
-    fitted = np.dot(of.shrink, modes**2)
-    best, likeliest = 0, -np.inf
-    for index in range(len(fitted)):
-        misfit = max(power - fitted[index], 0.0)
-        noise = max(misfit / count, MIN_NOISE_SQUARED)
-        evidence = _log_evidence(misfit, noise, count) + of.log_prior[index]
-        if evidence > likeliest:
-            best, likeliest = index, evidence
-    return best
+        def smoothed(values: Array) -> Array:
+            modes = product_of_parts(self._analysis, self.from_markers.of_vector(values))
+            folded = product_of_parts([part.T for part in self._analysis], gain * modes)
+            return np.asarray(np.where(known, 0.0, self.onto_markers.of_vector(folded)))
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _filled(
-    of: _Modes, data: NDArray[np.float64], known: NDArray[np.bool_], index: int
-) -> NDArray[np.float64]:
-    """Missing data as the solution itself predicts them, which is to leave them out.
-
-    The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers);
-    the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
-    """
-    gain = of.shrink[index]
-    residual = _smooth_at_missing(of, gain, data, known)
-    direction, power = residual, np.dot(residual, residual)
-    filled: NDArray[np.float64] = data.copy()
-    for _ in range(FILL_STEPS):
-        if power <= FILL_TOLERANCE**2 * (len(known) - np.count_nonzero(known)):
-            break
-        image = direction - _smooth_at_missing(of, gain, direction, known)
-        step = power / np.dot(direction, image)
-        filled += step * direction
-        residual = residual - step * image
-        last, power = power, np.dot(residual, residual)
-        direction = residual + power / last * direction
-    return filled
+        residual = direction = smoothed(data)
+        power, filled = float(residual @ residual), data.copy()
+        enough = FILL_TOLERANCE**2 * np.count_nonzero(~known)
+        for _ in range(FILL_STEPS):
+            if power <= enough:
+                break
+            image = direction - smoothed(direction)
+            step = power / float(direction @ image)
+            filled += step * direction
+            residual = residual - step * image
+            last, power = power, float(residual @ residual)
+            direction = residual + power / last * direction
+        return np.asarray(filled)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _smooth_at_missing(
-    of: _Modes, gain: NDArray[np.float64], data: NDArray[np.float64], known: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """What the smoother makes of data at those that are missing, 0 at the others."""
-    modes, first, place = gain * _analysed(of, data), 0, 0
-    folded: NDArray[np.float64] = np.empty(of.onto_markers.columns.max() + 1)
-    for part in of.analysis:
-        share = np.dot(modes[first : first + part.shape[0]], part)
-        for i in range(len(share)):
-            folded[place + i] = share[i]
-        first, place = first + part.shape[0], place + part.shape[1]
-    return np.where(known, 0.0, sparse_product(of.onto_markers, folded))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _summed(
-    parts: tuple[NDArray[np.float32], ...], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Sum of each part's matrix times its share of the values."""
-    total: NDArray[np.float64] = np.zeros(parts[0].shape[0])
-    column = 0
-    for part in parts:
-        total += np.dot(part, values[column : column + part.shape[1]].astype(part.dtype))
-        column += part.shape[1]
-    return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _log_evidence(misfit: float, noise: float, count: int) -> float:
-    evidence: float = -0.5 * (misfit / noise + count * np.log(noise))
-    return evidence
+def _log_evidence(misfit: Any, noise: Any, count: int) -> Any:
+    return -0.5 * (misfit / noise + count * np.log(noise))
 
 
 def _quarter(grid: SurfaceGrid) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -358,12 +344,3 @@ def _quarter(grid: SurfaceGrid) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     mirrored = (row[:, None] * grid.cols + col).ravel()
     points, of_quarter = np.unique(mirrored, return_inverse=True)
     return points, of_quarter
-
-
-def _single(parts: Sequence[NDArray[np.float64]]) -> tuple[NDArray[np.float32], ...]:
-    return tuple(part.astype(np.float32) for part in parts)
-
-
-def _slices(widths: list[int]) -> list[slice]:
-    ends = np.cumsum(widths)
-    return [slice(end - width, end) for end, width in zip(ends, widths, strict=True)]

@@ -21,10 +21,10 @@ AREA_RTOL = 0.1
 THRESHOLD = 0.08
 
 
-def nothing(nodes: NDArray[np.intp]) -> tuple[Array, Array]:
+def nothing(sets: list[NDArray[np.intp]]) -> list[tuple[Array, Array]]:
     """No uncertainty."""
-    assert nodes.dtype == np.intp
-    return np.zeros((6, 6)), np.zeros((6, 6))
+    assert all(nodes.dtype == np.intp for nodes in sets)
+    return [(np.zeros((6, 6)), np.zeros((6, 6)))] * len(sets)
 
 
 def surface() -> Array:
@@ -148,7 +148,7 @@ def test_what_noise_or_ringing_makes_is_no_contact() -> None:
     force[100, 2] = -0.05
     for deviation, count in ((0.02, 0), (0.01, 1)):
         pair = np.eye(6) * deviation**2, np.eye(6)
-        found = regions.contacts(force, force[:, 2] < 0, surface(), lambda _, pair=pair: pair)
+        found = regions.contacts(force, force[:, 2] < 0, surface(), lambda _, pair=pair: [pair])
         assert len(found) == count
         assert all((item.covariance == sum(pair)).all() for item in found)
 

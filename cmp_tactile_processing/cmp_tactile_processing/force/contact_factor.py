@@ -1,0 +1,196 @@
+"""Inverses of the normal equations on the nodes that are in contact.
+
+For a few nodes they are factored themselves.  For many nodes the inverse is that for the whole
+surface, which falls into four parts by parity and serves any mask, with the nodes beside the
+contact held free of traction: only as many unknowns as these have are factored.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack
+from scipy.linalg.blas import dtrsm
+
+from cmp_tactile_processing.elastic.mirror_symmetry import product_of_parts
+from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+
+class DirectFactor:
+    """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one."""
+
+    def __init__(self, matrix: Array) -> None:
+        self._lower = lower_factor(matrix)
+
+    def solve(self, right: Array) -> Array:
+        """The inverse times right (n, j)."""
+        return backward(self._lower, forward(self._lower, right))
+
+    def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
+        """Product (j, j) of right (n, j) with its solution, and some rows (k, j) of that."""
+        half = forward(self._lower, right)
+        return half.T @ half, backward(self._lower, half)[unknowns]
+
+    def trace(self, smooth: Array) -> Array:
+        """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3)."""
+        inverse = lapack.dpotri(self._lower, lower=1)[0]
+        parts = [np.tril(inverse[axis::3, axis::3]) for axis in range(3)]
+        doubled = 2.0 * smooth
+        np.fill_diagonal(doubled, np.diag(smooth))
+        return np.array([np.vdot(part, doubled) for part in parts])
+
+    def variance(self, unknowns: Numbers) -> Array:
+        """Diagonal of the inverse at some unknowns (k,)."""
+        units = np.zeros((len(self._lower), len(unknowns)), order="F")
+        units[unknowns, np.arange(len(unknowns))] = 1.0
+        half = forward(self._lower, units)
+        return np.asarray(np.einsum("ij,ij->j", half, half))
+
+
+class WholeSurface:
+    """Inverse of G'G + weighted smoothness on all nodes, for data that are all known.
+
+    tangential, normal: weights of the smoothness of the two.
+    """
+
+    def __init__(self, spectrum: TractionSpectrum, tangential: float, normal: float) -> None:
+        self._fold, self._unfold = spectrum.from_nodes, spectrum.onto_nodes
+        self._places = [(part.place, part.share) for part in spectrum.parts]
+        self._parts = [
+            _inverse(part.gram + tangential * part.tangential + normal * part.normal)
+            for part in spectrum.parts
+        ]
+
+    def apply(self, right: Array) -> Array:
+        """The inverse times right (3 nodes, j)."""
+        folded = product_of_parts(self._parts, self._fold.of_columns(right))
+        return self._unfold.of_columns(folded)
+
+    def block(self, rows: Numbers, columns: Numbers) -> Array:
+        """The inverse between some unknowns, (rows, columns)."""
+        total = np.zeros((len(rows), len(columns)))
+        for part, (at, share) in zip(self._parts, self._places, strict=True):
+            some = part.take(at[rows], axis=0).take(at[columns], axis=1)
+            some *= share[rows][:, None]
+            some *= share[columns]
+            total += some
+        return total
+
+    def diagonal(self, unknowns: Numbers) -> Array:
+        """The inverse's diagonal at some unknowns (k,)."""
+        total = np.zeros(len(unknowns))
+        for part, (at, share) in zip(self._parts, self._places, strict=True):
+            total += np.diag(part)[at[unknowns]] * share[unknowns] ** 2
+        return total
+
+
+class ComplementFactor:
+    """The inverse on some unknowns (k,), by that of the whole surface.
+
+    gone (q, 3 nodes): response at the data that are not known.
+    With E that takes out the unknowns beside the contact and the data that are gone, the inverse is
+    W - W E' S^-1 E W, where S = E W E' - D; D is 0 for the unknowns and 1 for the data (Woodbury).
+    """
+
+    def __init__(self, whole: WholeSurface, unknowns: Numbers, gone: Array) -> None:
+        self._whole, self._unknowns, self._gone = whole, unknowns, gone
+        self._size = gone.shape[1]
+        beside = np.ones(self._size, dtype=bool)
+        beside[unknowns] = False
+        self._beside = np.flatnonzero(beside)
+        self._first = lower_factor(whole.block(self._beside, self._beside))
+        self._spread = whole.apply(gone.T)
+        self._across = forward(self._first, self._spread[self._beside])
+        second = np.eye(len(gone)) + self._across.T @ self._across - gone @ self._spread
+        self._second = lower_factor(second)
+        self._between: tuple[bytes | None, Array] = None, np.zeros(0)
+
+    def solve(self, right: Array) -> Array:
+        """The inverse times right (k, j)."""
+        free = self._free(right)
+        held, data = self._multipliers(*self._halves(free[self._beside], self._gone @ free))
+        taken = self._gone.T @ data
+        taken[self._beside] += held
+        return np.asarray((free - self._whole.apply(taken))[self._unknowns])
+
+    def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
+        """Product (j, j) of right (k, j) with its solution, and some rows (i, j) of that."""
+        free = self._free(right)
+        first, second = self._halves(free[self._beside], self._gone @ free)
+        product = right.T @ free[self._unknowns] - first.T @ first + second.T @ second
+        held, data = self._multipliers(first, second)
+        chosen = self._unknowns[unknowns]
+        rows = free[chosen] - self._to_beside(chosen).T @ held - self._spread[chosen] @ data
+        return product, rows
+
+    def variance(self, unknowns: Numbers) -> Array:
+        """Diagonal of the inverse at some of its unknowns (j,)."""
+        chosen = self._unknowns[unknowns]
+        first, second = self._halves(self._to_beside(chosen), self._spread[chosen].T)
+        lost = np.einsum("ij,ij->j", first, first) - np.einsum("ij,ij->j", second, second)
+        return np.asarray(self._whole.diagonal(chosen) - lost)
+
+    def _free(self, right: Array) -> Array:
+        """The whole surface's inverse times right (k, j), (3 nodes, j)."""
+        whole = np.zeros((self._size, right.shape[1]))
+        whole[self._unknowns] = right
+        return self._whole.apply(whole)
+
+    def _to_beside(self, chosen: Numbers) -> Array:
+        """The whole surface's inverse from some unknowns to those beside, the last one kept."""
+        asked = chosen.tobytes()
+        if asked != self._between[0]:
+            self._between = asked, self._whole.block(self._beside, chosen)
+        return self._between[1]
+
+    def _halves(self, held: Array, data: Array) -> tuple[Array, Array]:
+        first = forward(self._first, held)
+        return first, forward(self._second, data - self._across.T @ first)
+
+    def _multipliers(self, first: Array, second: Array) -> tuple[Array, Array]:
+        data = -backward(self._second, second)
+        return backward(self._first, first - self._across @ data), data
+
+
+def lower_factor(matrix: Array) -> Array:
+    """L (n, n) with L L' = matrix; above the diagonal it means nothing.
+
+    Raises GeometryError for a matrix that is not positive definite.
+    """
+    if not len(matrix):
+        return matrix
+    lower, info = lapack.dpotrf(matrix, lower=1, clean=0)
+    if info:
+        raise GeometryError("matrix: found one that is not definite")
+    return np.asarray(lower)
+
+
+def forward(lower: Array, right: Array) -> Array:
+    """L^-1 right (n, j)."""
+    return _triangular(lower, right, 0)
+
+
+def backward(lower: Array, right: Array) -> Array:
+    """L'^-1 right (n, j)."""
+    return _triangular(lower, right, 1)
+
+
+def _triangular(lower: Array, right: Array, transposed: int) -> Array:
+    if not right.size:
+        return right
+    found: Any = dtrsm(1.0, lower, right, lower=1, trans_a=transposed)
+    return np.asarray(found)
+
+
+def _inverse(matrix: Array) -> Array:
+    inverse, info = lapack.dpotri(lower_factor(matrix), lower=1)
+    if info:
+        raise GeometryError("matrix: found one that is not definite")
+    lower = np.tril(inverse)
+    return np.ascontiguousarray(lower + np.tril(inverse, -1).T)
