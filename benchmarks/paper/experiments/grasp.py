@@ -386,9 +386,11 @@ def claims(
         )  # fmt: skip
     nearest, grid = grasps[DMP_NEAREST], grasps[DMP_GRID]
     stages = [nearest.largest_in(stage) for stage in ("clamping", "disturbance")]
+    disturbed = nearest.force[:, frames_of(nearest.phase, "disturbance")]
+    none = np.asarray(np.isnan(disturbed).any(axis=0))
     page.claim(
-        "grasp.deviates", stages[0] <= LIMIT < stages[1], jump=jump,
-        percent=[100 * stage for stage in stages], cmp=most[CMP],
+        "grasp.deviates", stages[0] <= LIMIT and (stages[1] > LIMIT or none.any()), jump=jump,
+        percent=[100 * s for s in stages], none=none.sum(), frames=len(none), cmp=most[CMP],
     )  # fmt: skip
     begins = knocks[DMP_NEAREST].misnumbers_from
     errs = begins is not None and begins <= 1.0

@@ -331,6 +331,7 @@ def _curves(endurances: Endurances) -> Figure:
         column[1].set_xlabel(sweep.level)
         if sweep.levels[0] > sweep.levels[-1]:
             column[1].set_xscale("log")
+            column[1].minorticks_off()
             column[1].invert_xaxis()
     axes[0, 0].set_ylabel("frames without fault, %")
     axes[1, 0].set_ylabel("markers found, %")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, look, panels
+from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, legend, look, panels
 from paper.gel import Mechanics, mechanics_of
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
@@ -361,5 +361,5 @@ def _draw_dips(pairs: Arrays) -> Figure:
         axes.plot(1e3 * wide, shares, label=name_of(reading), **style)
     axes.axhline(50, color=PAPER_COLOUR, linestyle="--", linewidth=1)
     axes.set(xlabel="separation of the spheres, mm", ylabel="pairs distinguished, %")
-    axes.legend()
+    legend(figure, axes, 3)
     return figure

@@ -4,7 +4,7 @@ Columns of nodes are eliminated region by region: small ones first, the seams be
 (nested dissection, George 1973).  Each region is one dense matrix, its front, that gathers what
 earlier ones left behind (multifrontal method, Duff and Reid 1983).  For a block of 18 x 18 x 4
 elements this takes a ninth of the time of CHOLMOD (by cholespy) and a tenth of that of scipy's
-splu, which know nothing of the block (benchmarks/force/neo_hookean.py).
+splu, which know nothing of the block.
 """
 
 from __future__ import annotations
