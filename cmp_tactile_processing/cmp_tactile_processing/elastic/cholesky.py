@@ -13,12 +13,12 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas, cho_solve, lapack
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.elastic.mesh import BlockMesh, element_stiffness
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 
@@ -322,7 +322,7 @@ def _unknowns(nodes: Index) -> Index:
     return np.asarray((3 * nodes[:, None] + np.arange(3)).ravel())
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_lower(total: NDArray[np.float64], part: NDArray[np.float64], places: Index) -> None:
     """Add the lower triangle of a symmetric part at the given places to that of the total."""
     for col in range(len(places)):
@@ -334,7 +334,7 @@ def _add_lower(total: NDArray[np.float64], part: NDArray[np.float64], places: In
                 total[low, min(places[row], places[col])] += part[row, col]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@kernel(fastmath={"contract", "reassoc", "nsz"})
 def _solve_at_rest(  # noqa: C901 - two sweeps of plain loops
     numbers: NDArray[np.float32],
     steps: Index,

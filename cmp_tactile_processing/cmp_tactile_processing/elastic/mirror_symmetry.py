@@ -12,10 +12,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.measured import SurfaceGrid
 
 Array = NDArray[np.float64]
@@ -134,7 +134,7 @@ def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:
         raise ValueError(msg)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _product(
     starts: NDArray[np.intp], columns: NDArray[np.intp], values: Array, matrix: Array
 ) -> Array:

@@ -21,9 +21,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.elastic.mesh import BlockMesh, interpolation, interpolation_slope
 
 SHAPES = 27
@@ -194,7 +194,7 @@ def _reference() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return slopes, np.concatenate(weights)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def _add_force(
     points: FlatPoints,
     nodes: NDArray[np.intp],
@@ -233,7 +233,7 @@ def _add_force(
     return energy
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@kernel_part(fastmath=FAST)
 def _reference_gradient(
     displacement: NDArray[np.float64],
     nodes: NDArray[np.intp],
@@ -254,7 +254,7 @@ def _reference_gradient(
                 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@kernel_part(fastmath=FAST)
 def _stress(  # noqa: PLR0915
     g: NDArray[np.float64],
     inverse: NDArray[np.float64],
@@ -320,7 +320,7 @@ def _stress(  # noqa: PLR0915
         g[8 * n + q] = p20 * r20 + p21 * r21 + p22 * r22
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _stretch(
     displacement: NDArray[np.float64],
     gradient: NDArray[np.float64],
@@ -345,13 +345,13 @@ def _stretch(
     return float(np.trace(h) + np.trace(c) + determinant)
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _cofactor(h: NDArray[np.float64], c: NDArray[np.float64]) -> Any:
     """Cofactors of F = 1 + h, det(F) F^-T, from h and its own cofactors c."""
     return (1 + np.trace(h)) * np.eye(3) - h.T + c
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _add_outer(factor: float, v: NDArray[np.float64], total: NDArray[np.float64]) -> None:
     """Add factor * v v^T."""
     for row in range(len(v)):
@@ -360,7 +360,7 @@ def _add_outer(factor: float, v: NDArray[np.float64], total: NDArray[np.float64]
             total[row, col] += scaled * v[col]
 
 
-@njit(cache=True, nogil=True)
+@kernel_part
 def _add_straight_and_crossed(
     straight: NDArray[np.float64], crossed: NDArray[np.float64], stiffness: NDArray[np.float64]
 ) -> None:
@@ -373,7 +373,7 @@ def _add_straight_and_crossed(
                     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _add_tangent(
     rule: PointTable,
     displacement: NDArray[np.float64],

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.outline import outline
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
@@ -86,7 +86,7 @@ def basins(
     return number.reshape(pressure.shape), passes[1 : count + 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _flood(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     pressure: Any, order: Any, cols: int, merge_ratio: float, number: Any, passes: Any
 ) -> int:
@@ -120,14 +120,14 @@ def _flood(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     return _renumber(parent, passes, found, order, number)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _root(parent: Any, hill: int) -> int:
     while parent[hill] != hill:
         hill = parent[hill]
     return hill
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _renumber(parent: Any, passes: Any, found: int, order: Any, number: Any) -> int:
     """Give the hills that remain the numbers from 1 on."""
     final = np.zeros(found + 1, dtype=np.intp)
@@ -276,7 +276,7 @@ def _lifted(points: Array, place: Array, shape: tuple[int, int]) -> Array:
     return np.asarray((1 - v) * lower + v * upper)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _with_neighbours(
     numbers: NDArray[np.intp], pressure: NDArray[np.float64], loaded: NDArray[np.bool_]
 ) -> NDArray[np.intp]:

@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 
 # Pressure on the outline over the contact's mean.  The reconstruction widens a contact, the more
 # the narrower it is: the level is the first plus the second over the width squared, in spacings of
@@ -33,7 +34,7 @@ class Rings(NamedTuple):
     ends: NDArray[np.intp]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def outline(height: Array, mean: float, highest: float) -> tuple[Array, float]:
     """Outer boundary (L, 2) of a contact and its area in cells; (col, row) of the nodes.
 
@@ -54,7 +55,7 @@ def outline(height: Array, mean: float, highest: float) -> tuple[Array, float]:
     return _distinct(rings.points[first : rings.ends[outer]]), areas.sum()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def rings_above(height: Array, level: float) -> Rings:
     """Boundaries of what lies above a level, which a frame around the grid does not."""
     rows, cols = height.shape
@@ -68,7 +69,7 @@ def rings_above(height: Array, level: float) -> Rings:
     for begin in range(len(follow)):
         edge = begin
         while follow[edge] >= 0:
-            points[count] = _crossing(height, level, edge)
+            points[count, 0], points[count, 1] = _crossing(height, level, edge)
             count += 1
             following = follow[edge]
             follow[edge] = -1
@@ -79,7 +80,7 @@ def rings_above(height: Array, level: float) -> Rings:
     return Rings(points, ends[:rings].copy())
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _link(height: Array, level: float, i: int, j: int, follow: NDArray[np.intp]) -> None:
     """Note to which edge the boundary leads from each edge where it enters a cell.
 
@@ -98,7 +99,7 @@ def _link(height: Array, level: float, i: int, j: int, follow: NDArray[np.intp])
             follow[edges[k]] = edges[leave]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _crossing(height: Array, level: float, edge: int) -> tuple[float, float]:
     """Where the level crosses an edge, (col, row) of the nodes."""
     rows, cols = height.shape
@@ -109,7 +110,7 @@ def _crossing(height: Array, level: float, edge: int) -> tuple[float, float]:
     return min(max(col, 0.0), cols - 3.0), min(max(row, 0.0), rows - 3.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _areas(rings: Rings) -> Array:
     """Areas (rings,) in cells inside of the boundaries, those of holes negative."""
     areas: Array = np.zeros(len(rings.ends))
@@ -124,7 +125,7 @@ def _areas(rings: Rings) -> Array:
     return areas
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _length(rings: Rings, shape: tuple[int, int]) -> float:
     """Length of boundaries in spacings; along the border of the grid they count as open."""
     total, begin = 0.0, 0
@@ -140,7 +141,7 @@ def _length(rings: Rings, shape: tuple[int, int]) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _distinct(ring: Array) -> Array:
     """Without points that are the one before again, as on the border of the grid."""
     found: Array = np.empty(ring.shape)

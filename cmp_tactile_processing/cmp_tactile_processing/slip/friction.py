@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.measured import Contact
 from cmp_tactile_processing.slip.surface_motion import DeformedNodes
 
@@ -152,7 +152,7 @@ def slip_profile(sliding: Sliding) -> SlipProfile:
     return SlipProfile(*_profile(sliding.pressing, sliding.spread))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _motion(pressing: Array, arm: Array, normal: Array, axes: Array) -> tuple[Array, float]:
     """Motion (k, 3, 3) and length of a Sliding."""
     square, total = 0.0, 0.0
@@ -174,7 +174,7 @@ def _motion(pressing: Array, arm: Array, normal: Array, axes: Array) -> tuple[Ar
     return motion, length
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _spread(pressing: Array, arm: Array) -> Array:
     """Square distance (k,) from the centre in the metric in which the pressure's mean is 1."""
     total, xx, xy, yy = 0.0, 0.0, 0.0, 0.0
@@ -191,7 +191,7 @@ def _spread(pressing: Array, arm: Array) -> Array:
     return spread
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _profile(pressing: Array, spread: Array) -> tuple[Array, Array, Array]:
     """Width, slip ratio and used share of a SlipProfile."""
     width, slips, used = np.empty(len(LEVELS)), np.empty(len(LEVELS)), np.empty(len(LEVELS))
@@ -209,7 +209,7 @@ def _profile(pressing: Array, spread: Array) -> tuple[Array, Array, Array]:
     return width, slips, used
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _use(
     pressing: Array, motion: Array, spread: Array, along: Array, blur: float
 ) -> tuple[float, float, float]:
@@ -240,7 +240,7 @@ def _use(
     return ratio, wide / load / full_wide * full, turning
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _least_dissipation(pressing: Array, motion: Array, goal: Array) -> tuple[Array, float]:
     """The unit motion z (3,) with the least sum p |motion z| per goal . z; goal . z over it.
 
@@ -271,7 +271,7 @@ def _least_dissipation(pressing: Array, motion: Array, goal: Array) -> tuple[Arr
     return z / np.sqrt(np.sum(z * z)), 1.0 / least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _weighted_gram(weight: Array, motion: Array) -> Array:
     """Sum of weight * motion' motion, (3, 3), made definite."""
     gram: Array = np.zeros((3, 3))
@@ -286,7 +286,7 @@ def _weighted_gram(weight: Array, motion: Array) -> Array:
     return gram
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _solved(matrix: Array, right: Array) -> Array:
     """Solution of a definite system of three."""
     left = matrix.copy()
@@ -408,7 +408,7 @@ class _Loads(NamedTuple):
     ratio_std: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _loads(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     nodes: NDArray[np.intp],
     force: Array,
@@ -453,7 +453,7 @@ def _loads(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _tangents(normal: Array) -> Array:
     """Two unit vectors across a unit vector that points up, as columns (3, 2)."""
     x, y, z = normal
@@ -467,16 +467,20 @@ def _tangents(normal: Array) -> Array:
     return axes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _ratio_std(covariance: Array, normal: Array, axes: Array, ratio: float) -> float:
     """Standard deviation, N, of a force with that covariance, across the traction ratio."""
-    ways = np.column_stack((normal, axes))
-    of_force = np.ascontiguousarray(covariance[:3, :3])
-    square = np.dot(np.dot(np.ascontiguousarray(ways.T), of_force), ways)
+    # Of the force along the normal; along the axes, and of both together.
+    n = a = b = d = 0.0
+    for i in range(3):
+        for j in range(3):
+            n += normal[i] * covariance[i, j] * normal[j]
+            a += axes[i, 0] * covariance[i, j] * axes[j, 0]
+            b += axes[i, 0] * covariance[i, j] * axes[j, 1]
+            d += axes[i, 1] * covariance[i, j] * axes[j, 1]
     across = along = ASSUMED_FORCE_STD
-    if np.isfinite(square).all():
-        along = np.sqrt(max(square[0, 0], 0.0))
+    if np.isfinite(n + a + b + d):
+        along = np.sqrt(max(n, 0.0))
         # The largest eigenvalue of the part across.
-        a, b, d = square[1, 1], square[1, 2], square[2, 2]
         across = np.sqrt(max((a + d) / 2 + np.hypot((a - d) / 2, b), 0.0))
     return float(np.hypot(across, ratio * along))

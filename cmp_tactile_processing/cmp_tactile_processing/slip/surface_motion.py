@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -69,7 +69,7 @@ class ContactSurface:
         return DeformedNodes(self._rest_nodes, place, normal, share, spacing)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _fill(values: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
     """Replace unknown values (rows, cols, 3), 0 there, by the mean of their neighbours.
 
@@ -78,14 +78,18 @@ def _fill(values: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
     filled, new = known.copy(), known.copy()
     for _ in range(FILL_ROUNDS):
         before = values.copy()
-        for i, j in np.argwhere(~filled):
-            new[i, j] = _mean_around(before, filled, i, j, values[i, j])
+        for i in range(len(filled)):
+            for j in range(filled.shape[1]):
+                if not filled[i, j]:
+                    new[i, j] = _mean_around(before, filled, i, j, values[i, j])
         filled = new.copy()
-    for i, j in np.argwhere(~filled):
-        values[i, j] = np.nan
+    for i in range(len(filled)):
+        for j in range(filled.shape[1]):
+            for c in range(3):
+                values[i, j, c] = values[i, j, c] if filled[i, j] else np.nan
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _mean_around(
     values: NDArray[np.float64],
     filled: NDArray[np.bool_],
@@ -108,7 +112,7 @@ def _mean_around(
     return count > 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _at_markers(
     displacement: NDArray[np.float64],
     status: NDArray[np.uint8],
@@ -120,9 +124,10 @@ def _at_markers(
     moved, known = np.zeros((rows, cols, 3)), status != Status.MISSING.value
     for i in range(rows):
         for j in range(cols):
-            known[i, j] = known[i, j] and np.isfinite(displacement[i, j]).all()
-            if known[i, j]:
-                moved[i, j] = displacement[i, j]
+            for c in range(3):
+                known[i, j] = known[i, j] and np.isfinite(displacement[i, j, c])
+            for c in range(3):
+                moved[i, j, c] = displacement[i, j, c] if known[i, j] else 0.0
     if not known.all():
         _fill(moved, known)
     found: NDArray[np.float64] = np.empty((rows * cols, 5))
@@ -139,7 +144,7 @@ def _at_markers(
     return found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _at_nodes(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     at_markers: NDArray[np.float64],
     corner: NDArray[np.intp],
@@ -177,7 +182,7 @@ def _at_nodes(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants th
     return place, _normals(place, shape), share
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel_part
 def _normals(place: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
     """Unit normals (nodes, 3) of a grid of points (nodes, 3), out of the gel."""
     rows, cols = shape
