@@ -111,6 +111,8 @@ class ForceModel:
         if self._large is not None and large_press_steps:
             self._gradual = GradualSettling(self._large, large_press_steps)
         self._out_of_reach = np.inf
+        # What this keeps is made here, before the first frame.
+        self.elastic.node_displacement(np.ones(self._position.shape))
 
     def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
