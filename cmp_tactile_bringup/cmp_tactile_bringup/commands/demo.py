@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -65,8 +64,11 @@ class Demo(Command):
             TextColumn("{task.fields[note]}"),
         )
         bars = Progress(*columns, TimeElapsedColumn(), console=console)
-        with _compiling_beside() as compiler, bars as progress:
-            recording, made_s = _record(self.recording, progress)
+        with ExitStack() as beside, bars as progress:
+            compiler = _started(
+                beside, "cmp_tactile_processing.prepare", DEFAULT_SENSOR, "--only", "tracking"
+            )
+            recording, made_s = _record(self.recording, beside, progress)
             sensor = load_sensor(recording.sensor)
             prepared = _prepare_trackers(sensor, compiler, progress) | _prepare_model(
                 sensor, progress
@@ -105,7 +107,9 @@ class Demo(Command):
         return int(bool(missed))
 
 
-def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str, float]]:
+def _record(
+    name_or_path: str, beside: ExitStack, progress: Progress
+) -> tuple[Recording, dict[str, float]]:
     """The recording, simulated where there is none yet, and how long that took."""
     from cmp_tactile_bringup.recordings.simulated import find_recording
     from cmp_tactile_bringup.terminal.output import stage_bars
@@ -114,6 +118,9 @@ def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str,
     show = stage_bars(progress, note="first time only")
 
     def on_progress(what: str, share: float) -> None:
+        if not stages:
+            # What renders is compiled while the elastomer is built, which takes one core.
+            _started(beside, "cmp_tactile_simulation.prepare", name_or_path)
         stages.add(what)
         show(what, share)
 
@@ -124,17 +131,14 @@ def _record(name_or_path: str, progress: Progress) -> tuple[Recording, dict[str,
     return recording, {"Recording, simulated": time.monotonic() - began}
 
 
-@contextmanager
-def _compiling_beside() -> Iterator[subprocess.Popen[bytes]]:
-    """A process that compiles the trackers while the grasp is simulated; it ends with the demo."""
+def _started(beside: ExitStack, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+    """A process that compiles; it ends with the stack."""
     from cmp_tactile_processing.python_command import python_command
 
-    command = python_command("cmp_tactile_processing.prepare", DEFAULT_SENSOR, "--only", "tracking")
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
+    command = python_command(module, *arguments)
+    process = beside.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE))
+    beside.callback(process.terminate)
+    return process
 
 
 def _prepare_trackers(

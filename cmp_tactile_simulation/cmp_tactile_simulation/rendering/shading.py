@@ -200,7 +200,7 @@ def _starts(picture: Picture, v: int, u: int) -> NDArray[np.float64]:
     for k in range(9):
         # The pixel itself first.
         row, col = v + (k // 3 + 1) % 3, u + (k + 1) % 3
-        starts[k] = picture.points[row, col, :2]
+        starts[k, 0], starts[k, 1] = picture.points[row, col, 0], picture.points[row, col, 1]
     return starts
 
 
