@@ -27,14 +27,15 @@ if TYPE_CHECKING:
 
     from cmp_tactile_bringup.offline.display import Display
 
-# The last keeps Python from looking for modules in the current folder, beside a recording.
 ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
-    "PYTHONSAFEPATH": "1",
 }
+# Python looks for its first modules in the folder that a process begins in; beside a recording,
+# anybody's may lie.  multiprocessing then has the process go on in its parent's folder.
+FOLDER_WITHOUT_MODULES = "/"
 SECONDS_BETWEEN_REPORTS = 0.1
 
 
@@ -97,13 +98,19 @@ def _run_pool(left: dict[int, Task], display: Display, processes: int) -> list[i
 
 @contextmanager
 def _for_new_processes() -> Iterator[None]:
-    """Processes that begin here have ENVIRONMENT; Ctrl-C does not reach them, for good."""
-    before = dict(os.environ)
+    """Processes that begin here have ENVIRONMENT and run nothing of the current folder.
+
+    Ctrl-C does not reach them, for good.
+    """
+    before, folder = dict(os.environ), os.open(".", os.O_PATH)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     os.environ.update(ENVIRONMENT)
+    os.chdir(FOLDER_WITHOUT_MODULES)
     try:
         yield
     finally:
+        os.chdir(folder)
+        os.close(folder)
         for name in ENVIRONMENT:
             del os.environ[name]
         os.environ.update(before)
