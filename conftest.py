@@ -130,7 +130,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from cmp_tactile_processing.python_command import python_command
 
         trackers = python_command(
-            "cmp_tactile_processing.prepare", "sample_rig", "--only", "tracking"
+            "cmp_tactile_processing.prepare", "sample_rig", "--only", "trackers", "stereo"
         )
         with pytest.MonkeyPatch.context() as patch:
             _with_short_scenes(patch)

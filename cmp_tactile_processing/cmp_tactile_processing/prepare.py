@@ -1,7 +1,7 @@
 """Makes what frames of a sensor need before the first of them: compiled code and elastic model.
 
-`python3 -m cmp_tactile_processing.prepare NAME [--only PART]` does so in a process of its own.  It
-writes "compiling" on stdout as soon as there is something to compile.  With `--install PREFIX` the
+`python3 -m cmp_tactile_processing.prepare NAME [--only PART ...]` does so in a process of its own.
+It writes "compiling" on stdout as soon as there is something to compile.  With `--install PREFIX` the
 compiled code goes below the prefix that the packages are installed in, for all users.
 """
 
@@ -39,8 +39,16 @@ def prepare(sensor: SensorDescription, progress: Progress | None = None) -> None
 
 def prepare_tracking(sensor: SensorDescription) -> None:
     """Compile what finds gridlines, points and surface; it is the same for most sensors."""
+    _prepare_trackers(sensor)
+    _prepare_stereo(sensor)
+
+
+def _prepare_trackers(sensor: SensorDescription) -> None:
     for view in sensor.views:
         GridTracker(sensor, view)
+
+
+def _prepare_stereo(sensor: SensorDescription) -> None:
     StereoRig(sensor)
     ReferenceKeeper(Reference.nominal(sensor))
 
@@ -50,14 +58,15 @@ def prepare_forces(sensor: SensorDescription, progress: Progress | None = None) 
     ForceStage(sensor, progress=progress)
 
 
-PARTS = {"tracking": prepare_tracking, "forces": prepare_forces}
+# Compiled side by side when the packages are installed.
+PARTS = {"trackers": _prepare_trackers, "stereo": _prepare_stereo, "forces": prepare_forces}
 
 
 def main(arguments: Sequence[str]) -> int:
     """Prepare a sensor, by name or path; the exit code."""
     parser = argparse.ArgumentParser(prog="prepare")
     parser.add_argument("sensor")
-    parser.add_argument("--only", choices=PARTS, help="one of the parts")
+    parser.add_argument("--only", nargs="+", choices=PARTS, help="some of the parts")
     parser.add_argument("--install", metavar="PREFIX", type=Path, help="compile for all users")
     options = parser.parse_args(arguments)
     try:
@@ -65,7 +74,8 @@ def main(arguments: Sequence[str]) -> int:
             return _install(options.sensor, options.install)
         sensor = load_sensor(options.sensor)
         with when_compiling(_report):
-            PARTS.get(options.only, prepare)(sensor)
+            for part in options.only or PARTS:
+                PARTS[part](sensor)
     except CmpTactileError as error:
         sys.stderr.write(f"prepare: {error}\n")
         return 1

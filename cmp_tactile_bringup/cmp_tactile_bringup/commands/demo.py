@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Compiled code is the same for every sensor.
-DEFAULT_SENSOR = "sample_rig"
+DEFAULT_SENSOR, TRACKING = "sample_rig", ("--only", "trackers", "stereo")
 # A recording of 60 frames shows the rate to a few percent.
 KEPT_SHARE = 0.95
 # Where a machine loses frames it is played again, so many times at most, at this share of the rate
@@ -65,9 +65,7 @@ class Demo(Command):
         )
         bars = Progress(*columns, TimeElapsedColumn(), console=console)
         with ExitStack() as beside, bars as progress:
-            compiler = _started(
-                beside, "cmp_tactile_processing.prepare", DEFAULT_SENSOR, "--only", "tracking"
-            )
+            compiler = _started(beside, "cmp_tactile_processing.prepare", DEFAULT_SENSOR, *TRACKING)
             recording, made_s = _record(self.recording, beside, progress)
             sensor = load_sensor(recording.sensor)
             prepared = _prepare_trackers(sensor, compiler, progress) | _prepare_model(
