@@ -1,8 +1,8 @@
 """Makes what frames of a sensor need before the first of them: compiled code and elastic model.
 
 `python3 -m cmp_tactile_processing.prepare NAME [--only PART ...]` does so in a process of its own.
-It writes "compiling" on stdout as soon as there is something to compile.  With `--install PREFIX` the
-compiled code goes below the prefix that the packages are installed in, for all users.
+It writes "compiling" on stdout as soon as there is something to compile.  With `--install PREFIX`
+the compiled code goes below the prefix that the packages are installed in, for all users.
 """
 
 from __future__ import annotations

@@ -23,23 +23,26 @@ Numbers = NDArray[np.intp]
 
 
 class DirectFactor:
-    """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one."""
+    """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one.
+
+    lower (n, n): its factor.
+    """
 
     def __init__(self, matrix: Array) -> None:
-        self._lower = lower_factor(matrix)
+        self.lower = lower_factor(matrix)
 
     def solve(self, right: Array) -> Array:
         """The inverse times right (n, j)."""
-        return backward(self._lower, forward(self._lower, right))
+        return backward(self.lower, forward(self.lower, right))
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
         """Product (j, j) of right (n, j) with its solution, and some rows (k, j) of that."""
-        half = forward(self._lower, right)
-        return half.T @ half, backward(self._lower, half)[unknowns]
+        half = forward(self.lower, right)
+        return half.T @ half, backward(self.lower, half)[unknowns]
 
     def trace(self, smooth: Array) -> Array:
         """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3)."""
-        inverse = lapack.dpotri(self._lower, lower=1)[0]
+        inverse = lapack.dpotri(self.lower, lower=1)[0]
         parts = [np.tril(inverse[axis::3, axis::3]) for axis in range(3)]
         doubled = 2.0 * smooth
         np.fill_diagonal(doubled, np.diag(smooth))
@@ -47,10 +50,43 @@ class DirectFactor:
 
     def variance(self, unknowns: Numbers) -> Array:
         """Diagonal of the inverse at some unknowns (k,)."""
-        units = np.zeros((len(self._lower), len(unknowns)), order="F")
-        units[unknowns, np.arange(len(unknowns))] = 1.0
-        half = forward(self._lower, units)
+        half = forward(self.lower, units_of(unknowns, len(self.lower)))
         return np.asarray(np.einsum("ij,ij->j", half, half))
+
+
+class UpdatedFactor:
+    """The inverse for fewer data than a factor's, which may serve many frames (Woodbury).
+
+    gone (q, n): response at the data that are not known, a few.
+    """
+
+    def __init__(self, factor: DirectFactor, gone: Array) -> None:
+        self._lower = factor.lower
+        self._gone = forward(self._lower, np.asfortranarray(gone.T))
+        self._rest = lower_factor(np.eye(len(gone)) - self._gone.T @ self._gone)
+
+    def solve(self, right: Array) -> Array:
+        """The inverse times right (n, j)."""
+        half = forward(self._lower, right)
+        return self._solved(half, self._lost(half))
+
+    def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
+        """Product (j, j) of right (n, j) with its solution, and some rows (k, j) of that."""
+        half = forward(self._lower, right)
+        lost = self._lost(half)
+        return half.T @ half + lost.T @ lost, self._solved(half, lost)[unknowns]
+
+    def variance(self, unknowns: Numbers) -> Array:
+        """Diagonal of the inverse at some unknowns (k,)."""
+        half = forward(self._lower, units_of(unknowns, len(self._lower)))
+        lost = self._lost(half)
+        return np.asarray(np.einsum("ij,ij->j", half, half) + np.einsum("ij,ij->j", lost, lost))
+
+    def _lost(self, half: Array) -> Array:
+        return forward(self._rest, self._gone.T @ half)
+
+    def _solved(self, half: Array, lost: Array) -> Array:
+        return backward(self._lower, half + self._gone @ backward(self._rest, lost))
 
 
 class WholeSurface:
@@ -156,6 +192,13 @@ class ComplementFactor:
     def _multipliers(self, first: Array, second: Array) -> tuple[Array, Array]:
         data = -backward(self._second, second)
         return backward(self._first, first - self._across @ data), data
+
+
+def units_of(unknowns: Numbers, size: int) -> Array:
+    """Columns (size, k) of the unit matrix."""
+    units = np.zeros((size, len(unknowns)), order="F")
+    units[unknowns, np.arange(len(unknowns))] = 1.0
+    return units
 
 
 def lower_factor(matrix: Array) -> Array:

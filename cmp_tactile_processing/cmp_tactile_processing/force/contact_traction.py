@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_factor import (
     ComplementFactor,
     DirectFactor,
+    UpdatedFactor,
     WholeSurface,
 )
 from cmp_tactile_processing.force.traction_spectrum import (
@@ -31,6 +32,7 @@ from cmp_tactile_processing.force.traction_spectrum import (
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Value = TypeVar("Value")
+Factor: TypeAlias = DirectFactor | UpdatedFactor | ComplementFactor
 
 # The tangential traction is never expected to be less than this share of the normal one.
 MIN_TANGENTIAL, MIN_NORMAL_N = 0.02, 1e-9
@@ -41,9 +43,9 @@ WEIGHT_STEP = 0.4
 WEIGHT_DOUBT = 0.5
 # MacKay's rule goes some half of the way to the likeliest size where the data say little.
 OVERSHOOT = 2.0
-# How many numbers the data determine is worked out in full on so many nodes, or where data are
-# missing, and else as if the whole surface were in contact.
-MOST_TRACED = 100
+# How many numbers the data determine is worked out in full on so many nodes, or where more than
+# this share of the data is missing, and else as if the whole surface were in contact and seen.
+MOST_TRACED, MANY_MISSING = 100, 0.05
 # Nodes come into a mask and leave it in threes, as neighbours of one that stands out.
 TOGETHER = 3.0
 # Masks of more than this share of the nodes are solved by what is beside them, if not more data
@@ -72,6 +74,11 @@ class SeenData(NamedTuple):
     pull: Array
     missing: bytes
 
+    @property
+    def missing_share(self) -> float:
+        """Of all data, those that are not known."""
+        return len(np.frombuffer(self.missing, np.intp)) / len(self.data)
+
 
 @dataclass(frozen=True)
 class TractionPosterior:
@@ -88,7 +95,7 @@ class TractionPosterior:
     coefficient: Array
     noise_squared: float
     weights: Weights
-    factor: DirectFactor | ComplementFactor
+    factor: Factor
     drift: Array
     edge: Mask
 
@@ -128,7 +135,8 @@ class ContactTraction:
         self._normal = np.asarray(response.T @ response)
         self._felt = response.any(axis=1)
         size = sum(part.gram.nbytes for part in spectrum.parts)
-        self._factors: _Kept[DirectFactor | ComplementFactor] = _Kept(KEPT_FACTORS)
+        self._factors: _Kept[Factor] = _Kept(KEPT_FACTORS)
+        self._direct: _Kept[DirectFactor] = _Kept(KEPT_FACTORS)
         self._inverses: _Kept[WholeSurface] = _Kept(max(2, int(KEPT_BYTES / size)))
         self._variances: _Kept[Array] = _Kept(KEPT_FACTORS)
 
@@ -158,15 +166,12 @@ class ContactTraction:
         factor = self._factors.get(key, lambda: self._new_factor(nodes, weights, seen))
         return self._posterior(seen, nodes, weights, factor)
 
-    def scale(self, posterior: TractionPosterior, missing: bool) -> TractionScale:
-        """A likelier size of the coefficients, by a step of MacKay's rule from the weights'.
-
-        missing: whether data are.
-        """
+    def scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionScale:
+        """A likelier size of the coefficients, by a step of MacKay's rule from the weights'."""
         nodes, (tangential, normal) = posterior.nodes, posterior.weights
         # The drift is what the weighted smoothness makes of the coefficients.
         energy = posterior.coefficient @ posterior.drift / (tangential, normal)
-        if isinstance(posterior.factor, DirectFactor) and (len(nodes) <= MOST_TRACED or missing):
+        if _is_traced(nodes, seen) and isinstance(posterior.factor, DirectFactor):
             smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
             trace = posterior.factor.trace(smooth)
             left = tangential * trace[:2].sum(), normal * trace[2]
@@ -193,7 +198,7 @@ class ContactTraction:
         seen: SeenData,
         nodes: NDArray[np.intp],
         weights: Weights,
-        factor: DirectFactor | ComplementFactor,
+        factor: Factor,
     ) -> TractionPosterior:
         pull = seen.pull[unknowns_of(nodes)]
         coefficient = factor.solve(pull[:, None])[:, 0]
@@ -209,22 +214,38 @@ class ContactTraction:
         no_edge = np.zeros(len(nodes), dtype=bool)
         return TractionPosterior(nodes, coefficient, noise, weights, factor, drift, no_edge)
 
-    def _new_factor(
-        self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData
-    ) -> DirectFactor | ComplementFactor:
+    def _new_factor(self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData) -> Factor:
         unknowns = unknowns_of(nodes)
         gone = self._response[np.frombuffer(seen.missing, np.intp)]
         if len(nodes) > WIDE * len(self._smoothness) and len(gone) < FEW_MISSING * len(unknowns):
             whole = self._inverses.get(weights, lambda: WholeSurface(self._spectrum, *weights))
             return ComplementFactor(whole, unknowns, gone)
+        of_contact = gone.take(unknowns, axis=1)
+        if len(gone) and not _is_traced(nodes, seen):
+            key = weights, nodes.tobytes(), b""
+            return UpdatedFactor(
+                self._direct.get(key, lambda: self._direct_factor(nodes, weights, of_contact[:0])),
+                of_contact,
+            )
+        return self._direct_factor(nodes, weights, of_contact)
+
+    def _direct_factor(
+        self, nodes: NDArray[np.intp], weights: Weights, gone: Array
+    ) -> DirectFactor:
+        """gone (q, 3 k): response at data that are not known."""
+        unknowns = unknowns_of(nodes)
         matrix = self._normal.take(unknowns, axis=0).take(unknowns, axis=1)
         if len(gone):
-            of_contact = gone.take(unknowns, axis=1)
-            matrix -= of_contact.T @ of_contact
+            matrix -= gone.T @ gone
         smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
         for axis, weight in enumerate((weights.tangential, weights.tangential, weights.normal)):
             matrix[axis::3, axis::3] += weight * smooth
         return DirectFactor(matrix)
+
+
+def _is_traced(nodes: NDArray[np.intp], seen: SeenData) -> bool:
+    """Whether a trace of the inverse itself is needed."""
+    return len(nodes) <= MOST_TRACED or seen.missing_share > MANY_MISSING
 
 
 class _Kept(Generic[Value]):

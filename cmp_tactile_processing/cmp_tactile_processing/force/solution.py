@@ -170,7 +170,7 @@ class ForceSolver:
         """The posterior for the sizes and the noise that it shows itself."""
         wide = isinstance(posterior.factor, ComplementFactor)
         for _ in range(WIDE_STEPS if wide else SCALE_STEPS):
-            scale = self._second.scale(posterior, bool(seen.missing))
+            scale = self._second.scale(posterior, seen)
             weights = self._second.weights(scale, posterior.noise_squared)
             if weights == posterior.weights:
                 break
