@@ -9,6 +9,7 @@ import pytest
 
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force.contact_factor import DirectFactor, UpdatedFactor
 from cmp_tactile_processing.force.contact_traction import ContactTraction, Weights
 from cmp_tactile_processing.force.traction_spectrum import (
     TANGENTIAL_SHARE,
@@ -246,3 +247,17 @@ def test_prior_is_smooth_and_of_unit_variance():
     assert covariance[middle, middle] == pytest.approx(1, rel=1e-9)
     # 0.602 at x = 1; hats of a third of the length change it little.
     assert covariance[middle, middle + 3] == pytest.approx(0.602, abs=0.03)
+
+
+def test_a_factor_serves_where_a_few_data_are_missing():
+    rng = np.random.default_rng(5)
+    rows, right, some = rng.normal(size=(60, 30)), rng.normal(size=(30, 2)), np.array([3, 20])
+    factor = DirectFactor(rows.T @ rows + np.eye(30))
+    found = UpdatedFactor(factor, rows[:4])
+    inverse = np.linalg.inv(rows[4:].T @ rows[4:] + np.eye(30))
+    product, solved = found.joint(right, some)
+    close = {"rtol": 0, "atol": 1e-10}
+    np.testing.assert_allclose(found.solve(right), inverse @ right, **close)
+    np.testing.assert_allclose(product, right.T @ inverse @ right, **close)
+    np.testing.assert_allclose(solved, (inverse @ right)[some], **close)
+    np.testing.assert_allclose(found.variance(some), np.diag(inverse)[some], **close)
