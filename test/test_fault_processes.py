@@ -57,12 +57,16 @@ class Chain:
         )
 
     def send_until_seen(self, what):
-        """Send frames until surfaces come: then all nodes have found one another; their stamps."""
+        """Send frames until the last one comes out: then all nodes have found one another.
+
+        Returns their stamps.  One that is sent while they do may be lost.
+        """
         begin, sent = len(self.surfaces), []
         wait_until(
-            lambda: len(self.surfaces) > begin, what, step=lambda: sent.extend(self.send(1, 0.1))
+            lambda: len(self.surfaces) > begin and self.seen()[-1] == sent[-1],
+            what,
+            step=lambda: sent.extend(self.send(1, 0.4)),
         )
-        self._ros.wait(lambda: self.seen()[-1] == sent[-1], f"{what}, of the last frame")
         return sent
 
     def kill(self, node):
