@@ -221,13 +221,13 @@ class ContactTraction:
             whole = self._inverses.get(weights, lambda: WholeSurface(self._spectrum, *weights))
             return ComplementFactor(whole, unknowns, gone)
         of_contact = gone.take(unknowns, axis=1)
-        if len(gone) and not _is_traced(nodes, seen):
-            key = weights, nodes.tobytes(), b""
-            return UpdatedFactor(
-                self._direct.get(key, lambda: self._direct_factor(nodes, weights, of_contact[:0])),
-                of_contact,
-            )
-        return self._direct_factor(nodes, weights, of_contact)
+        if len(gone) and _is_traced(nodes, seen):
+            return self._direct_factor(nodes, weights, of_contact)
+        complete = self._direct.get(
+            (weights, nodes.tobytes()),
+            lambda: self._direct_factor(nodes, weights, of_contact[:0]),
+        )
+        return UpdatedFactor(complete, of_contact) if len(gone) else complete
 
     def _direct_factor(
         self, nodes: NDArray[np.intp], weights: Weights, gone: Array
