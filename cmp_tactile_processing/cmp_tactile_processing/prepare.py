@@ -28,15 +28,6 @@ from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 
-def prepare(sensor: SensorDescription, progress: Progress | None = None) -> None:
-    """Have numba's cache and that of elastic models hold all that frames of a sensor need.
-
-    progress: called with what is built of an elastic model that is not cached, and its share.
-    """
-    prepare_tracking(sensor)
-    prepare_forces(sensor, progress)
-
-
 def prepare_tracking(sensor: SensorDescription) -> None:
     """Compile what finds gridlines, points and surface; it is the same for most sensors."""
     _prepare_trackers(sensor)
@@ -54,7 +45,10 @@ def _prepare_stereo(sensor: SensorDescription) -> None:
 
 
 def prepare_forces(sensor: SensorDescription, progress: Progress | None = None) -> None:
-    """Compile what finds forces, and build and cache the elastic model."""
+    """Compile what finds forces, and build and cache the elastic model.
+
+    progress: called with what is built of a model that is not cached, and its share.
+    """
     ForceStage(sensor, progress=progress)
 
 
