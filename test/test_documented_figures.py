@@ -117,6 +117,6 @@ def test_the_line_of_the_live_grasp():
     ],
 )
 def test_figures_of_speed_are_those_of_the_last_measurement(name, rows):
-    """Make the rows anew with `python3 test/plugins/speed_tables.py` after a measurement."""
+    """Make the rows again with `python3 test/plugins/speed_tables.py` after a measurement."""
     lines = (ROOT / name).read_text("utf-8").splitlines()
     assert [row for row in rows if row not in lines] == []

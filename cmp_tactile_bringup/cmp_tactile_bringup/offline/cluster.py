@@ -1,8 +1,8 @@
 """Jobs on an existing cluster, through dask.distributed.
 
 Its workers need this software and, under the same paths, the recordings, the sensor description
-and the folder of the results.  joblib's own backend for dask waits for ever for a task whose worker
-dies, so the tasks are given to dask itself.
+and the folder of the results.  joblib's own backend for dask waits without end for a task whose
+worker dies, so the tasks are given to dask itself.
 """
 
 from __future__ import annotations

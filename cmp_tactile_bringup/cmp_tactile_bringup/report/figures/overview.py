@@ -24,7 +24,7 @@ WIDTH, HEIGHT = 9.0, 3.1
 MILLISECONDS_PER_FRAME = 80
 QUALITY = 55
 EDGE_MM, MARGIN_PX = 0.3, 45
-# Of markers, so that arrows can be told apart.
+# Of markers, so that arrows do not overlap.
 ARROW_STEP = 2
 LONGEST_ARROW_PITCHES = 1.8
 # Share of the shear in contact that is smaller than the longest arrow.
