@@ -7,6 +7,7 @@ contact held free of traction: only as many unknowns as these have are factored.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 from scipy.linalg.blas import dtrsm
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.elastic.mirror_symmetry import product_of_parts
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
@@ -22,62 +24,93 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
 
-class DirectFactor:
+class Factor(ABC):
+    """Inverse (n, n) of the normal equations; what was asked last of its diagonal is kept."""
+
+    def __init__(self) -> None:
+        self._diagonal: tuple[bytes | None, Array] = None, np.zeros(0)
+
+    @abstractmethod
+    def solve(self, right: Array) -> Array:
+        """The inverse times right (n, j)."""
+
+    @abstractmethod
+    def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
+        """Product (j, j) of right (n, j) with its solution, and some rows (k, j) of that."""
+
+    def variance(self, unknowns: Numbers) -> Array:
+        """Diagonal of the inverse at some unknowns (k,)."""
+        asked = unknowns.tobytes()
+        if asked != self._diagonal[0]:
+            self._diagonal = asked, self._variance(unknowns)
+        return self._diagonal[1]
+
+    @abstractmethod
+    def _variance(self, unknowns: Numbers) -> Array: ...
+
+
+class DirectFactor(Factor):
     """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one.
 
     lower (n, n): its factor.
     """
 
     def __init__(self, matrix: Array) -> None:
+        super().__init__()
         self.lower = lower_factor(matrix)
+        self._trace: Array | None = None
 
     def solve(self, right: Array) -> Array:
-        """The inverse times right (n, j)."""
+        """As Factor."""
         return backward(self.lower, forward(self.lower, right))
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
-        """Product (j, j) of right (n, j) with its solution, and some rows (k, j) of that."""
+        """As Factor."""
         half = forward(self.lower, right)
         return half.T @ half, backward(self.lower, half)[unknowns]
 
     def trace(self, smooth: Array) -> Array:
-        """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3)."""
-        inverse = lapack.dpotri(self.lower, lower=1)[0]
-        parts = [np.tril(inverse[axis::3, axis::3]) for axis in range(3)]
-        doubled = 2.0 * smooth
-        np.fill_diagonal(doubled, np.diag(smooth))
-        return np.array([np.vdot(part, doubled) for part in parts])
+        """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3).
 
-    def variance(self, unknowns: Numbers) -> Array:
-        """Diagonal of the inverse at some unknowns (k,)."""
+        The matrix is the same in every call.
+        """
+        if self._trace is None:
+            inverse = lapack.dpotri(self.lower, lower=1)[0]
+            parts = [np.tril(inverse[axis::3, axis::3]) for axis in range(3)]
+            doubled = 2.0 * smooth
+            np.fill_diagonal(doubled, np.diag(smooth))
+            self._trace = np.array([np.vdot(part, doubled) for part in parts])
+        return self._trace
+
+    def _variance(self, unknowns: Numbers) -> Array:
         half = forward(self.lower, units_of(unknowns, len(self.lower)))
         return np.asarray(np.einsum("ij,ij->j", half, half))
 
 
-class UpdatedFactor:
+class UpdatedFactor(Factor):
     """The inverse for fewer data than a factor's, which may serve many frames (Woodbury).
 
     gone (q, n): response at the data that are not known, a few.
     """
 
     def __init__(self, factor: DirectFactor, gone: Array) -> None:
+        super().__init__()
         self._lower = factor.lower
         self._gone = forward(self._lower, np.asfortranarray(gone.T))
         self._rest = lower_factor(np.eye(len(gone)) - self._gone.T @ self._gone)
 
     def solve(self, right: Array) -> Array:
-        """The inverse times right (n, j)."""
+        """As Factor."""
         half = forward(self._lower, right)
         return self._solved(half, self._lost(half))
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
-        """Product (j, j) of right (n, j) with its solution, and some rows (k, j) of that."""
+        """As Factor."""
         half = forward(self._lower, right)
         lost = self._lost(half)
         return half.T @ half + lost.T @ lost, self._solved(half, lost)[unknowns]
 
-    def variance(self, unknowns: Numbers) -> Array:
-        """Diagonal of the inverse at some unknowns (k,)."""
+    def _variance(self, unknowns: Numbers) -> Array:
         half = forward(self._lower, units_of(unknowns, len(self._lower)))
         lost = self._lost(half)
         return np.asarray(np.einsum("ij,ij->j", half, half) + np.einsum("ij,ij->j", lost, lost))
@@ -126,7 +159,7 @@ class WholeSurface:
         return total
 
 
-class ComplementFactor:
+class ComplementFactor(Factor):
     """The inverse on some unknowns (k,), by that of the whole surface.
 
     gone (q, 3 nodes): response at the data that are not known.
@@ -135,6 +168,7 @@ class ComplementFactor:
     """
 
     def __init__(self, whole: WholeSurface, unknowns: Numbers, gone: Array) -> None:
+        super().__init__()
         self._whole, self._unknowns, self._gone = whole, unknowns, gone
         self._size = gone.shape[1]
         beside = np.ones(self._size, dtype=bool)
@@ -148,7 +182,7 @@ class ComplementFactor:
         self._between: tuple[bytes | None, Array] = None, np.zeros(0)
 
     def solve(self, right: Array) -> Array:
-        """The inverse times right (k, j)."""
+        """As Factor."""
         free = self._free(right)
         held, data = self._multipliers(*self._halves(free[self._beside], self._gone @ free))
         taken = self._gone.T @ data
@@ -156,7 +190,7 @@ class ComplementFactor:
         return np.asarray((free - self._whole.apply(taken))[self._unknowns])
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
-        """Product (j, j) of right (k, j) with its solution, and some rows (i, j) of that."""
+        """As Factor."""
         free = self._free(right)
         first, second = self._halves(free[self._beside], self._gone @ free)
         product = right.T @ free[self._unknowns] - first.T @ first + second.T @ second
@@ -165,8 +199,7 @@ class ComplementFactor:
         rows = free[chosen] - self._to_beside(chosen).T @ held - self._spread[chosen] @ data
         return product, rows
 
-    def variance(self, unknowns: Numbers) -> Array:
-        """Diagonal of the inverse at some of its unknowns (j,)."""
+    def _variance(self, unknowns: Numbers) -> Array:
         chosen = self._unknowns[unknowns]
         first, second = self._halves(self._to_beside(chosen), self._spread[chosen].T)
         lost = np.einsum("ij,ij->j", first, first) - np.einsum("ij,ij->j", second, second)
@@ -202,16 +235,39 @@ def units_of(unknowns: Numbers, size: int) -> Array:
 
 
 def lower_factor(matrix: Array) -> Array:
-    """L (n, n) with L L' = matrix; above the diagonal it means nothing.
+    """L (n, n) with L L' = matrix, of which what is above the diagonal does not count in either.
 
-    Raises GeometryError for a matrix that is not positive definite.
+    It may take the matrix's place.  Raises GeometryError for one that is not positive definite.
     """
     if not len(matrix):
         return matrix
-    lower, info = lapack.dpotrf(matrix, lower=1, clean=0)
+    lower, info = lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
     if info:
         raise GeometryError("matrix: found one that is not definite")
     return np.asarray(lower)
+
+
+@kernel
+def weighted_equations(
+    normal: Array, smooth: Array, nodes: Numbers, tangential: float, vertical: float
+) -> Array:
+    """Normal equations (3 k, 3 k) of some nodes (k,), of which the lower triangle is filled.
+
+    normal (3 n, 3 n): those of the data, of all nodes; smooth (n, n): smoothness of a component,
+    which counts with a weight for each of the two tangential ones, and for the vertical one.
+    """
+    count = len(nodes)
+    found = np.empty((3 * count, 3 * count))
+    for i in range(count):
+        for j in range(i + 1):
+            for a in range(3):
+                for b in range(3):
+                    found[3 * j + b, 3 * i + a] = normal[3 * nodes[i] + a, 3 * nodes[j] + b]
+            rough = smooth[nodes[i], nodes[j]]
+            found[3 * j, 3 * i] += tangential * rough
+            found[3 * j + 1, 3 * i + 1] += tangential * rough
+            found[3 * j + 2, 3 * i + 2] += vertical * rough
+    return found.T
 
 
 def forward(lower: Array, right: Array) -> Array:

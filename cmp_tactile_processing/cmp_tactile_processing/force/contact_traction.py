@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,10 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_factor import (
     ComplementFactor,
     DirectFactor,
+    Factor,
     UpdatedFactor,
     WholeSurface,
+    weighted_equations,
 )
 from cmp_tactile_processing.force.traction_spectrum import (
     MIN_NOISE_SQUARED,
@@ -32,7 +34,6 @@ from cmp_tactile_processing.force.traction_spectrum import (
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Value = TypeVar("Value")
-Factor: TypeAlias = DirectFactor | UpdatedFactor | ComplementFactor
 
 # The tangential traction is never expected to be less than this share of the normal one.
 MIN_TANGENTIAL, MIN_NORMAL_N = 0.02, 1e-9
@@ -41,8 +42,11 @@ MIN_TANGENTIAL, MIN_NORMAL_N = 0.02, 1e-9
 WEIGHT_STEP = 0.4
 # Standard deviation of a weight's logarithm: what the grid and one step of MacKay's rule leave.
 WEIGHT_DOUBT = 0.5
-# MacKay's rule goes some half of the way to the likeliest size where the data say little.
-OVERSHOOT = 2.0
+# MacKay's rule goes some half of the way to the likeliest size where the data say little, and all
+# of it where they say much.
+OVERSHOOT = 1.4
+# Steps on the grid below which weights stay as they are: that is less than their doubt.
+NEAR_STEPS = 1.0
 # How many numbers the data determine is worked out in full on so many nodes, or where more than
 # this share of the data is missing, and else as if the whole surface were in contact and seen.
 MOST_TRACED, MANY_MISSING = 100, 0.05
@@ -139,14 +143,20 @@ class ContactTraction:
         self._direct: _Kept[DirectFactor] = _Kept(KEPT_FACTORS)
         self._inverses: _Kept[WholeSurface] = _Kept(max(2, int(KEPT_BYTES / size)))
         self._variances: _Kept[Array] = _Kept(KEPT_FACTORS)
+        self._smooth: _Kept[Array] = _Kept(KEPT_FACTORS)
+        # Compiled here, before the first frame.
+        weighted_equations(self._normal, self._smoothness, np.zeros(1, np.intp), 1.0, 1.0)
 
     def weights(self, scale: TractionScale, noise_squared: float) -> Weights:
         """Weights for coefficients of an expected size, the nearest on the grid."""
+        steps = np.round(self._steps(scale, noise_squared))
+        return Weights(*(self._spectrum.scale * 10.0 ** (WEIGHT_STEP * steps)).tolist())
+
+    def _steps(self, scale: TractionScale, noise_squared: float) -> Array:
+        """Where on the grid the two weights are for coefficients of an expected size, (2,)."""
         normal = max(scale.normal, MIN_NORMAL_N)
-        sizes = max(scale.tangential, MIN_TANGENTIAL * normal), normal
-        exact = [noise_squared / (size**2 * self._spectrum.scale) for size in sizes]
-        steps = [round(float(np.log10(weight)) / WEIGHT_STEP) for weight in exact]
-        return Weights(*(self._spectrum.scale * 10 ** (WEIGHT_STEP * step) for step in steps))
+        sizes = np.array([max(scale.tangential, MIN_TANGENTIAL * normal), normal])
+        return np.asarray(np.log10(noise_squared / sizes**2 / self._spectrum.scale) / WEIGHT_STEP)
 
     def seen(self, data: Array, known: Mask) -> SeenData:
         """What of data (m,), in units of the noise, counts: the `known`."""
@@ -166,14 +176,21 @@ class ContactTraction:
         factor = self._factors.get(key, lambda: self._new_factor(nodes, weights, seen))
         return self._posterior(seen, nodes, weights, factor)
 
-    def scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionScale:
-        """A likelier size of the coefficients, by a step of MacKay's rule from the weights'."""
+    def likelier(self, posterior: TractionPosterior, seen: SeenData) -> Weights:
+        """Weights for the size that the coefficients show; the posterior's where they are near."""
+        scale, noise = self._scale(posterior, seen), posterior.noise_squared
+        own = np.log10(np.array(posterior.weights) / self._spectrum.scale) / WEIGHT_STEP
+        if np.abs(self._steps(scale, noise) - own).max() <= NEAR_STEPS:
+            return posterior.weights
+        return self.weights(scale, noise)
+
+    def _scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionScale:
+        """From the sizes that the weights stand for towards likelier ones, by MacKay's rule."""
         nodes, (tangential, normal) = posterior.nodes, posterior.weights
         # The drift is what the weighted smoothness makes of the coefficients.
         energy = posterior.coefficient @ posterior.drift / (tangential, normal)
         if _is_traced(nodes, seen) and isinstance(posterior.factor, DirectFactor):
-            smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
-            trace = posterior.factor.trace(smooth)
+            trace = posterior.factor.trace(self._smooth_on(nodes))
             left = tangential * trace[:2].sum(), normal * trace[2]
             determined = np.array([2.0, 1.0]) * len(nodes) - left
         else:
@@ -205,9 +222,7 @@ class ContactTraction:
         # That of the greatest evidence for these weights.
         left = float(seen.data @ seen.data - coefficient @ pull)
         noise = max(left / np.count_nonzero(seen.known), MIN_NOISE_SQUARED)
-        whole = np.zeros((len(self._smoothness), 3))
-        whole[nodes] = coefficient.reshape(-1, 3)
-        smoothed = (self._smoothness @ whole)[nodes]
+        smoothed = self._smoothed(nodes, coefficient.reshape(-1, 3))
         drift = np.zeros((len(pull), 2))
         drift[0::3, 0], drift[1::3, 0] = weights.tangential * smoothed[:, :2].T
         drift[2::3, 1] = weights.normal * smoothed[:, 2]
@@ -233,14 +248,24 @@ class ContactTraction:
         self, nodes: NDArray[np.intp], weights: Weights, gone: Array
     ) -> DirectFactor:
         """gone (q, 3 k): response at data that are not known."""
-        unknowns = unknowns_of(nodes)
-        matrix = self._normal.take(unknowns, axis=0).take(unknowns, axis=1)
+        matrix = weighted_equations(self._normal, self._smoothness, nodes, *weights)
         if len(gone):
             matrix -= gone.T @ gone
-        smooth = self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
-        for axis, weight in enumerate((weights.tangential, weights.tangential, weights.normal)):
-            matrix[axis::3, axis::3] += weight * smooth
         return DirectFactor(matrix)
+
+    def _smooth_on(self, nodes: NDArray[np.intp]) -> Array:
+        """Smoothness (k, k) of one component on some nodes."""
+        return self._smooth.get(
+            nodes.tobytes(), lambda: self._smoothness.take(nodes, axis=0).take(nodes, axis=1)
+        )
+
+    def _smoothed(self, nodes: NDArray[np.intp], values: Array) -> Array:
+        """Smoothness times values (k, 3) on some nodes."""
+        if len(nodes) <= WIDE * len(self._smoothness):
+            return np.asarray(self._smooth_on(nodes) @ values)
+        whole = np.zeros((len(self._smoothness), 3))
+        whole[nodes] = values
+        return np.asarray((self._smoothness @ whole)[nodes])
 
 
 def _is_traced(nodes: NDArray[np.intp], seen: SeenData) -> bool:

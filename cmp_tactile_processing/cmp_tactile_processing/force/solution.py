@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
-from cmp_tactile_processing.force.contact_factor import ComplementFactor
 from cmp_tactile_processing.force.contact_mask import ContactRule
 from cmp_tactile_processing.force.contact_regions import resultant_matrix
 from cmp_tactile_processing.force.contact_traction import (
+    WIDE,
     ContactTraction,
     SeenData,
     TractionPosterior,
-    Weights,
 )
 from cmp_tactile_processing.force.traction_spectrum import (
     FirstPass,
@@ -153,25 +152,19 @@ class ForceSolver:
 
     def _on(self, mask: Mask, first: FirstPass, seen: SeenData) -> TractionPosterior:
         """The posterior on some nodes (n,), for the noise that the first pass shows."""
-        nodes = np.flatnonzero(mask)
-        weights = self._weights(
-            self._spectrum.scale_of_first(first), len(nodes), first.noise_squared
-        )
+        nodes, scale = np.flatnonzero(mask), self._spectrum.scale_of_first(first)
+        # That is of a traction on the whole surface.
+        dense = float(np.sqrt(mask.size / len(nodes)))
+        scale = TractionScale(dense * scale.normal, dense * scale.tangential)
+        weights = self._second.weights(scale, first.noise_squared)
         posterior = self._second.solve(seen, nodes, weights)
         return replace(posterior, edge=self.rule.edge(mask)[nodes])
 
-    def _weights(self, scale: TractionScale, nodes: int, noise_squared: float) -> Weights:
-        """Those for a traction of the whole surface that is on so many nodes alone."""
-        dense = float(np.sqrt(self._shape[0] * self._shape[1] / nodes))
-        scale = TractionScale(dense * scale.normal, dense * scale.tangential)
-        return self._second.weights(scale, noise_squared)
-
     def _with_its_scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
         """The posterior for the sizes and the noise that it shows itself."""
-        wide = isinstance(posterior.factor, ComplementFactor)
+        wide = len(posterior.nodes) > WIDE * self._shape[0] * self._shape[1]
         for _ in range(WIDE_STEPS if wide else SCALE_STEPS):
-            scale = self._second.scale(posterior, seen)
-            weights = self._second.weights(scale, posterior.noise_squared)
+            weights = self._second.likelier(posterior, seen)
             if weights == posterior.weights:
                 break
             found = self._second.solve(seen, posterior.nodes, weights)

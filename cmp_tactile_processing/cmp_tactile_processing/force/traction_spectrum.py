@@ -262,24 +262,21 @@ class TractionSpectrum:
         return found
 
     def scale_of_first(self, first: FirstPass) -> TractionScale:
-        """Expected size of what the first pass found."""
-        normal = first.weight * self.scale
-        return self.scale_of(first.coefficient, normal / TANGENTIAL_SHARE**2, normal)
+        """Expected size of what the first pass found, by one step of MacKay's rule.
 
-    def scale_of(self, coefficient: Array, tangential: float, normal: float) -> TractionScale:
-        """Expected size of coefficients (n,) on the whole surface, by one step of MacKay's rule.
-
-        From the sizes that the weights of the two smoothnesses stand for towards those for which
-        the data are likeliest: the energy of either part over how many numbers of it the data
-        determine.
+        From the sizes that its weight stands for towards those for which the data are likeliest:
+        the energy of either part over how many numbers of it the data determine.
         """
+        normal = first.weight * self.scale
+        determined = self.determined(normal / TANGENTIAL_SHARE**2, normal)
+        sizes = np.sqrt(self.energy(first.coefficient) / np.maximum(determined, 1.0))
+        return TractionScale(float(sizes[1]), float(sizes[0]))
+
+    def energy(self, coefficient: Array) -> Array:
+        """Roughness (2,) of the tangential and of the normal part of coefficients (n,)."""
         found = coefficient.reshape(-1, 3)
-        energy = np.einsum("ij,ij->j", found, self._smoothness @ found)
-        determined = np.maximum(self.determined(tangential, normal), 1.0)
-        return TractionScale(
-            float(np.sqrt(energy[2] / determined[1])),
-            float(np.sqrt((energy[0] + energy[1]) / determined[0])),
-        )
+        by_axis = np.einsum("ij,ij->j", found, self._smoothness @ found)
+        return np.array([by_axis[0] + by_axis[1], by_axis[2]])
 
     def determined(self, tangential: float, normal: float) -> Array:
         """How many numbers of the tangential and of the normal part data determine, (2,)."""
