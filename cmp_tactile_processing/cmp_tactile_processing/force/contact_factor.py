@@ -50,24 +50,21 @@ class Factor(ABC):
 
 
 class DirectFactor(Factor):
-    """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one.
-
-    lower (n, n): its factor.
-    """
+    """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one."""
 
     def __init__(self, matrix: Array) -> None:
         super().__init__()
-        self.lower = lower_factor(matrix)
+        self._lower = lower_factor(matrix)
         self._trace: Array | None = None
 
     def solve(self, right: Array) -> Array:
         """As Factor."""
-        return backward(self.lower, forward(self.lower, right))
+        return backward(self._lower, forward(self._lower, right))
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
         """As Factor."""
-        half = forward(self.lower, right)
-        return half.T @ half, backward(self.lower, half)[unknowns]
+        half = forward(self._lower, right)
+        return half.T @ half, backward(self._lower, half)[unknowns]
 
     def trace(self, smooth: Array) -> Array:
         """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3).
@@ -75,7 +72,7 @@ class DirectFactor(Factor):
         The matrix is the same in every call.
         """
         if self._trace is None:
-            inverse = lapack.dpotri(self.lower, lower=1)[0]
+            inverse = lapack.dpotri(self._lower, lower=1)[0]
             parts = [np.tril(inverse[axis::3, axis::3]) for axis in range(3)]
             doubled = 2.0 * smooth
             np.fill_diagonal(doubled, np.diag(smooth))
@@ -83,7 +80,7 @@ class DirectFactor(Factor):
         return self._trace
 
     def _variance(self, unknowns: Numbers) -> Array:
-        half = forward(self.lower, units_of(unknowns, len(self.lower)))
+        half = forward(self._lower, units_of(unknowns, len(self._lower)))
         return np.asarray(np.einsum("ij,ij->j", half, half))
 
 
@@ -95,31 +92,28 @@ class UpdatedFactor(Factor):
 
     def __init__(self, factor: DirectFactor, gone: Array) -> None:
         super().__init__()
-        self._lower = factor.lower
-        self._gone = forward(self._lower, np.asfortranarray(gone.T))
-        self._rest = lower_factor(np.eye(len(gone)) - self._gone.T @ self._gone)
+        self._factor, self._gone = factor, gone
+        self._spread = factor.solve(np.asfortranarray(gone.T))
+        self._rest = lower_factor(np.eye(len(gone)) - gone @ self._spread)
 
     def solve(self, right: Array) -> Array:
         """As Factor."""
-        half = forward(self._lower, right)
-        return self._solved(half, self._lost(half))
+        found = self._factor.solve(right)
+        return found + self._spread @ self._multipliers(self._gone @ found)
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
         """As Factor."""
-        half = forward(self._lower, right)
-        lost = self._lost(half)
-        return half.T @ half + lost.T @ lost, self._solved(half, lost)[unknowns]
+        product, rows = self._factor.joint(right, unknowns)
+        lost = self._spread.T @ right
+        multipliers = self._multipliers(lost)
+        return product + lost.T @ multipliers, rows + self._spread[unknowns] @ multipliers
 
     def _variance(self, unknowns: Numbers) -> Array:
-        half = forward(self._lower, units_of(unknowns, len(self._lower)))
-        lost = self._lost(half)
-        return np.asarray(np.einsum("ij,ij->j", half, half) + np.einsum("ij,ij->j", lost, lost))
+        lost = forward(self._rest, self._spread[unknowns].T)
+        return np.asarray(self._factor.variance(unknowns) + np.einsum("ij,ij->j", lost, lost))
 
-    def _lost(self, half: Array) -> Array:
-        return forward(self._rest, self._gone.T @ half)
-
-    def _solved(self, half: Array, lost: Array) -> Array:
-        return backward(self._lower, half + self._gone @ backward(self._rest, lost))
+    def _multipliers(self, lost: Array) -> Array:
+        return backward(self._rest, forward(self._rest, lost))
 
 
 class WholeSurface:

@@ -45,7 +45,7 @@ WEIGHT_DOUBT = 0.5
 # MacKay's rule goes some half of the way to the likeliest size where the data say little, and all
 # of it where they say much.
 OVERSHOOT = 1.4
-# Steps on the grid below which weights stay as they are: that is less than their doubt.
+# Steps on the grid below which weights stay as they are: that is about their doubt.
 NEAR_STEPS = 1.0
 # How many numbers the data determine is worked out in full on so many nodes, or where more than
 # this share of the data is missing, and else as if the whole surface were in contact and seen.
