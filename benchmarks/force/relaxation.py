@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
+from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import GelRelaxation

@@ -32,7 +32,7 @@ from cmp_tactile_processing.elastic.mesh import (
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, mesh_under, quarter_count
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.force.relaxation import step_weights
+from cmp_tactile_processing.elastic.relaxation import step_weights
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation

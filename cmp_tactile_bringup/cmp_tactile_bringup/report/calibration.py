@@ -18,7 +18,7 @@ from cmp_tactile_bringup.report.figures import calibration
 from cmp_tactile_processing.calibration.material.loads import LoadResult, MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Estimate
-from cmp_tactile_processing.force.relaxation import step_weights
+from cmp_tactile_processing.elastic.relaxation import step_weights
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation, MaterialRecord
 

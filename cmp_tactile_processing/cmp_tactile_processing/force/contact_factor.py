@@ -261,7 +261,8 @@ def weighted_equations(
             found[3 * j, 3 * i] += tangential * rough
             found[3 * j + 1, 3 * i + 1] += tangential * rough
             found[3 * j + 2, 3 * i + 2] += vertical * rough
-    return found.T
+    lower: Array = found.T  # in the order of columns, as LAPACK has it
+    return lower
 
 
 def forward(lower: Array, right: Array) -> Array:

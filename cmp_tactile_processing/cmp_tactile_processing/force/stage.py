@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.elastic.model import Progress
-from cmp_tactile_processing.force.model import ForceModel, within_reach
+from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
+from cmp_tactile_processing.force.measurements import within_reach
+from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.plausibility import BorderContact
-from cmp_tactile_processing.force.relaxation import RelaxationFilter
 from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.force.relaxation import RelaxationFilter
+from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.laws import ContactState, Pose
 from cmp_tactile_simulation.live.motion import LiveSettings, stay, step_towards

@@ -7,8 +7,8 @@ import logging
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.elastic.relaxation import RelaxationFilter, step_weights
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.force.relaxation import RelaxationFilter, step_weights
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
 GEL = GelRelaxation(share=0.3, time=2.0)

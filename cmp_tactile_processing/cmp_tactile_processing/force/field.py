@@ -1,0 +1,263 @@
+"""From nodal forces to a force field: contacts, resultant wrench, error bars, flags."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from cmp_tactile_processing.elastic.model import ElasticModel
+from cmp_tactile_processing.force.contact_regions import (
+    ContactRegions,
+    material_covariance,
+    resultant_matrix,
+    wrench_of,
+)
+from cmp_tactile_processing.force.measurements import Measurements, Whitening
+from cmp_tactile_processing.force.solution import ForceSolution, ForceSolver
+from cmp_tactile_processing.measured import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipState,
+    SurfaceGrid,
+)
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+# Share of the markers under a contact that may be missing before it is reported.
+HIDDEN_SHARE = 0.2
+# The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
+POOR_SHARE, POOR_NOISE = 0.2, 3.0
+# Of what model_error says, so much is in directions in which no force acts: near the border the
+# mesh takes 0.06 % of a press for a force along the surface.
+LEAK_SHARE = 0.2
+# Seen aslant by one view a press looks like a shift: forces are known to such shares of their size.
+ONE_VIEW_SHARE = 0.3, 0.3, 1.0
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
+
+
+class FieldBuilder:
+    """Says all that a solution means, for one sensor."""
+
+    def __init__(
+        self,
+        sensor: SensorDescription,
+        elastic: ElasticModel,
+        solver: ForceSolver,
+        whitening: Whitening,
+    ) -> None:
+        self._sensor, self._elastic, self._solver = sensor, elastic, solver
+        self._whitening = whitening
+        nodes = elastic.nodes
+        self._position = elastic.node_position
+        area = nodes.spacing[0] * nodes.spacing[1] * elastic.node_stretch
+        self._regions = ContactRegions(nodes, area)
+        self._to_nodes = interpolation_matrix(elastic.markers, nodes)
+        of_all = resultant_matrix(self._position, np.ones(len(self._position)))
+        self._rest_covariance = solver.rest_covariance(of_all)
+
+    def field(
+        self, solution: ForceSolution, measured: Measurements, moved: Array, flag: ForceFlag
+    ) -> ForceField:
+        """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
+        force, place = solution.force, self._position + moved
+        wrench = wrench_of(force, place)
+        of_all: list[tuple[Array, Array]] = []
+
+        def of_some(sets: list[Numbers]) -> list[tuple[Array, Array]]:
+            # All in one, as what is solved for several costs little more than for one.
+            every = np.arange(len(force))
+            found = self._covariances(solution, measured.valid, place, [every, *sets])
+            of_all.append(found[0])
+            return found[1:]
+
+        pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
+        contacts = tuple(
+            self._with_model_error(item, force, place)
+            for item in self._regions.contacts(force, pressed, place, of_some)
+        )
+        if not of_all:
+            of_some([])
+        covariance = sum(of_all[0]) + self._model_covariance(wrench, place, force)
+        contact = np.zeros(len(force), dtype=bool)
+        for item in contacts:
+            contact[item.nodes] = pressed[item.nodes]
+        pressing = np.where(contact, np.minimum(force[:, 2], 0.0), 0.0)
+        total = pressing.sum()
+        none = not contact.any()
+        relative = self._sensor.force.model_error * np.abs(force)
+        return self._new_field(
+            force=force,
+            force_std=np.hypot(solution.force_std, relative),
+            contact=contact,
+            wrench=wrench,
+            wrench_covariance=covariance,
+            contact_area=float(sum(item.area for item in contacts)),
+            centre_of_pressure=np.full(3, np.nan) if none else pressing @ place / total,
+            contacts=contacts,
+            slip_state=SlipState.NO_CONTACT if none else SlipState.UNKNOWN,
+            valid_fraction=measured.valid,
+            regularization=float(np.sqrt(solution.first.weight)),
+            flags=flag | self._flags(solution, measured, contacts),
+            noise_scale=float(np.sqrt(solution.noise_squared)),
+        )
+
+    def unknown(self, valid: float, why: ForceFlag) -> ForceField:
+        """A field of NaN; valid: share of the markers that are seen."""
+        force = np.full(self._position.shape, np.nan)
+        return self._new_field(
+            force=force,
+            force_std=force,
+            contact=np.zeros(len(force), dtype=bool),
+            wrench=np.full(6, np.nan),
+            contact_area=float("nan"),
+            centre_of_pressure=np.full(3, np.nan),
+            slip_state=SlipState.UNKNOWN,
+            valid_fraction=valid,
+            regularization=float("nan"),
+            flags=why,
+        )
+
+    def _covariances(
+        self,
+        solution: ForceSolution,
+        valid: float,
+        place: Array,
+        sets: list[Numbers],
+    ) -> list[tuple[Array, Array]]:
+        """Covariance (6, 6) of the wrench of each set of nodes, of noise and resolution alone.
+
+        With it what scale and edge of the second pass leave open on top of that.  valid: share of
+        the markers that are seen.
+        """
+        if solution.posterior is None:
+            # That of all nodes, for want of a better one; fewer markers average less noise.
+            noise = solution.noise_squared / valid * self._rest_covariance
+            return [(noise, np.zeros((6, 6)))] * len(sets)
+        weights = np.zeros((len(sets), len(place)))
+        for weight, nodes in zip(weights, sets, strict=True):
+            weight[nodes] = 1.0
+        nodes = solution.posterior.nodes
+        functionals = [self._solver.functionals(place, weight, nodes) for weight in weights]
+        noise, doubt = solution.posterior.covariances(np.concatenate(functionals))
+        blocks = [slice(6 * k, 6 * k + 6) for k in range(len(sets))]
+        return [(noise[block, block], doubt[block, block]) for block in blocks]
+
+    def _with_model_error(
+        self,
+        contact: Contact,
+        force: Array,
+        place: Array,
+    ) -> Contact:
+        nodes = contact.nodes
+        error = self._model_covariance(contact.wrench, place[nodes], force[nodes])
+        return replace(contact, covariance=contact.covariance + error)
+
+    def _model_covariance(
+        self,
+        wrench: Array,
+        place: Array,
+        force: Array,
+    ) -> Array:
+        """What the model and its calibration leave open of a wrench, (6, 6).
+
+        place (k, 3) m, force (k, 3) N: of the nodes that bear the wrench.
+        """
+        normal = tangential = self._sensor.force.model_error
+        record = self._sensor.elastomer.calibration
+        if record is not None:
+            normal = float(np.hypot(normal, record.normal_std))
+            tangential = float(np.hypot(tangential, record.tangential_std))
+        error, height = self._sensor.force.model_error, self._sensor.elastomer.size[2]
+        sizes = np.sqrt(np.einsum("ij,ij->i", force, force))
+        total = float(sizes.sum())
+        centre = sizes @ place / total if total else np.zeros(3)
+        covariance = material_covariance(wrench, centre, normal, tangential)
+        # Where the forces act is as uncertain as the mesh that says how far they have moved.
+        lever = error * height * np.linalg.norm(wrench[:3])
+        about = error * height * np.hypot(wrench[0], wrench[1])
+        covariance[3:, 3:] += np.diag(np.square([lever, lever, about]))
+        leaking = LEAK_SHARE * error * total * resultant_matrix(centre[None], np.ones(1))
+        covariance += leaking @ leaking.T
+        if not self._whitening.depth_seen:
+            size = float(np.linalg.norm(wrench[:3]))
+            reach = float(np.linalg.norm(centre)) + self._sensor.elastomer.size[2]
+            covariance += np.diag((size * np.array([*ONE_VIEW_SHARE, *3 * (reach,)])) ** 2)
+        return covariance
+
+    def _flags(
+        self, solution: ForceSolution, measured: Measurements, contacts: tuple[Contact, ...]
+    ) -> ForceFlag:
+        flags = ForceFlag.NONE
+        if any(item.at_border for item in contacts) or self._border_bears(solution):
+            flags |= ForceFlag.AT_BORDER
+        if not measured.known[2::3].any():
+            flags |= ForceFlag.NO_DEPTH
+        if self._hidden(contacts, measured.known):
+            flags |= ForceFlag.HIDDEN_CONTACT
+        misfit = (measured.data - solution.predicted.ravel())[measured.known]
+        left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
+        if left > POOR_NOISE and left > POOR_SHARE * whole:
+            flags |= ForceFlag.POOR_FIT
+        return flags
+
+    def _border_bears(self, solution: ForceSolution) -> bool:
+        """Whether something presses, pulls or drags at the edge of the marker area."""
+        bearing = self._solver.rule.bearing(solution.force, solution.force_std[:, 2])
+        return solution.loaded and bool((bearing & self._regions.border).any())
+
+    def _hidden(self, contacts: tuple[Contact, ...], known: Mask) -> bool:
+        if known.all():
+            return False
+        seen = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
+        return any(float(seen[item.nodes].mean()) < 1 - HIDDEN_SHARE for item in contacts)
+
+    def _new_field(self, **values: object) -> ForceField:
+        elastomer, nodes = self._sensor.elastomer, self._elastic.nodes
+        return ForceField(
+            rows=nodes.rows,
+            cols=nodes.cols,
+            position=self._position,
+            reference_point=np.zeros(3),
+            young=elastomer.young,
+            poisson=elastomer.poisson,
+            **values,  # type: ignore[arg-type]
+        )
+
+
+def doubted(field: ForceField, relative: float) -> ForceField:
+    """The same with a relative standard deviation on top of all error bars."""
+
+    def wider(wrench: Array, covariance: Array) -> Array:
+        return np.asarray(covariance + relative**2 * np.outer(wrench, wrench))
+
+    std = field.force_std
+    return replace(
+        field,
+        force_std=None if std is None else np.hypot(std, relative * np.abs(field.force)),
+        wrench_covariance=wider(field.wrench, field.wrench_covariance),
+        contacts=tuple(
+            replace(item, covariance=wider(item.wrench, item.covariance)) for item in field.contacts
+        ),
+    )
+
+
+def interpolation_matrix(source: SurfaceGrid, target: SurfaceGrid) -> sparse.csr_array:
+    """Bilinear interpolation from the points of one grid to those of another, (target, source).
+
+    Points outside the source grid take the value at its edge.
+    """
+    rows, cols = _line(source.y, target.y), _line(source.x, target.x)
+    matrix = sparse.csr_array(sparse.kron(rows, cols))
+    matrix.eliminate_zeros()
+    return matrix
+
+
+def _line(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear interpolation along one axis, (target, source)."""
+    return np.stack([np.interp(target, source, row) for row in np.eye(len(source))], axis=1)
