@@ -135,14 +135,11 @@ class WholeSurface:
         folded = product_of_parts(self._parts, self._fold.of_columns(right))
         return self._unfold.of_columns(folded)
 
-    def block(self, rows: Numbers, columns: Numbers) -> Array:
-        """The inverse between some unknowns, (rows, columns)."""
+    def block(self, rows: Numbers, columns: Numbers, *, lower: bool = False) -> Array:
+        """The inverse between some unknowns, (rows, columns); lower: not above the diagonal."""
         total = np.zeros((len(rows), len(columns)))
         for part, (at, share) in zip(self._parts, self._places, strict=True):
-            some = part.take(at[rows], axis=0).take(at[columns], axis=1)
-            some *= share[rows][:, None]
-            some *= share[columns]
-            total += some
+            add_block(part, at[rows], share[rows], at[columns], share[columns], lower, total)
         return total
 
     def diagonal(self, unknowns: Numbers) -> Array:
@@ -168,8 +165,8 @@ class ComplementFactor(Factor):
         beside = np.ones(self._size, dtype=bool)
         beside[unknowns] = False
         self._beside = np.flatnonzero(beside)
-        self._first = lower_factor(whole.block(self._beside, self._beside))
-        self._spread = whole.apply(gone.T)
+        self._first = lower_factor(whole.block(self._beside, self._beside, lower=True))
+        self._spread = whole.apply(gone.T) if len(gone) else gone.T
         self._across = forward(self._first, self._spread[self._beside])
         second = np.eye(len(gone)) + self._across.T @ self._across - gone @ self._spread
         self._second = lower_factor(second)
@@ -239,6 +236,21 @@ def lower_factor(matrix: Array) -> Array:
     if info:
         raise GeometryError("matrix: found one that is not definite")
     return np.asarray(lower)
+
+
+@kernel
+def add_block(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    part: Array, rows: Numbers, of_rows: Array, columns: Numbers, of_columns: Array,
+    lower: bool, total: Array,
+) -> None:  # fmt: skip
+    """Add entries of a part, each times the shares of its row and of its column, to a total.
+
+    rows, of_rows (k,); columns, of_columns (j,); total (k, j); lower: not above the diagonal.
+    """
+    for i in range(len(rows)):
+        row, share = part[rows[i]], of_rows[i]
+        for j in range(i + 1 if lower else len(columns)):
+            total[i, j] += share * of_columns[j] * row[columns[j]]
 
 
 @kernel

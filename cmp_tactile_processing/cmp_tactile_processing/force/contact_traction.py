@@ -23,6 +23,7 @@ from cmp_tactile_processing.force.contact_factor import (
     Factor,
     UpdatedFactor,
     WholeSurface,
+    add_block,
     weighted_equations,
 )
 from cmp_tactile_processing.force.traction_spectrum import (
@@ -145,7 +146,9 @@ class ContactTraction:
         self._variances: _Kept[Array] = _Kept(KEPT_FACTORS)
         self._smooth: _Kept[Array] = _Kept(KEPT_FACTORS)
         # Compiled here, before the first frame.
-        weighted_equations(self._normal, self._smoothness, np.zeros(1, np.intp), 1.0, 1.0)
+        one = np.zeros(1, np.intp)
+        weighted_equations(self._normal, self._smoothness, one, 1.0, 1.0)
+        add_block(self._normal, one, np.ones(1), one, np.ones(1), False, np.zeros((1, 1)))
 
     def weights(self, scale: TractionScale, noise_squared: float) -> Weights:
         """Weights for coefficients of an expected size, the nearest on the grid."""
