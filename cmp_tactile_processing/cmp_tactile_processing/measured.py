@@ -402,7 +402,8 @@ class ForceField:
     corrected: whether the large-press correction was applied.
     relaxed: whether the relaxation of the gel was taken out.
     All values are NaN (contact False) where too few markers were seen, and where they
-    show what no gel of this description can.
+    show what no gel of this description can.  Where contacts were not asked for, there are none,
+    contact has all nodes that are pressed, and contact_area and wrench_covariance are NaN.
     """
 
     rows: int

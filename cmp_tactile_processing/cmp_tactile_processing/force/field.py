@@ -67,26 +67,17 @@ class FieldBuilder:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, place = solution.force, self._position + moved
         wrench = wrench_of(force, place)
-        of_all: list[tuple[Array, Array]] = []
-
-        def of_some(sets: list[Numbers]) -> list[tuple[Array, Array]]:
-            # All in one, as what is solved for several costs little more than for one.
-            every = np.arange(len(force))
-            found = self._covariances(solution, measured.valid, place, [every, *sets])
-            of_all.append(found[0])
-            return found[1:]
-
-        pressed = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
-        contacts = tuple(
-            self._with_model_error(item, force, place)
-            for item in self._regions.contacts(force, pressed, place, of_some)
-        )
-        if not of_all:
-            of_some([])
-        covariance = sum(of_all[0]) + self._model_covariance(wrench, place, force)
-        contact = np.zeros(len(force), dtype=bool)
-        for item in contacts:
-            contact[item.nodes] = pressed[item.nodes]
+        contact = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
+        contacts: tuple[Contact, ...] = ()
+        covariance, area = np.full((6, 6), np.nan), float("nan")
+        if measured.contacts:
+            contacts, covariance = self._contacts(solution, measured.valid, place, contact)
+            covariance += self._model_covariance(wrench, place, force)
+            area = float(sum(item.area for item in contacts))
+            of_some = np.zeros(len(force), dtype=bool)
+            for item in contacts:
+                of_some[item.nodes] = True
+            contact &= of_some
         pressing = np.where(contact, np.minimum(force[:, 2], 0.0), 0.0)
         total = pressing.sum()
         none = not contact.any()
@@ -97,7 +88,7 @@ class FieldBuilder:
             contact=contact,
             wrench=wrench,
             wrench_covariance=covariance,
-            contact_area=float(sum(item.area for item in contacts)),
+            contact_area=area,
             centre_of_pressure=np.full(3, np.nan) if none else pressing @ place / total,
             contacts=contacts,
             slip_state=SlipState.NO_CONTACT if none else SlipState.UNKNOWN,
@@ -106,6 +97,30 @@ class FieldBuilder:
             flags=flag | self._flags(solution, measured, contacts),
             noise_scale=float(np.sqrt(solution.noise_squared)),
         )
+
+    def _contacts(
+        self, solution: ForceSolution, valid: float, place: Array, pressed: Mask
+    ) -> tuple[tuple[Contact, ...], Array]:
+        """The contacts among pressed nodes, and the covariance (6, 6) of the whole wrench.
+
+        Of the latter what noise and resolution leave open alone.
+        """
+        of_all: list[Array] = []
+
+        def of_some(sets: list[Numbers]) -> list[tuple[Array, Array]]:
+            # All in one, as what is solved for several costs little more than for one.
+            every = np.arange(len(place))
+            found = self._covariances(solution, valid, place, [every, *sets])
+            of_all.append(found[0][0] + found[0][1])
+            return found[1:]
+
+        contacts = tuple(
+            self._with_model_error(item, solution.force, place)
+            for item in self._regions.contacts(solution.force, pressed, place, of_some)
+        )
+        if not of_all:
+            of_some([])
+        return contacts, of_all[0]
 
     def unknown(self, valid: float, why: ForceFlag) -> ForceField:
         """A field of NaN; valid: share of the markers that are seen."""

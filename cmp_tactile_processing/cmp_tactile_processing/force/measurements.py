@@ -19,11 +19,15 @@ Mask = NDArray[np.bool_]
 
 
 class Measurements(NamedTuple):
-    """data (3 markers,) in units of the noise, known (3 markers,), valid: share of the markers."""
+    """data (3 markers,) in units of the noise, known (3 markers,), valid: share of the markers.
+
+    contacts: whether more is asked for than the force: see ForceModel.reconstruct.
+    """
 
     data: Array
     known: Mask
     valid: float
+    contacts: bool = True
 
 
 class Whitening:

@@ -65,11 +65,12 @@ class ForceStage:
         return float(np.linalg.norm(self._zeroed))
 
     def process(
-        self, surface: Surface, stamp_ns: int | None = None, *, slip: bool = True
+        self, surface: Surface, stamp_ns: int | None = None, *, contacts: bool = True
     ) -> ForceField:
         """Force, contacts and slip of a surface.
 
-        slip: without it that stays unknown, and is judged from the next frame on that has it.
+        contacts: see ForceModel.reconstruct.  Without them slip stays unknown, too, and is judged
+        from the next frame on that has them.
 
         stamp_ns: of the camera frame; without it relaxation is left in.  Begins again where the
         displacement counts from another reference than before, and where time goes back, as where
@@ -83,12 +84,14 @@ class ForceStage:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
         # Entered here it costs nothing within.
         with one_blas_thread():
-            field = self._model.reconstruct(displacement, surface.status, surface.covariance)
+            field = self._model.reconstruct(
+                displacement, surface.status, surface.covariance, contacts=contacts
+            )
             flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
         relaxed = self._relaxation is not None and stamp_ns is not None
         self._last = field
         field = replace(field, relaxed=relaxed, flags=flags)
-        if slip:
+        if contacts:
             return self._slip.update(field, surface)
         self._slip.reset()
         return field
@@ -128,7 +131,7 @@ class ForceStage:
 
     def _of_zero(self, field: ForceField) -> ForceFlag:
         """Whether the reference was taken under load, as known before or as the force shows."""
-        unpressed = not field.contacts and _is_force(field)
+        unpressed = not field.contact.any() and _is_force(field)
         return ForceFlag.ZERO_DOUBTFUL if self._zeroed.any() or unpressed else ForceFlag.NONE
 
     def _note_load(self, surface: Surface) -> None:
@@ -140,7 +143,7 @@ class ForceStage:
         self._zeroed = np.zeros(3)
         if last is None or 0 in {self._reference_id, surface.reference_id}:
             return
-        if not np.isfinite(last.wrench).all() or not (last.contacts or before.any()):
+        if not np.isfinite(last.wrench).all() or not (last.contact.any() or before.any()):
             return
         force = last.wrench[:3] if _is_force(last) else np.zeros(3)
         most = SHARE_LEFT * max(np.linalg.norm(before), np.linalg.norm(force))
@@ -148,7 +151,7 @@ class ForceStage:
             return
         # What pulls without pressing is a load that an earlier reference had in it, now gone.
         shape = rest_shape(Reference.nominal(self._sensor).position, surface.reference)
-        if last.contacts or why_touched(shape, RestParameters()):
+        if last.contact.any() or why_touched(shape, RestParameters()):
             self._zeroed = before + force
 
     def _begin_again_where_due(self, surface: Surface, stamp_ns: int | None) -> None:

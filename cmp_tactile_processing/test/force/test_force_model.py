@@ -31,6 +31,17 @@ def test_wrench(model, truth, name, newton):
     assert over < 4e-5 * newton + 1e-4
 
 
+def test_force_is_the_same_without_contacts(model, truth):
+    moved = noisy(truth["two contacts"].displacement)
+    whole = model.reconstruct(moved, MEASURED)
+    found = model.reconstruct(moved, MEASURED, contacts=False)
+    np.testing.assert_array_equal(found.force, whole.force)
+    np.testing.assert_array_equal(found.wrench, whole.wrench)
+    assert found.contact[whole.contact].all()
+    assert not found.contacts
+    assert np.isnan(found.wrench_covariance).all()
+
+
 def ratio(field, other):
     """Largest difference of two wrenches, in their deviations."""
     std = np.minimum(field.wrench_std, other.wrench_std)
