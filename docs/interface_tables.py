@@ -25,7 +25,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import ContainerServices
-from cmp_tactile_processing.ros.diagnostics.frame_watch import SECTION, DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.thresholds import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.parameters import allowed, describe
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR
 from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section

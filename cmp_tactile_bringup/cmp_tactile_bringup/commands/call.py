@@ -29,7 +29,8 @@ class Zero(Command):
         """Ask, and print the answer."""
         from std_srvs.srv import Trigger
 
-        from cmp_tactile_bringup.graphs.running import ZERO, RunningSensorError, find_sensor
+        from cmp_tactile_bringup.commands.running_sensor import RunningSensorError, find_sensor
+        from cmp_tactile_bringup.graphs.running import ZERO
         from cmp_tactile_processing.ros.process import Listener
         from cmp_tactile_processing.ros.services import SEARCH_S, answer_of
 

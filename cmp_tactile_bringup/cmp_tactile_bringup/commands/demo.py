@@ -204,8 +204,8 @@ def _play_at(
     arguments: Demo,
     progress: Progress,
 ) -> DemoResults:
+    from cmp_tactile_bringup.container.loopback import on_loopback
     from cmp_tactile_bringup.demo import PlayOptions, PlayProgress, play
-    from cmp_tactile_bringup.graphs.start import on_loopback
 
     total = len(recording.truth.stamp_ns)
     start = progress.add_task("Starting the component container", total=None, note="")

@@ -100,7 +100,7 @@ def _recorder(arguments: Record, context: Any) -> Any:
     """The node, in the namespace of the sensor."""
     from rclpy.parameter import Parameter
 
-    from cmp_tactile_bringup.graphs.running import RunningSensorError, find_sensor
+    from cmp_tactile_bringup.commands.running_sensor import RunningSensorError, find_sensor
     from cmp_tactile_driver.nodes.recorder import Recorder
     from cmp_tactile_driver.sources.parameters import RecorderParameters
     from cmp_tactile_processing.ros.process import Listener

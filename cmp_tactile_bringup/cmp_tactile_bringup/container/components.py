@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
+import itertools
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import TimeoutError as FutureTimeoutError
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
@@ -23,6 +21,7 @@ from rclpy.utilities import get_default_context
 from cmp_tactile_bringup.container.spinning import ComponentClass, LoadedComponent, Spinner
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 from cmp_tactile_bringup.graphs.description import Component
+from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
 from cmp_tactile_processing.ros.wiring import WiredNode
 
 ENTRY_POINT_GROUP = "cmp_tactile_components"
@@ -34,7 +33,7 @@ STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
 
 COLLECT_AFTER = 0.5
-"""How long after an unloading its memory is given back, s; all components wait for that 0.1 s."""
+"""How long after an unloading its memory is freed, s; all components wait for that 0.1 s."""
 
 
 def find_component(package: str, plugin: str) -> ComponentClass:
@@ -89,6 +88,9 @@ def node_arguments(component: Component) -> dict[str, Any]:
     }
 
 
+ENDING = "the container is shutting down"
+
+
 @dataclass(frozen=True)
 class ComponentStatus:
     """A loaded component: its id, full node name, and how many of its callbacks raised.
@@ -109,7 +111,10 @@ class ComponentContainer:
 
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
+    namesakes: where given, no component is loaded under the name of a node of another process.
     """
+
+    namesakes: Namesakes | None = None
 
     def __init__(
         self, context: Context | None = None, lookup: ComponentLookup = find_component
@@ -120,14 +125,11 @@ class ComponentContainer:
         self._ending: list[Spinner] = []
         self._threads_before = frozenset(threading.enumerate())
         self._lock = threading.Lock()
-        self._next_id = 1
+        self._ids = itertools.count(1)
+        # Those that are being built, too, which have no name yet.
         self._components: dict[int, LoadedComponent] = {}
-        self._names: dict[int, str] = {}
         self._closed = False
-        self._collector: threading.Timer | None = None
-        self._left_behind: tuple[tuple[str, LoadedComponent], ...] = ()
-        self.process_of: Callable[[str, Callable[[], bool]], str] = lambda _name, _stopped: ""
-        """Where else a node of a full name runs, as NamesInUse says it; asked before each load."""
+        self._collector = threading.Timer(COLLECT_AFTER, gc.collect)
 
     @property
     def context(self) -> Context:
@@ -139,42 +141,28 @@ class ComponentContainer:
         """Whether a thread runs that was not there before the container, of whoever."""
         return bool(frozenset(threading.enumerate()) - self._threads_before)
 
-    @property
-    def left_behind(self) -> tuple[str, ...]:
-        """What still runs of what `load`, `unload` and `shutdown` gave up waiting for."""
-        return tuple(name for name, life in self._left_behind if not life.join(0))
-
-    def load(self, component: Component, timeout: float | None = None) -> int:
+    def load(self, component: Component) -> int:
         """Build a component and run it; returns its id once it runs.
 
         Other calls are served meanwhile, however long the constructor takes.
-        Raises ComponentLoadError with the reason; also after `timeout` s, and where another
-        component has the same full name.
+        Raises ComponentLoadError with the reason, also where another component has the name.
         """
         component.check()
-        label = component.label
         arguments = node_arguments(component)
         if self._context is not get_default_context():
             arguments["context"] = self._context
-        lookup = partial(self._find, component)
-        life = LoadedComponent(lookup, arguments, partial(self._spinner_of, component))
+        find, spinner_of = partial(self._find, component), partial(self._spinner_of, component)
+        life = LoadedComponent(find, arguments, spinner_of)
         unique_id = self._register(life)
         try:
-            name = life.ready.result(timeout)
-        except FutureTimeoutError:
-            self._forget(unique_id)
-            self._end(label, life, 0)
-            msg = f"{label}: the constructor took more than {timeout} s"
-            raise ComponentLoadError(msg) from None
-        except ComponentLoadError as error:
-            self._forget(unique_id)
-            raise ComponentLoadError(f"{label}: {error}") from None
-        try:
+            name = life.ready.result()
             self._take_name(unique_id, name)
         except ComponentLoadError as error:
-            self._forget(unique_id)
-            self._end(label, life, STOP_TIMEOUT)
-            raise ComponentLoadError(f"{label}: {error}") from None
+            with self._lock:
+                self._components.pop(unique_id, None)
+            life.request_stop()
+            life.join(0.0 if self._closed else STOP_TIMEOUT)
+            raise ComponentLoadError(f"{component.label}: {error}") from None
         if component.log_level:
             logger_name = name.strip("/").replace("/", ".")
             set_logger_level(logger_name, LoggingSeverity(component.log_level))
@@ -187,25 +175,28 @@ class ComponentContainer:
         within `timeout` s; the component is then gone as soon as that callback ends.
         """
         with self._lock:
-            name = self._names.pop(unique_id, None)
-            life = self._components.pop(unique_id) if name is not None else None
-        if life is None:
+            life = self._components.get(unique_id)
+            if life is not None and life.name:
+                del self._components[unique_id]
+        if life is None or not life.name:
             known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
             msg = f"no component has the id {unique_id}; loaded ids: {known}"
             raise UnknownComponentError(msg)
-        if not self._end(str(name), life, timeout):
-            msg = f"{name}: a callback still runs after {timeout} s"
+        life.request_stop()
+        if not life.join(timeout):
+            msg = f"{life.name}: a callback still runs after {timeout} s"
             raise ComponentError(msg)
         self._collect_later()
 
     def list(self) -> tuple[ComponentStatus, ...]:
         """The running components, in the order in which they were loaded."""
         with self._lock:
-            return tuple(
-                ComponentStatus(key, name, life.callback_errors, life.last_error, life.failure)
-                for key, name in sorted(self._names.items())
-                for life in [self._components[key]]
-            )
+            lives = dict(self._components)
+        return tuple(
+            ComponentStatus(key, life.name, life.callback_errors, life.last_error, life.failure)
+            for key, life in sorted(lives.items())
+            if life.name
+        )
 
     def full_name(self, unique_id: int) -> str:
         """The full node name of a loaded component; UnknownComponentError where there is none."""
@@ -215,26 +206,23 @@ class ComponentContainer:
         msg = f"no component has the id {unique_id}"
         raise UnknownComponentError(msg)
 
-    def shutdown(self, timeout: float = STOP_TIMEOUT) -> bool:
+    def shutdown(self, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy all components; no more can be loaded.
 
-        Returns False where a callback or a constructor still ran after `timeout` s.
+        A callback or a constructor that still runs after `timeout` s is left behind, with a
+        warning.
         """
         with self._lock:
             self._closed = True
-            collector = self._collector
-            lives, self._components = dict(self._components), {}
-            names, self._names = dict(self._names), {}
-        if collector is not None:
-            collector.cancel()
+            lives, self._components = self._components, {}
+        self._collector.cancel()
         for life in lives.values():
             life.request_stop()
         deadline = time.monotonic() + timeout
         late = [
-            name
-            for key, life in lives.items()
-            for name in [names.get(key, "a component that is being built")]
-            if not self._end(name, life, max(0.0, deadline - time.monotonic()))
+            life.name or "a component that is being built"
+            for life in lives.values()
+            if not life.join(max(0.0, deadline - time.monotonic()))
         ]
         for spinner in self._ending:
             # Else it would end beside the ROS context.
@@ -242,7 +230,6 @@ class ComponentContainer:
         if late:
             message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
             get_logger("component_container").warning(message)
-        return not late
 
     def _find(self, component: Component) -> ComponentClass:
         """The class of a component, unless another process has one of that name.
@@ -251,29 +238,19 @@ class ComponentContainer:
         """
         found = self._lookup(component.package, component.plugin)
         name = component.full_name
-        with self._lock:
-            own = name in self._names.values()
-        if name and not own and (process := self.process_of(name, lambda: self._closed)):
-            msg = (
-                f"{name} runs already, in process {process}: end that, or give this sensor another "
-                "namespace (namespace:=NAME)"
-            )
-            raise ComponentLoadError(msg)
+        is_own = any(item.full_name == name for item in self.list())
+        if name and not is_own and self.namesakes is not None:
+            process = self.namesakes.awaited_process_of(name, lambda: self._closed)
+            if process:
+                msg = (
+                    f"{name} runs already, in process {process}: end that, or give this sensor "
+                    "another namespace (namespace:=NAME)"
+                )
+                raise ComponentLoadError(msg)
         if self._closed:
             # Stopped while it waited: what would be built now would hold up the end.
-            msg = "the container is shutting down"
-            raise ComponentLoadError(msg)
+            raise ComponentLoadError(ENDING)
         return found
-
-    def _end(self, name: str, life: LoadedComponent, timeout: float) -> bool:
-        """Stop a component and wait for that; False where it takes longer, in s."""
-        life.request_stop()
-        if life.join(timeout):
-            return True
-        with self._lock:
-            others = (item for item in self._left_behind if not item[1].join(0))
-            self._left_behind = (*others, (name, life))
-        return False
 
     def _spinner_of(self, component: Component, found: ComponentClass) -> Spinner:
         """The thread for a component: that of its sensor where it can be connected with others."""
@@ -302,10 +279,8 @@ class ComponentContainer:
     def _register(self, life: LoadedComponent) -> int:
         with self._lock:
             if self._closed:
-                msg = "the container is shutting down"
-                raise ComponentLoadError(msg)
-            unique_id = self._next_id
-            self._next_id += 1
+                raise ComponentLoadError(ENDING)
+            unique_id = next(self._ids)
             self._components[unique_id] = life
             # In here, as `shutdown` joins whatever is registered.
             life.start()
@@ -315,34 +290,21 @@ class ComponentContainer:
         """Keep the name, unless another component has it: ROS would let them share it."""
         with self._lock:
             if unique_id not in self._components:
-                msg = "the container is shutting down"
-                raise ComponentLoadError(msg)
-            for other, taken in self._names.items():
-                if taken == name:
+                raise ComponentLoadError(ENDING)
+            for other, life in self._components.items():
+                if life.name == name:
                     msg = f"id {unique_id}: the name {name} is that of id {other} already"
                     raise ComponentLoadError(msg)
-            self._names[unique_id] = name
+            self._components[unique_id].name = name
 
     def _collect_later(self) -> None:
-        """Give back the memory of what is unloaded, once for all that is unloaded together.
+        """Free what is unloaded, once for all that is unloaded together.
 
         A node and its callbacks refer to one another; its arrays, some 30 MB of a sensor, would
         stay until Python looks for such circles by itself.
         """
         with self._lock:
-            if self._collector is None and not self._closed:
-                self._collector = threading.Timer(COLLECT_AFTER, self._collect)
+            if not (self._closed or self._collector.is_alive()):
+                self._collector = threading.Timer(COLLECT_AFTER, gc.collect)
                 self._collector.daemon = True
                 self._collector.start()
-
-    def _collect(self) -> None:
-        with self._lock:
-            self._collector = None
-        gc.collect()
-        # glibc keeps what is freed in an arena for each of many threads, 100 MB and more.
-        with suppress(AttributeError, OSError):
-            ctypes.CDLL(None).malloc_trim(0)
-
-    def _forget(self, unique_id: int) -> None:
-        with self._lock:
-            self._components.pop(unique_id, None)

@@ -50,12 +50,21 @@ def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:
     stop = StopSignal()
     _prepare_for_threads()
     from cmp_tactile_bringup.container.graph_runner import run_graph
-    from cmp_tactile_bringup.graphs.start import on_loopback
+    from cmp_tactile_bringup.container.loopback import on_loopback
 
     if stop.by_signal:
         return 0
     with on_loopback() if local else nullcontext():
         return run_graph(list(sys.argv if args is None else ["standalone", *args]), stop)
+
+
+def given_graph() -> int:
+    """Run the graph on stdin: what `standalone` starts for each sensor but the first."""
+    stop = StopSignal()
+    _prepare_for_threads()
+    from cmp_tactile_bringup.container.graph_runner import run_given_graph
+
+    return run_given_graph(sys.argv, stop)
 
 
 def _prepare_for_threads() -> None:
@@ -68,5 +77,5 @@ def _prepare_for_threads() -> None:
 
 
 if __name__ == "__main__":
-    _EXECUTABLES = {"component_container": component_container, "standalone": standalone}
-    sys.exit(_EXECUTABLES[sys.argv.pop(1)]())
+    _EXECUTABLES = (component_container, standalone, given_graph)
+    sys.exit({item.__name__: item for item in _EXECUTABLES}[sys.argv.pop(1)]())

@@ -26,7 +26,7 @@ from cmp_tactile_bringup.container.components import ComponentContainer, Compone
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
-from cmp_tactile_processing.ros.diagnostics.graph_watch import DISCOVERY_S, NamesInUse
+from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
 from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
 from cmp_tactile_processing.ros.process import JoinError, joining_ros
 
@@ -61,7 +61,7 @@ def running_container(
         with joining_ros():
             rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
             container = ComponentContainer()
-            services = ContainerServices(container, name, namespace, DISCOVERY_S)
+            services = ContainerServices(container, name, namespace)
     except JoinError:
         rclpy.try_shutdown()
         sys.setswitchinterval(interval)
@@ -110,17 +110,10 @@ class ContainerServices:
     Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
     """
 
-    def __init__(
-        self,
-        container: ComponentContainer,
-        name: str,
-        namespace: str = "",
-        discovery_s: float = 0.0,
-    ) -> None:
-        """discovery_s: how long to wait for the nodes of other processes before the first load."""
+    def __init__(self, container: ComponentContainer, name: str, namespace: str = "") -> None:
         self._container = container
         self._node = Node(name, namespace=namespace, context=container.context)
-        container.process_of = NamesInUse(self._node, discovery_s).process_of
+        container.namesakes = Namesakes(self._node)
         group = ReentrantCallbackGroup()
         for kind, topic, callback in (
             (LoadNode, "load_node", self._on_load),

@@ -33,7 +33,8 @@ class LoadedComponent:
     """The life of one component, built on a thread that ends then.
 
     `ready` gives the full node name once the component runs; it raises ComponentLoadError where
-    the constructor failed or the component was stopped before it was built.
+    the constructor failed or the component was stopped before it was built.  `name`: that name
+    once the container has taken it, empty before.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class LoadedComponent:
         spinner_of: which thread runs components of a class.
         """
         self.ready: Future[str] = Future()
+        self.name = ""
         self.node: Node | None = None
         self.callback_errors = 0
         self.last_error = self._last_traceback = ""

@@ -253,12 +253,6 @@ RUN_ARGUMENTS = (
         "ROS parameter file; its values take precedence; empty for none",
         default="",
     ),
-    Argument(
-        "container",
-        "text",
-        "full name of a running container to load into; empty to start one",
-        default="",
-    ),
     Argument("view", "boolean", "show the sensors in a browser (docs/viewer.md)", default=False),
     Argument(
         "view_host",
@@ -278,7 +272,15 @@ RUN_ARGUMENTS = (
     ),
 )
 # Of the launch files alone.
-RVIZ = Argument("rviz", "boolean", "show the sensors in RViz", default=False)
+LAUNCH_ARGUMENTS = (
+    Argument(
+        "container",
+        "text",
+        "full name of a running container to load into; empty to start one",
+        default="",
+    ),
+    Argument("rviz", "boolean", "show the sensors in RViz", default=False),
+)
 
 
 @dataclass(frozen=True)
@@ -361,13 +363,12 @@ class Component:
 class Graph:
     """Components in the order in which they are loaded.
 
-    container: name of the one that is started.  joined: full name of a running one to load into
-    instead.  viewer: parameters of the page in the browser, None for no page.
+    container: name of the one that is started.  viewer: parameters of the page in the browser, None
+    for no page.
     """
 
     components: tuple[Component, ...]
     container: str
-    joined: str = ""
     viewer: Mapping[str, Value] | None = None
 
     @property
@@ -386,9 +387,9 @@ class Graph:
     def by_sensor(self) -> tuple[Graph, ...]:
         """A graph for the container of each sensor: Python runs on one core in a process.
 
-        One, where sensors are loaded into a container that runs, and where a component has none.
+        One, where a component has no sensor.
         """
-        if self.joined or any(item.sensor is None for item in self.components):
+        if any(item.sensor is None for item in self.components):
             return (self,)
         return tuple(
             replace(self, components=tuple(c for c in self.components if c.sensor is sensor))
@@ -456,7 +457,7 @@ class GraphFunction:
         values = argument_values(self.arguments, given or {}, self.label)
         check_use(self.own_arguments, values, given or {}, self.label)
         own = {item.name: values[item.name] for item in self.own_arguments}
-        found = Graph(tuple(self.function(own)), self.container, values["container"])
+        found = Graph(tuple(self.function(own)), self.container)
         self._check(found)
         if values["params_file"]:
             names = [component.full_name for component in found.components]

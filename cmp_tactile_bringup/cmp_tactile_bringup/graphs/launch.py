@@ -1,4 +1,4 @@
-"""A graph as actions of launch: arguments, container, components, RViz.
+"""A graph as actions of launch: arguments, container, components, page, RViz.
 
 Needs launch and launch_ros; nothing else of the package imports this module.
 """
@@ -13,9 +13,10 @@ from launch.logging import get_logger
 from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Node
 from launch_ros.descriptions import ComposableNode
 
-from cmp_tactile_bringup.graphs import start
-from cmp_tactile_bringup.graphs.description import RVIZ, Graph, GraphFunction, Value
+from cmp_tactile_bringup.graphs.description import LAUNCH_ARGUMENTS, Graph, GraphFunction, Value
 from cmp_tactile_bringup.graphs.packaged import find_graph
+from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
+from cmp_tactile_bringup.graphs.rviz import PACKAGE, is_saved_by_rviz, rviz_settings_file
 
 
 def launch_description(name_or_path: str) -> LaunchDescription:
@@ -28,39 +29,40 @@ def launch_description(name_or_path: str) -> LaunchDescription:
             default_value=argument.default_text,
             choices=list(argument.allowed) or None,
         )
-        for argument in (*graph.arguments, RVIZ)
+        for argument in (*graph.arguments, *LAUNCH_ARGUMENTS)
     ]
     actions = OpaqueFunction(function=graph_actions, args=[graph])
     return LaunchDescription([*declarations, actions])
 
 
 def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Action]:
-    """A container for each sensor of the graph with the arguments of this launch."""
+    """A container for each sensor, or the one to join, with the arguments of this launch."""
     given = context.launch_configurations
     found = function.load({item.name: given[item.name] for item in function.arguments})
-    graph = start.with_recordings(found, _Progress())
-    start.check_recordings(graph)
-    actions: list[Action] = [_running(part) for part in graph.by_sensor()]
+    graph = with_recordings(found, _Progress())
+    check_recordings(graph)
+    actions: list[Action] = [_container(part) for part in graph.by_sensor()]
+    if given["container"]:
+        nodes = composable_nodes(graph)
+        actions = [
+            LoadComposableNodes(
+                composable_node_descriptions=nodes, target_container=given["container"]
+            )
+        ]
     if graph.viewer is not None:
         actions.append(_web_viewer(graph.viewer))
-    if given[RVIZ.name] == "true":
+    if given["rviz"] == "true":
         actions.append(_rviz(graph))
     return actions
 
 
-def _running(graph: Graph) -> Action:
-    """The components in a container of their own, or in the one that they join."""
-    nodes = composable_nodes(graph)
-    if graph.joined:
-        return LoadComposableNodes(
-            composable_node_descriptions=nodes, target_container=graph.joined
-        )
+def _container(graph: Graph) -> Action:
     return ComposableNodeContainer(
-        package=start.PACKAGE,
+        package=PACKAGE,
         executable="component_container",
         name=graph.container,
         namespace=graph.namespace,
-        composable_node_descriptions=nodes,
+        composable_node_descriptions=composable_nodes(graph),
         output="both",
     )
 
@@ -90,13 +92,13 @@ class _Progress:
     def __call__(self, what: str, _share: float) -> None:
         if what != self._last:
             self._last = what
-            get_logger(start.PACKAGE).info(what)
+            get_logger(PACKAGE).info(what)
 
 
 def _web_viewer(parameters: Mapping[str, Value]) -> Node:
     """A process of its own, which takes nothing from the sensors' interpreters."""
     return Node(
-        package=start.VIEWER_PACKAGE,
+        package="cmp_tactile_viewer",
         executable="web_viewer",
         parameters=[dict(parameters)],
         output="both",
@@ -104,9 +106,9 @@ def _web_viewer(parameters: Mapping[str, Value]) -> Node:
 
 
 def _rviz(graph: Graph) -> Node:
-    settings = start.rviz_settings_file(graph)
-    if start.is_saved_by_rviz(settings):
-        get_logger(start.PACKAGE).info(f"RViz opens as saved: delete {settings} to undo that")
+    settings = rviz_settings_file(graph)
+    if is_saved_by_rviz(settings):
+        get_logger(PACKAGE).info(f"RViz opens as saved: delete {settings} to undo that")
     # Markers would vanish by the clock of the machine while a replay is paused.
     replayed = all(item.parameters.get("use_sim_time", False) for item in graph.components)
     return Node(

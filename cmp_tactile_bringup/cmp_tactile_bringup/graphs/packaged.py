@@ -17,11 +17,11 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import (
+    LAUNCH_ARGUMENTS,
     LETTERS,
     ROS_NAME,
     ROS_NAMESPACE,
     RUN_ARGUMENTS,
-    RVIZ,
     Argument,
     Component,
     Condition,
@@ -517,7 +517,7 @@ def load_graph(name_or_path: str, given: Mapping[str, Value] | None = None) -> G
 def as_markdown() -> str:
     """Tables of the arguments of the launch files."""
     sections = [line for name, found in GRAPHS.items() for line in _section(name, found)]
-    common = ["## Of all launch files\n", *argument_rows((*RUN_ARGUMENTS, RVIZ)), ""]
+    common = ["## Of all launch files\n", *argument_rows((*RUN_ARGUMENTS, *LAUNCH_ARGUMENTS)), ""]
     return "\n".join([*sections, *common])
 
 

@@ -1,4 +1,4 @@
-"""Sensors that run: found in other processes, and shown by a line on the terminal."""
+"""What a sensor that runs feels, in a line on the terminal, and what its keys do."""
 
 from __future__ import annotations
 
@@ -13,18 +13,15 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TextIO
 
-from rcl_interfaces.srv import GetParameters
-from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_bringup.terminal.keys import LEFT, RIGHT, pressed_keys, takes_keys
 from cmp_tactile_msgs.msg import ForceField
-from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.errors import printable
 from cmp_tactile_processing.force.advice import SLIP_WORDS, flag_names
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.ros.process import Listener
-from cmp_tactile_processing.ros.services import ServiceError, answer_of, settled
 
 RECONSTRUCTOR = "ForceReconstructor"
 
@@ -37,10 +34,8 @@ CLEAR_LINE = "\x1b[K"
 
 PAUSE, QUIT = " ", "q"
 
-SPLITTER = "view_splitter"
 # The service that sets displacement and force to zero, below a sensor's namespace.
 ZERO = "stereo_triangulator/set_reference"
-SEARCH_TIME_S = 5.0
 
 
 class RunningLine(Listener):
@@ -201,54 +196,3 @@ def rate_of(arrivals: Sequence[float]) -> str:
     if len(arrivals) < 2:
         return " - - Hz"
     return f"{(len(arrivals) - 1) / max(arrivals[-1] - arrivals[0], 1e-3):4.1f} Hz"
-
-
-class RunningSensorError(CmpTactileError):
-    """No sensor runs, or several do where one is meant."""
-
-
-@dataclass(frozen=True)
-class RunningSensor:
-    """A sensor's namespace, and the parameters of its nodes; empty where they do not answer."""
-
-    namespace: str
-    description: str = ""
-    name: str = ""
-
-
-def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
-    """The sensor of a namespace, or of one of its topics, or the only one that runs.
-
-    node: with which it is looked for; it is spun by another thread.  Waits some seconds.  Raises
-    RunningSensorError where there is none, or several.
-    """
-    wanted = f"/{namespace.strip('/')}" if namespace else ""
-    spaces = settled(lambda: _namespaces(node, wanted), SEARCH_TIME_S)
-    if not spaces:
-        where = f"in {wanted}" if wanted else "in any namespace"
-        there = ", ".join(_namespaces(node, "")) or "a sensor that runs (ROS_DOMAIN_ID?)"
-        msg = f"found no {SPLITTER} {where}, expected {there}"
-        raise RunningSensorError(msg)
-    if len(spaces) > 1:
-        msg = f"found several sensors, name the namespace of one: {', '.join(spaces)}"
-        raise RunningSensorError(msg)
-    return _described(node, spaces[0])
-
-
-def _namespaces(node: Node, wanted: str) -> list[str]:
-    """Those of all sensors, or that in which what is wanted lies."""
-    found = {space for name, space in node.get_node_names_and_namespaces() if name == SPLITTER}
-    if not wanted:
-        return sorted(found)
-    around = [space for space in found if space == wanted or wanted.startswith(f"{space}/")]
-    return sorted(around, key=len)[-1:]
-
-
-def _described(node: Node, namespace: str) -> RunningSensor:
-    request = GetParameters.Request(names=["sensor_description", "sensor_name"])
-    service = f"{namespace.rstrip('/')}/{SPLITTER}/get_parameters"
-    try:
-        answer = answer_of(node, GetParameters, service, request, service_s=SEARCH_TIME_S)
-    except ServiceError:
-        return RunningSensor(namespace)
-    return RunningSensor(namespace, *(value.string_value for value in answer.values))

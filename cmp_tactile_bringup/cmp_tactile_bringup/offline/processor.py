@@ -45,6 +45,7 @@ from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.ros.diagnostics import frame_watch
+from cmp_tactile_processing.ros.diagnostics.thresholds import DiagnosticsParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
@@ -198,7 +199,7 @@ class _Stamps:
             if self._watch.stamps[kind]:
                 yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"
         missing = self._watch.missing
-        if missing > frame_watch.DiagnosticsParameters().missing_warn * (self._frames + missing):
+        if missing > DiagnosticsParameters().missing_warn * (self._frames + missing):
             yield (
                 f"{missing} of {self._frames + missing} frames missing in gaps between stamps, the "
                 f"longest of {self._longest_ns / NS_PER_S:.6g} s"

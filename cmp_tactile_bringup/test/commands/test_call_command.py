@@ -16,8 +16,8 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_bringup.commands import parse
+from cmp_tactile_bringup.commands.running_sensor import RunningSensorError
 from cmp_tactile_bringup.graphs import running
-from cmp_tactile_bringup.graphs.running import RunningSensorError
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.nodes.replay import Replay
 from cmp_tactile_msgs.msg import Contact, ForceField

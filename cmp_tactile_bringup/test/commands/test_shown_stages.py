@@ -3,7 +3,7 @@
 import pytest
 
 from cmp_tactile_bringup.graphs.packaged import load_graph
-from cmp_tactile_bringup.graphs.start import with_recordings
+from cmp_tactile_bringup.graphs.recordings import with_recordings
 from cmp_tactile_bringup.terminal.output import shown_stages
 
 

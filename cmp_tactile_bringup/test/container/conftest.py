@@ -87,12 +87,18 @@ class Box:
         self.wait(future.done, f"the answer to {kind.__name__}")
         return future.result()
 
-    def request_load(self, plugin: str, **fields: Any) -> Any:
-        """The answer to the request to load a component into the namespace of the test."""
+    def request_load_later(self, plugin: str, **fields: Any) -> Any:
+        """The future answer to the request to load a component into the namespace of the test."""
         from composition_interfaces.srv import LoadNode
 
         fields = {"package_name": SAMPLES, "node_namespace": self.namespace, **fields}
-        return self.request(LoadNode, plugin_name=plugin, **fields)
+        return self.request_later(LoadNode, plugin_name=plugin, **fields)
+
+    def request_load(self, plugin: str, **fields: Any) -> Any:
+        """That answer."""
+        future = self.request_load_later(plugin, **fields)
+        self.wait(future.done, f"the answer for {plugin}")
+        return future.result()
 
     def listed(self) -> dict[int, str]:
         """Full names of the components by id, as the service lists them."""

@@ -43,10 +43,10 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_arguments_and_their_types(path):
-    given = {"where": "here", "speed": "2", "count": "5", "on": "true", "container": "/x"}
+    given = {"where": "here", "speed": "2", "count": "5", "on": "true"}
     graph = load_graph(str(path), given)
     first = graph.components[0]
-    assert (graph.namespace, graph.container, graph.joined) == ("/rig_left", "box", "/x")
+    assert (graph.namespace, graph.container) == ("/rig_left", "box")
     assert first.parameters == {
         "speed": 2.0,
         "count": 5,

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.graphs import packaged
-from cmp_tactile_bringup.graphs.description import RVIZ
+from cmp_tactile_bringup.graphs.description import LAUNCH_ARGUMENTS
 
 ROOT = Path(__file__).parents[2]
 # What is given to each, beside a mounting.
@@ -39,7 +39,10 @@ def _text(substitutions):
 
 def test_every_argument_of_the_graph_is_declared(name):
     declared = {argument.name: argument for argument in _launch_file(name).get_launch_arguments()}
-    expected = {argument.name: argument for argument in (*packaged.GRAPHS[name].arguments, RVIZ)}
+    expected = {
+        argument.name: argument
+        for argument in (*packaged.GRAPHS[name].arguments, *LAUNCH_ARGUMENTS)
+    }
     assert list(declared) == list(expected)
     for key, argument in expected.items():
         assert declared[key].description.startswith(argument.help)
@@ -56,7 +59,7 @@ def actions(name, short_scenes, grasp_bag):
 
     def make(**more):
         context = LaunchContext()
-        for argument in (*packaged.GRAPHS[name].arguments, RVIZ):
+        for argument in (*packaged.GRAPHS[name].arguments, *LAUNCH_ARGUMENTS):
             context.launch_configurations[argument.name] = argument.default_text
         context.launch_configurations.update({**GRAPHS[name], **more})
         return context, graph_actions(context, packaged.GRAPHS[name])
@@ -69,9 +72,10 @@ def test_load_requests_are_those_of_the_graph(name, actions, grasp_bag):
     from rclpy.parameter import Parameter
 
     from cmp_tactile_bringup.graphs.launch import composable_nodes
-    from cmp_tactile_bringup.graphs.start import with_recordings
+    from cmp_tactile_bringup.graphs.recordings import with_recordings
 
-    graph = with_recordings(packaged.load_graph(name, GRAPHS[name]))
+    given = {key: value for key, value in GRAPHS[name].items() if key != "container"}
+    graph = with_recordings(packaged.load_graph(name, given))
     context, _ = actions()
     for node, component in zip(composable_nodes(graph), graph.components, strict=True):
         request = get_composable_node_load_request(node, context)

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 import rclpy
 from std_msgs.msg import String
 
-from cmp_tactile_bringup.graphs.start import CHOICES, PROFILES, on_loopback
+from cmp_tactile_bringup.container.loopback import CHOICES, PROFILES, on_loopback
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 # Publishes, and prints the addresses that its sockets are bound to, as in /proc/net.

@@ -7,14 +7,10 @@ import pytest
 import yaml
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graphs.description import RVIZ, parameters_of_nodes
+from cmp_tactile_bringup.graphs.description import LAUNCH_ARGUMENTS, parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import GRAPHS, MARKER, load_graph, renew
-from cmp_tactile_bringup.graphs.start import (
-    check_recordings,
-    rviz_settings,
-    rviz_settings_file,
-    with_recordings,
-)
+from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
+from cmp_tactile_bringup.graphs.rviz import rviz_settings, rviz_settings_file
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "launch.md"
@@ -113,8 +109,6 @@ def test_a_gripper_has_two_sensors_with_sources_of_their_own():
     assert sorted(c.full_name for part in parts for c in part.components) == sorted(
         c.full_name for c in graph.components
     )
-    joined = _load("gripper", container="/box", left_source="replay", right_source="replay")
-    assert joined.by_sensor() == (joined,)
 
 
 def test_the_fingers_of_a_gripper_face_one_another():
@@ -313,7 +307,7 @@ def test_the_commands_of_all_documents_can_be_given_as_they_stand():
             r"ros2 launch cmp_tactile_bringup ([a-z]+)\.launch\.py(.*)", prose
         ):
             count += 1
-            arguments = (*GRAPHS[name].arguments, RVIZ)
+            arguments = (*GRAPHS[name].arguments, *LAUNCH_ARGUMENTS)
             named = set(re.findall(r"(\w+):=", given))
             assert named <= {item.name for item in arguments}, path
             assert named >= {item.name for item in arguments if item.default is None}, path

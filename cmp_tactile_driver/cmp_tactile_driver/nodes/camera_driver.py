@@ -26,12 +26,7 @@ from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
-from cmp_tactile_processing.ros.diagnostics.status import (
-    Finding,
-    status_message,
-    status_name,
-    summary,
-)
+from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
 from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
@@ -306,8 +301,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         )
         findings = [
             _state_finding(self._problem_text, capture, health, self._opened),
-            *self.name_findings(),
-            *self.connection_findings(),
+            self.name_finding(),
             Finding(DiagnosticStatus.WARN, calibration),
             *period.findings,
         ]
@@ -317,13 +311,12 @@ class CameraDriver(ReportingNode, LifecycleNode):
             "frames out": capture.frames if capture is not None else 0,
             "bad frames": health.bad_frames,
             **period.values,
-            "wrong connections": "; ".join(self.connections.texts()) or "none",
             "problem": health.problem,
             "calibration": calibration or "as described",
             **({} if self._extension is None else self._extension.diagnostics),
         }
-        summarised = summary(findings, capture.state.value if capture is not None else "")
-        return status_message(status_name(self), self._sensor.ros_name, summarised, values)
+        state = capture.state.value if capture is not None else ""
+        return self.status_of(self._sensor.ros_name, values, findings, state)
 
     @property
     def _opened(self) -> str:

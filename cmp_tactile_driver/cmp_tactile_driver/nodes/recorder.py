@@ -42,14 +42,9 @@ from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.graph_watch import other_transport
+from cmp_tactile_processing.ros.diagnostics.connections import other_transport
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
-from cmp_tactile_processing.ros.diagnostics.status import (
-    Finding,
-    status_message,
-    status_name,
-    summary,
-)
+from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import message_class
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import declare_parameters
@@ -491,10 +486,8 @@ class Recorder(ReportingNode):
             finding = _finding(progress, dropped)
         period = self._taken.close_period(self.thresholds, dropped, working=records)
         values["rate (Hz)"] = period.values["rate (Hz)"]
-        findings = [finding, *self.connection_findings(), *period.findings]
-        values["wrong connections"] = "; ".join(self.connections.texts()) or "none"
-        summarised = summary(findings, self._state_text())
-        return status_message(status_name(self), self._sensor.ros_name, summarised, values)
+        findings = [finding, *period.findings]
+        return self.status_of(self._sensor.ros_name, values, findings, self._state_text())
 
     def _report_change(self, progress: RecordingProgress | None) -> None:
         state = progress.state if progress is not None else None

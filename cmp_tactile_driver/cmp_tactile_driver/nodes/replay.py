@@ -31,12 +31,7 @@ from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qo
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
-from cmp_tactile_processing.ros.diagnostics.status import (
-    Finding,
-    status_message,
-    status_name,
-    summary,
-)
+from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at, with_header
 from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import declare_parameters
@@ -310,12 +305,7 @@ class Replay(ReportingNode):
         period = self._sent.close_period(self.thresholds, working=plays)
         failed = progress.state is PlayerState.FAILED
         level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
-        findings = [
-            Finding(level, progress.problem),
-            *self.name_findings(),
-            *self.connection_findings(),
-            *period.findings,
-        ]
+        findings = [Finding(level, progress.problem), self.name_finding(), *period.findings]
         values: dict[str, object] = {
             "state": progress.state.name.lower(),
             "frames out": progress.frames,
@@ -324,12 +314,10 @@ class Replay(ReportingNode):
             "passes": progress.passes,
             "position (s)": f"{progress.position:.3f}",
             "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
-            "wrong connections": "; ".join(self.connections.texts()) or "none",
             "problem": progress.problem,
             "recording": self._names,
         }
-        summarised = summary(findings, progress.state.value)
-        return status_message(status_name(self), self._sensor.ros_name, summarised, values)
+        return self.status_of(self._sensor.ros_name, values, findings, progress.state.value)
 
 
 def main() -> int:

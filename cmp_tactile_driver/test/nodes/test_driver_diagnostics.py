@@ -73,7 +73,7 @@ def test_name_hardware_and_keys_are_those_of_every_node(ros, start, last, name):
 
 
 def _stage_keys() -> set[str]:
-    return {item.key for item in StageDiagnostics().status("", "").values}
+    return set(StageDiagnostics().report().values)
 
 
 @pytest.mark.parametrize("name", ["replay", "recorder"])
@@ -91,8 +91,10 @@ def test_who_gets_no_frames_is_reported(ros, start, last, name):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     ros.node.create_subscription(Image, "image_raw", print, latched)
     start(name)
-    ros.wait(lambda: "tester gets nothing" in last(name)[1].get("wrong connections", ""), "it")
-    assert f"{ros.namespace}/image_raw: " in last(name)[0].message
+    space = ros.namespace
+    text = f"{space}/image_raw: nothing comes from {space}/{name} to {space}/tester: "
+    ros.wait(lambda: text in last(name)[1].get("wrong connections", ""), "it")
+    assert text in last(name)[0].message
 
 
 @pytest.mark.parametrize("name", NODES)

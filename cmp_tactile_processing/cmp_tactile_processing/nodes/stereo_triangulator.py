@@ -122,7 +122,7 @@ class StereoTriangulator(base_nodes.StageNode):
         if doubt:
             self.warn(self._surface.topic_name, doubt)
         self._health.add(markers, grids, doubt)
-        self.tracked(measured_share(markers.status))
+        self.diagnostics.tracked = measured_share(markers.status)
 
     def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
         averaging = self._averaging.take(markers)

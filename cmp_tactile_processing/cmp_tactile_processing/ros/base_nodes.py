@@ -8,15 +8,15 @@ from __future__ import annotations
 import time
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy import event_handler
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -28,10 +28,18 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.diagnostics import frame_watch
-from cmp_tactile_processing.ros.diagnostics.graph_watch import ConnectionWatch, NameWatch
+from cmp_tactile_processing.ros.diagnostics.connections import unconnected, unpublished
+from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, Stamp
+from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes, this_process
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
-from cmp_tactile_processing.ros.diagnostics.status import DiagnosticsReporter, Finding, status_name
+from cmp_tactile_processing.ros.diagnostics.status import (
+    DiagnosticsReporter,
+    Finding,
+    status_message,
+    status_name,
+    summary,
+)
+from cmp_tactile_processing.ros.diagnostics.thresholds import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.messages.conversions import with_header
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.ros.parameters import (
@@ -53,31 +61,42 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
     """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up.
 
     thresholds: of its figures, parameters `diagnostics.*` that may change while it runs.
-    connections: its ends that cannot be connected.  That takes the place of rclpy's handlers of
-    the same events, each of which costs time whenever the executor waits.
     """
 
-    thresholds = frame_watch.DiagnosticsParameters()
-    connections: ConnectionWatch
+    thresholds = DiagnosticsParameters()
     reporter: DiagnosticsReporter
-    _name_watch: NameWatch
+    _namesakes: Namesakes
+    _reported_namesake = ""
 
     @abstractmethod
     def _status(self) -> DiagnosticStatus:
-        """How the node is, with the figures since the last call."""
+        """How the node is, with the figures since the last call; made by `status_of`."""
 
     def start_reporting(self, also_to: Sequence[Publisher[Any]] = ()) -> None:
         """Declare the thresholds and report once a second from now on.
 
         also_to: publishers that get every status too.
         """
-        limits = StageParameters(
-            self, frame_watch.DiagnosticsParameters(), self._use_thresholds, frame_watch.SECTION
-        )
+        limits = StageParameters(self, DiagnosticsParameters(), self._use_thresholds, SECTION)
         self._use_thresholds(limits.value)
-        self.connections = ConnectionWatch(self, self.get_logger().warning)
-        self._name_watch = NameWatch(self, self.get_logger().error)
+        self._namesakes = Namesakes(self)
         self.reporter = DiagnosticsReporter(self, self._status, also_to)
+
+    def status_of(
+        self,
+        hardware_id: str,
+        values: Mapping[str, object],
+        findings: Iterable[Finding],
+        otherwise: str,
+    ) -> DiagnosticStatus:
+        """A status with these figures and findings, and with ends that are not connected.
+
+        otherwise: the message where nothing is found.
+        """
+        wrong = unconnected(self)
+        found = [*findings, *(Finding(DiagnosticStatus.WARN, text) for text in wrong)]
+        values = {**values, "wrong connections": "; ".join(wrong) or "none"}
+        return status_message(status_name(self), hardware_id, summary(found, otherwise), values)
 
     def warn_of_unknown_parameters(self, *but: str) -> None:
         """Of those given at the start that the node has not, by now; but: beginnings of names."""
@@ -85,17 +104,21 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
             if not text.startswith(but):
                 self.get_logger().warning(f"{text} (given at the start, without effect)")
 
-    def connection_findings(self) -> list[Finding]:
-        """Ends of the node's topics that cannot be connected, looked up now."""
-        self.connections.check()
-        return [Finding(DiagnosticStatus.WARN, text) for text in self.connections.texts()]
-
-    def name_findings(self) -> list[Finding]:
-        """Another process with a node of this name, looked up now.
+    def name_finding(self) -> Finding:
+        """Another process with a node of this name.
 
         For nodes that publish frames, so that one line reports two sensors of one name.
         """
-        return [Finding(DiagnosticStatus.ERROR, self._name_watch.check())]
+        name = self.get_fully_qualified_name()
+        process, before = self._namesakes.process_of(name), self._reported_namesake
+        self._reported_namesake = process
+        text = (
+            f"{name} runs in process {process}, too, beside process {this_process()} here: "
+            "two sensors of one name mix their frames; end one or give it another namespace"
+        )
+        if process and process != before:
+            self.get_logger().error(text)
+        return Finding(DiagnosticStatus.ERROR, text if process else "")
 
     @contextmanager
     def destroyed_on_error(self) -> Iterator[None]:
@@ -106,39 +129,13 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
             self.destroy_node()
             raise
 
-    def create_publisher(self, *args: Any, **kwargs: Any) -> Any:
-        """As Node's."""
-        return super().create_publisher(*args, **_without_handlers(kwargs))
-
-    def create_lifecycle_publisher(self, *args: Any, **kwargs: Any) -> Any:
-        """As LifecycleNode's, which passes over `create_publisher`."""
-        made: Any = super()
-        return made.create_lifecycle_publisher(*args, **_without_handlers(kwargs))
-
-    def create_subscription(self, *args: Any, **kwargs: Any) -> Any:
-        """As Node's."""
-        if kwargs.get("event_callbacks") is None:
-            kwargs["event_callbacks"] = event_handler.SubscriptionEventCallbacks(
-                use_default_callbacks=False
-            )
-        return super().create_subscription(*args, **kwargs)
-
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         kwargs.setdefault("qos_profile", SERVICE_QOS)
         return super().create_service(*args, **kwargs)
 
-    def _use_thresholds(self, thresholds: frame_watch.DiagnosticsParameters) -> None:
+    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         self.thresholds = thresholds
-
-
-def _without_handlers(kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of a publisher, without rclpy's event handlers unless others are given."""
-    if kwargs.get("event_callbacks") is None:
-        kwargs["event_callbacks"] = event_handler.PublisherEventCallbacks(
-            use_default_callbacks=False
-        )
-    return kwargs
 
 
 class CameraInfoPublisher:
@@ -167,7 +164,7 @@ IMAGE_DEPTH = 5
 # A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
 INPUT_DEPTH = 20
 WARNING_PERIOD_S = 5.0
-# Its messages are numbered, so that losses show without an event, which costs time in every wait.
+# Their messages are numbered: that shows also what was pushed out of a full queue.
 NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
@@ -240,50 +237,32 @@ class StageNode(ReportingNode):
         place.
         """
         name = self.resolve_topic_name(topic)
-        depth = 1 if newest else INPUT_DEPTH
-        watch = frame_watch.InputWatch(name, depth, newest=newest)
+        watch = InputWatch(newest=newest)
 
         def begin_guarded(given: Given) -> Finish:
             self.diagnostics.frame_in()
             header = given.header
-            if watch.take_message(stamp_ns(header.stamp), given.info) is frame_watch.Stamp.BACK:
+            if watch.take_message(stamp_ns(header.stamp), given.info) is Stamp.BACK:
                 self._run_guarded(name, self._on_time_back, topic)
             begun: list[Any] = []
             self._run_guarded(name, lambda: begun.append(begin(given.value)))
             return lambda: self._run_guarded(name, callback, *begun, header) if begun else None
 
-        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        end = watch.end = Input(begin_guarded, from_msg, needs_all)
-        qos = QoSProfile(depth=depth, reliability=policy)
-        self._subscribe(end, message_type, topic, qos, watch)
-        watch.depth = end.subscription.qos_profile.depth
-        self.diagnostics.inputs.append(watch)
+        def lost(event: Any) -> None:
+            watch.add_lost(event.total_count_change)
 
-    def _subscribe(
-        self,
-        end: Input,
-        message_type: type,
-        topic: str,
-        qos: QoSProfile,
-        watch: frame_watch.InputWatch,
-    ) -> None:
-        lost = None
-        if get_rmw_implementation_identifier() not in NUMBERING_RMW:
-            lost = lambda event: watch.add_lost(event.total_count_change)  # noqa: E731
-        for message_lost in (lost, None):
-            with suppress(event_handler.UnsupportedEventTypeError):
-                self.connect_input(
-                    end,
-                    message_type,
-                    topic,
-                    qos,
-                    event_callbacks=event_handler.SubscriptionEventCallbacks(
-                        message_lost=message_lost, use_default_callbacks=False
-                    ),
-                    qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-                )
-                return
-        raise AssertionError(topic)
+        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        numbered = get_rmw_implementation_identifier() in NUMBERING_RMW
+        watch.end = Input(begin_guarded, from_msg, needs_all)
+        self.connect_input(
+            watch.end,
+            message_type,
+            topic,
+            QoSProfile(depth=1 if newest else INPUT_DEPTH, reliability=policy),
+            event_callbacks=SubscriptionEventCallbacks(message_lost=None if numbered else lost),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self.diagnostics.inputs.append(watch)
 
     def _on_time_back(self, topic: str) -> None:
         if not self.diagnostics.started_again:
@@ -299,11 +278,6 @@ class StageNode(ReportingNode):
         """Count a published result whose camera frame had the stamp of that header."""
         now = self.get_clock().now().nanoseconds
         self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
-
-    def tracked(self, fraction: float) -> None:
-        """Report which share of the pattern a frame shows."""
-        limits = self.diagnostics.thresholds
-        self.diagnostics.pattern.add(fraction, limits.lost_below, limits.found_from)
 
     def warn(self, topic: str, text: str) -> None:
         """Log a warning about a topic's messages, once in five seconds at most."""
@@ -331,54 +305,33 @@ class StageNode(ReportingNode):
             self.diagnostics.bad_frame(f"{topic}: {error!r}")
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
-    def _use_thresholds(self, thresholds: frame_watch.DiagnosticsParameters) -> None:
+    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         super()._use_thresholds(thresholds)
         self.diagnostics.thresholds = thresholds
 
     def _status(self) -> DiagnosticStatus:
         self._update_diagnostics()
-        self.connections.check()
-        self.diagnostics.wrong_connections = self.connections.texts()
-        self.diagnostics.unpublished = self.connections.unpublished()
-        return self.diagnostics.status(status_name(self), self.sensor.ros_name)
+        self.diagnostics.unpublished = unpublished(self)
+        period = self.diagnostics.report()
+        otherwise = self.diagnostics.note or "running"
+        return self.status_of(self.sensor.ros_name, period.values, period.findings, otherwise)
 
 
 Frame = TypeVar("Frame")
 
 
 class FrameCollection(Generic[Frame]):
-    """Takes `wanted` frames; `outcome` becomes (success, explanation) once they are used."""
+    """Frames that a request waits for; `finish` answers it, once they are used."""
 
     def __init__(self, wanted: int) -> None:
         self.wanted = wanted
         self.frames: list[Frame] = []
         self.outcome: Future[tuple[bool, str]] = Future()
 
-    def add(self, frame: Frame) -> bool:
-        """Whether this frame was the last one needed."""
-        self.frames.append(frame)
-        return len(self.frames) == self.wanted
-
     def finish(self, success: bool, explanation: str) -> None:
         """Settle the outcome; a second time changes nothing."""
         if not self.outcome.done():
             self.outcome.set_result((success, explanation))
-
-    async def awaited(self, node: Node, timeout_s: float, topics: str) -> tuple[bool, str]:
-        """The outcome, at the latest after timeout_s; topics: where the frames come from."""
-
-        def give_up() -> None:
-            found = f"found {len(self.frames)} frames on {topics} in {timeout_s:g} s"
-            self.finish(False, f"{found}, expected {self.wanted}")
-
-        executor = node.executor
-        if executor is not None:
-            # The last frame comes on another thread, which the executor does not see.
-            self.outcome.add_done_callback(lambda _: executor.wake())
-        timer = node.create_timer(timeout_s, give_up, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        result = await self.outcome
-        node.destroy_timer(timer)
-        return (bool(result[0]), str(result[1]))
 
 
 class FrameService(Generic[Frame]):
@@ -403,9 +356,13 @@ class FrameService(Generic[Frame]):
 
     def take(self, frame: Frame) -> FrameCollection[Frame] | None:
         """Add a frame; the collection to be used and finished where it was the last one needed."""
-        if self._open is None or not self._open.add(frame):
+        collection = self._open
+        if collection is None:
             return None
-        collection, self._open = self._open, None
+        collection.frames.append(frame)
+        if len(collection.frames) < collection.wanted:
+            return None
+        self._open = None
         return collection
 
     async def _answer(
@@ -416,7 +373,19 @@ class FrameService(Generic[Frame]):
             return response
         count, timeout_s, topics = self._wanted()
         collection = self._open = FrameCollection[Frame](count)
-        response.success, response.message = await collection.awaited(self._node, timeout_s, topics)
+
+        def give_up() -> None:
+            found = f"found {len(collection.frames)} frames on {topics} in {timeout_s:g} s"
+            collection.finish(False, f"{found}, expected {count}")
+
+        executor = self._node.executor
+        if executor is not None:
+            # The last frame comes on another thread, which the executor does not see.
+            collection.outcome.add_done_callback(lambda _: executor.wake())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self._node.create_timer(timeout_s, give_up, clock=steady)
+        response.success, response.message = await collection.outcome
+        self._node.destroy_timer(timer)
         if self._open is collection:
             self._open = None
         return response
@@ -457,7 +426,3 @@ class StampPairing:
         """Give up what waits on a side."""
         self.unpaired[side] += len(self._waiting[side])
         self._waiting[side].clear()
-
-    def waiting(self, side: str) -> int:
-        """How many items of a side wait for their partner."""
-        return len(self._waiting[side])

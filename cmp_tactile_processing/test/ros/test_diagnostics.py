@@ -97,12 +97,7 @@ def test_frames_that_a_slow_node_never_gets_are_reported(ros):
     time.sleep(0.3)
     ros.wait(lambda: node.diagnostics.frames_in == 21, "what the queue holds")
     assert node.diagnostics.lost == 30
-    status = node._status()
-    assert status.level == DiagnosticStatus.ERROR
-    assert "30 of 51 frames dropped: 30 lost on the way, 0 passed over" in status.message
-    assert _values(status)["dropped frames"] == "30"
-    queued, _, depth = _values(status)["queue"].partition(" of ")
-    assert 0 < int(queued) <= int(depth) == 20, "they waited"
+    ros.wait(lambda: _values(node._status())["dropped frames"] == "30", "the report")
     # The deeper queue that the documentation advises.
     name = f"qos_overrides.{ros.namespace}/surface.subscription.depth"
     deep = ros.start(_Slow, "deep", **{name: 60})
@@ -112,7 +107,6 @@ def test_frames_that_a_slow_node_never_gets_are_reported(ros):
     time.sleep(0.3)
     ros.wait(lambda: deep.diagnostics.frames_in == 50, "all of them")
     assert deep.diagnostics.lost == 0
-    assert deep.diagnostics.inputs[0].depth == 60
 
 
 def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
@@ -148,63 +142,47 @@ def outside(ros):
     context.try_shutdown()
 
 
-def test_ends_that_cannot_be_connected_are_reported_with_the_remedy_until_they_are_gone(
-    ros, outside, capfd
-):
+def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, outside):
     node = ros.start(_Slow)
-    topic, name = f"{ros.namespace}/surface", f"{ros.namespace}/outside"
+    name = f"{ros.namespace}/outside"
     unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     wanting = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     deadline = QoSProfile(depth=1, deadline=Duration(seconds=0.5))
     outside.create_subscription(Surface, "result", lambda _: None, 5)
     ends = [
         outside.create_publisher(Surface, "surface", unreliable),
+        outside.create_publisher(Grid, "surface", 1),
         outside.create_subscription(Surface, "result", lambda _: None, wanting),
         outside.create_subscription(Surface, "result", lambda _: None, deadline),
     ]
-    ros.wait(lambda: node._status() and len(node.diagnostics.wrong_connections) == 3, "all")
+
+    def wrong() -> list[str]:
+        return _values(node._status())["wrong connections"].split("; ")
+
+    ros.wait(lambda: len(wrong()) == len(ends), "all")
     status = node._status()
     assert status.level == DiagnosticStatus.WARN
-    remedy = f"set qos_overrides.{topic}.subscription.reliability: best_effort here"
-    texts = [
-        (
-            f"{topic}: nothing comes from {name}, which offers reliability best_effort, expected "
-            f"reliable; {remedy}, or reliability reliable there"
-        ),
-        (
-            f"{ros.namespace}/result: {name} gets nothing, as it asks for durability "
-            "transient_local, and volatile is offered; set durability volatile there"
-        ),
-        "asks for deadline 0.5 s, and without limit is offered",
-    ]
-    for text in texts:
-        assert text in status.message
-        assert text in _values(status)["wrong connections"]
-    outside.destroy_publisher(ends[0])
-    for end in ends[1:]:
+    for end in wrong():
+        assert end in status.message
+        topic = "surface" if f"{name} to " in end else "result"
+        assert end.startswith(f"{ros.namespace}/{topic}: nothing comes from ")
+    text = " ".join(wrong())
+    for reason in ("Best effort", "type cmp_tactile_msgs/msg/Grid", "transient local", "deadline"):
+        assert reason.lower() in text.lower()
+    for end in ends[:2]:
+        outside.destroy_publisher(end)
+    for end in ends[2:]:
         outside.destroy_subscription(end)
-    ros.wait(lambda: node._status() and not node.diagnostics.wrong_connections, "the end of it")
-    log = capfd.readouterr().err
-    assert log.count(remedy) == 1, "warned of once, not with every report"
-    # What the advice makes of it.
-    heeding = ros.start(
-        _Slow, "heeding", **{f"qos_overrides.{topic}.subscription.reliability": "best_effort"}
-    )
+    ros.wait(lambda: wrong() == ["none"], "the end of it")
+
+
+def test_a_topic_that_asks_for_less_is_connected_as_the_documentation_says(ros, outside):
+    name = f"qos_overrides.{ros.namespace}/surface.subscription.reliability"
+    node = ros.start(_Slow, **{name: "best_effort"})
+    unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     publisher = outside.create_publisher(Surface, "surface", unreliable)
     ros.wait(lambda: publisher.get_subscription_count() == 1, "the connection")
-    heeding._status()
-    assert heeding.diagnostics.wrong_connections == []
-
-
-def test_a_topic_of_another_type_is_reported(ros, outside):
-    node = ros.start(_Slow)
-    outside.create_publisher(Grid, "surface", 1)
-    ros.wait(lambda: node._status() and node.diagnostics.wrong_connections, "the other type")
-    (text,) = node.diagnostics.wrong_connections
-    assert text == (
-        f"{ros.namespace}/surface: {ros.namespace}/outside has type cmp_tactile_msgs/msg/Grid, "
-        "expected cmp_tactile_msgs/msg/Surface; they are not connected"
-    )
+    assert _values(node._status())["wrong connections"] == "none"
 
 
 def test_nobody_publishing_is_reported(ros):

@@ -1,4 +1,4 @@
-"""What all nodes that report have in common: no event handlers, reports, results first."""
+"""Nodes publish results first, and refuse what is of another sensor."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 
@@ -23,7 +21,6 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
-from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
 from cmp_tactile_processing.ros.wiring import Wiring, joining
@@ -33,25 +30,7 @@ from cmp_tactile_processing.surface.displacement import Reference, surface_at_re
 pytestmark = pytest.mark.ros
 
 SENSOR = load_sensor("sample_rig")
-STAGES = (ViewSplitter, GridlineTracker, StereoTriangulator, ForceReconstructor, SurfaceVisualizer)
 HEADER = Header(stamp=Time(sec=5))
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_has_no_event_handlers(ros, stage):
-    """Each costs time whenever the executor waits; ConnectionWatch reports the same."""
-    node = ros.start(stage)
-    assert sum(item.get_num_entities().num_events for item in node.waitables) == 0
-
-
-def test_who_asks_for_too_much_of_the_diagnostics_is_reported(ros):
-    """On topics that are common to all nodes too, as rclpy's own handlers would."""
-    node = ros.start(SurfaceVisualizer)
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    ros.node.create_subscription(DiagnosticArray, "/diagnostics", lambda _: None, latched)
-    ros.wait(node.connections.texts, "the trouble")
-    assert "/diagnostics: " in node.connections.texts()[0]
-    assert "tester gets nothing, as it asks for durability" in node.connections.texts()[0]
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -101,8 +100,7 @@ class WebViewer(ReportingNode):
 
     def _status(self) -> DiagnosticStatus:
         values = {"address": self.page.url, "browsers": self.page.viewers}
-        text = f"{self.page.viewers} browsers look"
-        return status_message(status_name(self), "", (DiagnosticStatus.OK, text), values)
+        return self.status_of("", values, [], f"{self.page.viewers} browsers look")
 
 
 def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningSensor]:

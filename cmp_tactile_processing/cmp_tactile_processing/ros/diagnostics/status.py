@@ -1,4 +1,4 @@
-"""Levels of a node's figures, with hysteresis and thresholds, and its reports on /diagnostics."""
+"""Levels of a node's figures, with hysteresis, and its reports on /diagnostics."""
 
 from __future__ import annotations
 
@@ -12,18 +12,34 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from cmp_tactile_processing.ros.diagnostics.frame_watch import DiagnosticsParameters
-from cmp_tactile_processing.ros.diagnostics.graph_watch import PROCESS, this_process
+from cmp_tactile_processing.ros.diagnostics.namesakes import PROCESS, this_process
+from cmp_tactile_processing.ros.diagnostics.thresholds import DiagnosticsParameters
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+DIAGNOSTICS_PERIOD_S = 1.0
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something to be reported, with its level."""
+    """Something to be reported, with its level; without text nothing is."""
 
     level: bytes
     text: str
+
+
+def finding(level: bytes, text: str) -> Finding:
+    """With the text where there is something to be reported."""
+    return Finding(level, text if level > OK else "")
+
+
+def above(share: float, warn: float, error: float = 1.0) -> bytes:
+    """The level of a share that is to be small."""
+    return ERROR if share > error else WARN if share > warn else OK
+
+
+def below(figure: float, warn: float, error: float) -> bytes:
+    """The level of a figure that is to be large."""
+    return ERROR if figure < error else WARN if figure < warn else OK
 
 
 class Hysteresis:
@@ -76,38 +92,6 @@ def summary(findings: Iterable[Finding], otherwise: str) -> tuple[bytes, str]:
 
 def _level(finding: Finding) -> bytes:
     return finding.level
-
-
-def rate_finding(limits: DiagnosticsParameters, rate: float) -> Finding:
-    """Of so many results a second."""
-    level = ERROR if rate < limits.rate_error else WARN if rate < limits.rate_warn else OK
-    return finding(level, f"{rate:.1f} results a second, expected {limits.rate_warn:g}")
-
-
-def late_finding(limits: DiagnosticsParameters, late: int, frames: int) -> Finding:
-    """Of late ones among all results of a period."""
-    level = above(late / max(frames, 1), limits.late_warn, limits.late_error)
-    return finding(level, f"{late} of {frames} results older than {limits.late_after * 1e3:g} ms")
-
-
-def dropped_finding(limits: DiagnosticsParameters, dropped: int, frames: int) -> Finding:
-    """Of frames that were dropped in a period, beside those that were not."""
-    sent = frames + dropped
-    level = above(dropped / max(sent, 1), limits.dropped_warn, limits.dropped_error)
-    return finding(level, f"{dropped} of {sent} frames dropped")
-
-
-def above(share: float, warn: float, error: float) -> bytes:
-    """The level of a share that is to be small."""
-    return ERROR if share > error else WARN if share > warn else OK
-
-
-def finding(level: bytes, text: str) -> Finding:
-    """With the text where there is something to be reported."""
-    return Finding(level, text if level > OK else "")
-
-
-DIAGNOSTICS_PERIOD_S = 1.0
 
 
 def status_name(node: Node) -> str:

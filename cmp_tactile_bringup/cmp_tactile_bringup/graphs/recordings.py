@@ -1,0 +1,72 @@
+"""The recordings that a graph plays, and those that it makes: found, simulated, checked."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from cmp_tactile_bringup.errors import ComponentLoadError
+from cmp_tactile_bringup.graphs.description import Component, Graph
+from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
+from cmp_tactile_driver.bags.recording import open_recording, split_inputs
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.parameters import ReplayParameters
+
+REPLAY = "cmp_tactile_driver::Replay"
+RECORDER = "cmp_tactile_driver::Recorder"
+
+
+def with_recordings(graph: Graph, progress: MakingProgress | None = None) -> Graph:
+    """The graph with the names of packaged scenes replaced by their recordings.
+
+    One that was never asked for before is simulated first.  All replays begin together.  Raises
+    CmpTactileError where a scene cannot be simulated.
+    """
+    together = {item.full_name for item in graph.components if item.plugin == REPLAY}
+    parameters = {}
+    for item in graph.components:
+        if item.plugin != REPLAY:
+            continue
+        paths = [str(recorded_source(path, _of_scene(path, progress))) for path in _inputs(item)]
+        given = str(item.parameters.get("begin_with", ""))
+        others = " ".join(sorted(together - {item.full_name}))
+        changed = {"input": os.pathsep.join(paths), "begin_with": f"{given} {others}".strip()}
+        parameters[item.full_name] = {name: text for name, text in changed.items() if text}
+    return graph.with_parameters(parameters)
+
+
+def _of_scene(scene: Path, progress: MakingProgress | None) -> MakingProgress | None:
+    """The progress with the scene's name, and that it is not always so long."""
+    if progress is None:
+        return None
+    return lambda what, share: progress(f"{scene}: {what}, the first time only", share)
+
+
+def check_recordings(graph: Graph) -> None:
+    """Open each recording that is to be replayed, before anything that takes long is built.
+
+    Raises ComponentLoadError for the first that cannot be opened, or is to be made and is there.
+    """
+    for component in graph.components:
+        output = component.parameters.get("output") if component.plugin == RECORDER else None
+        if output and Path(str(output)).expanduser().exists():
+            msg = f"{component.full_name} ({RECORDER}): {output}: found a recording already"
+            raise ComponentLoadError(f"{msg}, expected a folder that is not there yet")
+        try:
+            for path in _inputs(component):
+                open_recording(
+                    path,
+                    topic=str(component.parameters.get("topic", "")),
+                    frame_rate=ReplayParameters.frame_rate,
+                    frame_id="",
+                    expected_size=None,
+                )
+        except FrameSourceError as error:
+            raise ComponentLoadError(f"{component.label}: {error}") from None
+
+
+def _inputs(component: Component) -> list[Path]:
+    """What a replay component plays; empty for any other component."""
+    if component.plugin != REPLAY:
+        return []
+    return split_inputs(str(component.parameters.get("input", "")))
