@@ -151,7 +151,6 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
     outside.create_subscription(Surface, "result", lambda _: None, 5)
     ends = [
         outside.create_publisher(Surface, "surface", unreliable),
-        outside.create_publisher(Grid, "surface", 1),
         outside.create_subscription(Surface, "result", lambda _: None, wanting),
         outside.create_subscription(Surface, "result", lambda _: None, deadline),
     ]
@@ -159,7 +158,7 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
     def wrong() -> list[str]:
         return _values(node._status())["wrong connections"].split("; ")
 
-    ros.wait(lambda: len(wrong()) == len(ends), "all")
+    ros.wait(lambda: sum(name in text for text in wrong()) == len(ends), "all")
     status = node._status()
     assert status.level == DiagnosticStatus.WARN
     for end in wrong():
@@ -167,13 +166,14 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
         topic = "surface" if f"{name} to " in end else "result"
         assert end.startswith(f"{ros.namespace}/{topic}: nothing comes from ")
     text = " ".join(wrong())
-    for reason in ("Best effort", "type cmp_tactile_msgs/msg/Grid", "transient local", "deadline"):
+    for reason in ("Best effort", "transient local", "deadline"):
         assert reason.lower() in text.lower()
-    for end in ends[:2]:
-        outside.destroy_publisher(end)
-    for end in ends[2:]:
+    outside.destroy_publisher(ends[0])
+    for end in ends[1:]:
         outside.destroy_subscription(end)
     ros.wait(lambda: wrong() == ["none"], "the end of it")
+    outside.create_publisher(Grid, "surface", 1)
+    ros.wait(lambda: "type cmp_tactile_msgs/msg/Grid, expected" in wrong()[0], "another type")
 
 
 def test_a_topic_that_asks_for_less_is_connected_as_the_documentation_says(ros, outside):

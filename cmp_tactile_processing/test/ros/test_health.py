@@ -29,6 +29,7 @@ from cmp_tactile_processing.ros.diagnostics.health import (
     GridHealth,
 )
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
+from cmp_tactile_processing.ros.diagnostics.status import summary
 
 pytestmark = pytest.mark.ros
 
@@ -87,25 +88,18 @@ def test_without_grids_the_figures_are_unknown():
     assert figures["followed"] == figures["confidence"] == figures["tracked fraction"] == "nan"
 
 
-@pytest.mark.parametrize("fault", [GridFault.DARK, GridFault.MIRRORED, GridFault.PARTLY_HIDDEN])
-def test_the_level_reaches_the_report(fault):
-    diagnostics = StageDiagnostics()
-    health = GridHealth()
-    health.add(_faulty(fault))
-    diagnostics.note_level, diagnostics.note, _ = health.close_period()
-    diagnostics.frame_in()
-    status = diagnostics.status("rig/tracker", "rig")
-    assert (status.level, status.message) == (FAULT_LEVELS[fault], f"because of {fault.value}")
-
-
 def test_a_wrong_description_is_reported_before_bad_frames():
     diagnostics = StageDiagnostics()
-    diagnostics.note_level, diagnostics.note = DiagnosticStatus.ERROR, "a mirror image"
+    health = GridHealth()
+    health.add(_faulty(GridFault.MIRRORED))
+    diagnostics.note_level, diagnostics.note, _ = health.close_period()
     diagnostics.frame_in()
     diagnostics.bad_frame("too short")
-    status = diagnostics.status("rig/tracker", "rig")
-    assert status.level == DiagnosticStatus.ERROR
-    assert status.message == "a mirror image; 1 bad frames, last: too short"
+    level, message = summary(diagnostics.report().findings, "running")
+    assert (level, message) == (
+        FAULT_LEVELS[GridFault.MIRRORED],
+        "because of mirrored; 1 bad frames, last: too short",
+    )
 
 
 def _field(flags: ForceFlag = ForceFlag.NONE) -> ForceField:

@@ -43,7 +43,6 @@ def test_a_late_side_is_waited_for_up_to_the_capacity(pairing):
 def test_the_oldest_is_given_up_when_a_side_stays_away(pairing):
     for stamp in range(100):
         assert pairing.add("left", stamp, stamp) is None
-    assert pairing.waiting("left") == 4
     assert pairing.unpaired == {"left": 96, "right": 0}
     assert pairing.add("right", 95, "r") is None
     assert pairing.add("right", 96, "r") == (96, "r")

@@ -16,6 +16,8 @@ from cmp_tactile_processing.image.compressed import COMPRESSED
 
 # Of ROS itself.
 OTHERS = ("/rosout", "/parameter_events", "/clock")
+# As rmw calls a node that it does not know yet.
+UNKNOWN_NAME = "_NODE_NAME_UNKNOWN_"
 
 
 def unconnected(node: Node) -> list[str]:
@@ -49,10 +51,12 @@ def _reason(publisher: Any, subscription: Any) -> str:
     if publisher.topic_type != subscription.topic_type:
         return f"type {publisher.topic_type}, expected {subscription.topic_type}"
     verdict, reason = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
-    return reason.strip("; ") if verdict is QoSCompatibility.ERROR else ""
+    return reason.replace("ERROR: ", "").strip("; ") if verdict == QoSCompatibility.ERROR else ""
 
 
 def _full_name(end: Any) -> str:
+    if end.node_name == UNKNOWN_NAME:
+        return "a node without a name"
     return f"{end.node_namespace.rstrip('/')}/{end.node_name}"
 
 
