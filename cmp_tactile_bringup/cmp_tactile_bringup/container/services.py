@@ -27,7 +27,7 @@ from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
 from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
-from cmp_tactile_processing.ros.diagnostics.status import status_message, status_name
+from cmp_tactile_processing.ros.diagnostics.status import ERROR, OK, status_message, status_name
 from cmp_tactile_processing.ros.process import JoinError, joining_ros
 
 ERROR_PAUSE_S = 0.1
@@ -107,11 +107,13 @@ class ContainerServices:
     """Offers `~/_container/load_node`, `unload_node` and `list_nodes` for a container.
 
     Each request has a thread of its own while it is served: a slow constructor holds up no other.
+    What could not be loaded stays in the diagnostics until it is: launch goes on without it.
     Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
     """
 
     def __init__(self, container: ComponentContainer, name: str, namespace: str = "") -> None:
         self._container = container
+        self._refused: dict[str, str] = {}
         self._node = Node(name, namespace=namespace, context=container.context)
         container.namesakes = Namesakes(self._node)
         group = ReentrantCallbackGroup()
@@ -193,13 +195,15 @@ class ContainerServices:
             if argument.name != INTRA_PROCESS:
                 text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
                 self._node.get_logger().warning(text)
+        wanted = f"{request.node_namespace}/{request.node_name or request.plugin_name}".strip("/")
         try:
             response.unique_id = self._container.load(_component(request))
             response.full_node_name = self._container.full_name(response.unique_id)
         except ComponentError as error:
-            response.error_message = str(error)
+            response.error_message = self._refused[wanted] = str(error)
             self._node.get_logger().error(f"cannot load {error}")
             return
+        self._refused.pop(wanted, None)
         response.success = True
         self._node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
 
@@ -217,8 +221,12 @@ class ContainerServices:
         response.unique_ids = [item.unique_id for item in components]
 
     def _publish_diagnostics(self) -> None:
-        name = status_name(self._node)
-        statuses = [_status(name, item) for item in self._container.list()]
+        container = status_name(self._node)
+        statuses = [_status(container, item) for item in self._container.list()]
+        statuses += [
+            status_message(f"{container}: {wanted}", _sensor_of(wanted), (ERROR, reason), {})
+            for wanted, reason in dict(self._refused).items()
+        ]
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(message)
@@ -226,16 +234,18 @@ class ContainerServices:
 
 def _status(container: str, item: ComponentStatus) -> DiagnosticStatus:
     component = item.full_name.lstrip("/")
-    summary = DiagnosticStatus.OK, "running"
+    summary = OK, "running"
     if item.failure:
-        summary = DiagnosticStatus.ERROR, item.failure
+        summary = ERROR, item.failure
     elif item.callback_errors:
-        text = f"{item.callback_errors} callbacks raised, last: {item.last_error}"
-        summary = DiagnosticStatus.ERROR, text
-    # A sensor's namespace is its name.
-    hardware_id = component.rpartition("/")[0] or "none"
+        summary = ERROR, f"{item.callback_errors} callbacks raised, last: {item.last_error}"
     values = {"id": item.unique_id, "callback errors": item.callback_errors}
-    return status_message(f"{container}: {component}", hardware_id, summary, values)
+    return status_message(f"{container}: {component}", _sensor_of(component), summary, values)
+
+
+def _sensor_of(component: str) -> str:
+    """A sensor's namespace is its name."""
+    return component.rpartition("/")[0] or "none"
 
 
 def _component(request: Any) -> Component:

@@ -80,25 +80,43 @@ def test_services_answer_while_constructors_are_slow(client):
     assert all(future.result().success for future in slow)
 
 
-def test_callback_errors_are_in_the_diagnostics(client):
+@pytest.fixture
+def errors(client: Any) -> Any:
+    """The last status of a component that is an error; None where there is none."""
+    reports: dict[str, DiagnosticStatus] = {}
+
+    def take(message: DiagnosticArray) -> None:
+        reports.update({status.name: status for status in message.status})
+
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
+
+    def find(name: str) -> DiagnosticStatus | None:
+        space = client.namespace[1:]
+        status = reports.get(f"{space}/box: {space}/{name}")
+        return status if status is not None and status.level == DiagnosticStatus.ERROR else None
+
+    return find
+
+
+def test_callback_errors_are_in_the_diagnostics(client, errors):
     assert _load(client, "Raises", node_name="raises").success
-    reports: list[DiagnosticStatus] = []
-    client.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda m: reports.extend(m.status), 10
-    )
     publisher = client.node.create_publisher(String, "in", 10)
     client.wait(publisher.get_subscription_count, "the component to listen")
     publisher.publish(String(data="bad"))
-    sensor = client.namespace[1:]
-    name = f"{sensor}/box: {sensor}/raises"
+    client.wait(lambda: errors("raises"), "the error in the diagnostics")
+    status = errors("raises")
+    assert status.message == "1 callbacks raised, last: RuntimeError: cannot bear bad"
+    assert status.hardware_id == client.namespace[1:]
 
-    def errors() -> list[DiagnosticStatus]:
-        mine = [status for status in reports if status.name == name]
-        return [status for status in mine if status.level == DiagnosticStatus.ERROR]
 
-    client.wait(errors, "the error in the diagnostics")
-    assert errors()[0].message == "1 callbacks raised, last: RuntimeError: cannot bear bad"
-    assert errors()[0].hardware_id == sensor
+def test_what_could_not_be_loaded_is_in_the_diagnostics_until_it_is(client, errors):
+    """Launch logs it and goes on with half a graph: ros2/launch_ros 513."""
+    refused = _load(client, "FailsHalfWay", node_name="stage")
+    assert not refused.success
+    client.wait(lambda: errors("stage"), "the error in the diagnostics")
+    assert errors("stage").message == refused.error_message
+    assert _load(client, "Echo", node_name="stage").success
+    client.wait(lambda: not errors("stage"), "its end")
 
 
 def test_a_thousand_requests_at_once_are_all_answered(client):

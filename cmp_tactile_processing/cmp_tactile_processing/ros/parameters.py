@@ -106,11 +106,16 @@ def why_refused(node: Node, parameter: Parameter[Any]) -> str:
     same_type = descriptor.dynamic_typing or parameter.type_.value == descriptor.type
     if same_type and _within(descriptor, found):
         return ""
-    kind = TYPES.get(descriptor.type, "another type")
-    expected = f"{allowed(descriptor)} {unit_of(descriptor)}".strip()
-    if not same_type:
-        expected = ", ".join(filter(None, (kind, expected)))
+    expected = _expected(descriptor, descriptor.type, same_type=same_type)
     return f"{name}: found {_plain(found)!r}, expected {expected}"
+
+
+def _expected(descriptor: ParameterDescriptor, kind: int, *, same_type: bool) -> str:
+    """The range or choice; before it the type, where that is what is wrong."""
+    limits = f"{allowed(descriptor)} {unit_of(descriptor)}".strip()
+    if same_type and limits:
+        return limits
+    return ", ".join(filter(None, (TYPES.get(kind, "another type"), limits)))
 
 
 def unknown_overrides(node: Node) -> list[str]:
@@ -140,46 +145,26 @@ def _plain(found: Any) -> Any:
 
 T = TypeVar("T")
 
-TYPE_TEXT = {
-    bool: "true or false",
-    int: "an integer",
-    float: "a number with a decimal point",
-    str: "a text",
-}
-
 
 class StageParameters(Generic[T]):
     """The parameters of a stage as the node's: `value` is the dataclass with all of them.
 
     defaults: the dataclass instance to start from.  on_change is called with the new instance
-    after a parameter was set; without it the parameters are read-only.  A value that the
-    dataclass does not take is refused with its reason, at start by ParameterError.
+    after a parameter was set.  A value that the dataclass does not take is refused with its reason,
+    at start by ParameterError.
     section: where a node has the parameters of two stages, what comes before the names of one of
     them, as in `slip.min_normal_force`.
     """
 
     def __init__(
-        self,
-        node: Node,
-        defaults: T,
-        on_change: Callable[[T], object] | None = None,
-        section: str = "",
+        self, node: Node, defaults: T, on_change: Callable[[T], object], section: str = ""
     ) -> None:
-        self._node = node
-        self._on_change = on_change
-        found: dict[str, Any] = {}
-        for item in fields(defaults):  # type: ignore[arg-type]
-            descriptor = describe(item, read_only=on_change is None)
-            # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
-            value = getattr(defaults, item.name)
-            default = float(value) if isinstance(item.default, float) else value
-            full = _full_name(section, item.name)
-            found[item.name] = _of_class(declare_checked(node, full, default, descriptor))
-        self._fields = {_full_name(section, field): field for field in found}
-        self.value: T = replace(defaults, **found)  # type: ignore[type-var]
-        if on_change is not None:
-            node.add_on_set_parameters_callback(self._check)
-            node.add_post_set_parameters_callback(self._apply)
+        self._node, self._on_change = node, on_change
+        names = [item.name for item in fields(defaults)]  # type: ignore[arg-type]
+        self._fields = {_full_name(section, name): name for name in names}
+        self.value: T = declare_parameters(node, defaults, names, section)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
 
     def _with(self, parameters: list[Parameter[Any]]) -> T:
         changes = {
@@ -196,15 +181,16 @@ class StageParameters(Generic[T]):
 
     def _apply(self, parameters: list[Parameter[Any]]) -> None:
         value = self._with(parameters)
-        if value != self.value and self._on_change is not None:
-            self.value = value
-            try:
-                self._on_change(value)
-            except CmpTactileError as error:
-                self._node.get_logger().error(f"new parameters cannot be used: {error}")
-            except Exception:  # noqa: BLE001  it must not end the node
-                text = f"unexpected error by new parameters\n{traceback.format_exc()}"
-                self._node.get_logger().error(text)
+        if value == self.value:
+            return
+        self.value = value
+        try:
+            self._on_change(value)
+        except CmpTactileError as error:
+            self._node.get_logger().error(f"new parameters cannot be used: {error}")
+        except Exception:  # noqa: BLE001  it must not end the node
+            text = f"unexpected error by new parameters\n{traceback.format_exc()}"
+            self._node.get_logger().error(text)
 
 
 def _of_class(value: Any) -> Any:
@@ -215,6 +201,29 @@ def _of_class(value: Any) -> Any:
 
 def _full_name(section: str, field: str) -> str:
     return f"{section}.{field}" if section else field
+
+
+def declare_parameters(
+    node: Node, defaults: T, dynamic: Collection[str] = (), section: str = ""
+) -> T:
+    """The dataclass with the values that the node was started with.
+
+    All but `dynamic` are read-only.  section: what comes before the names.  Raises ParameterError
+    for a value that the class refuses.
+    """
+    values = {}
+    for item in fields(defaults):  # type: ignore[arg-type]
+        value = getattr(defaults, item.name)
+        # A file may say 1 where 1.0 is meant; a ROS parameter has one type for good.
+        default = float(value) if isinstance(item.default, float) else _plain(value)
+        descriptor = describe(item, read_only=item.name not in dynamic)
+        declared = declare_checked(node, _full_name(section, item.name), default, descriptor)
+        values[item.name] = _of_class(declared)
+    try:
+        return type(defaults)(**values)
+    except ParameterError as error:
+        msg = f"{node.get_fully_qualified_name()}: {error}"
+        raise ParameterError(msg) from None
 
 
 def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
@@ -228,19 +237,13 @@ def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDe
         # The exceptions have the value only within a text of their own.
         override = node._parameter_overrides.get(name)  # noqa: SLF001
         found = default if override is None else override.value
-        expected = _expected(default, descriptor, same_type=type(found) is type(default))
+        kind, other = (Parameter.Type.from_parameter_value(item) for item in (default, found))
+        expected = _expected(descriptor, kind.value, same_type=kind is other)
         msg = (
             f"{node.get_fully_qualified_name()}: parameter {name}: "
             f"found {found!r}, expected {expected}"
         )
         raise ParameterError(msg) from None
-
-
-def _expected(default: Any, descriptor: ParameterDescriptor, *, same_type: bool) -> str:
-    """The range or choice; before it the type, where that is what is wrong."""
-    limits = allowed(descriptor)
-    kind = TYPE_TEXT.get(type(default), f"a value like {default!r}")
-    return limits if same_type and limits else ", ".join(filter(None, (kind, limits)))
 
 
 @dataclass(frozen=True)
@@ -260,25 +263,3 @@ class ImageInputParameters(Parameters):
     reliable_input: bool = parameter(
         True, "subscribe to images reliably, which a best-effort publisher does not match"
     )
-
-
-def declare_parameters(node: Node, defaults: T, dynamic: Collection[str] = ()) -> T:
-    """The dataclass with the values that the node was started with.
-
-    All but `dynamic` are read-only.  Raises ParameterError for a value that the class refuses.
-    """
-    values = {
-        item.name: _declare(node, item, getattr(defaults, item.name), item.name not in dynamic)
-        for item in fields(defaults)  # type: ignore[arg-type]
-    }
-    try:
-        return type(defaults)(**values)
-    except ParameterError as error:
-        msg = f"{node.get_fully_qualified_name()}: {error}"
-        raise ParameterError(msg) from None
-
-
-def _declare(node: Node, item: Any, default: Any, read_only: bool) -> Any:
-    descriptor = describe(item, read_only=read_only)
-    given = list(default) if isinstance(default, tuple) else default
-    return _of_class(declare_checked(node, item.name, given, descriptor))

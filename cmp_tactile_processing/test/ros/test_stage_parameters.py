@@ -93,8 +93,8 @@ def test_good_values_set_together_arrive_together(node):
     assert parameters.value == expected
 
 
-def test_without_a_reaction_parameters_are_read_only(node):
-    StageParameters(node, Settings())
+def test_parameters_that_nobody_hears_of_are_read_only(node):
+    declare_parameters(node, Settings())
     (result,) = node.set_parameters([Parameter("gain", value=0.5)])
     assert not result.successful
     assert "read-only" in result.reason
@@ -114,7 +114,7 @@ def test_whole_number_from_a_file_makes_a_float_parameter(node):
         ("floor", -1.0, "found -1.0, expected at least 0.0"),
         ("floor", "low", "found 'low', expected a number with a decimal point, at least 0.0"),
         ("floor", 3, "found 3, expected a number with a decimal point, at least 0.0"),
-        ("gain", 2.5, "parameter gain: found 2.5, expected 0 to 2$"),
+        ("gain", 2.5, "parameter gain: found 2.5, expected 0 to 2 m/N$"),
         ("count", 10, "parameter count: found 10, expected 1 to 9$"),
         ("count", 2.0, "parameter count: found 2.0, expected an integer, 1 to 9$"),
         ("enabled", 1, "parameter enabled: found 1, expected true or false$"),
