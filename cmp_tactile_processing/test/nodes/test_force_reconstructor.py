@@ -163,8 +163,7 @@ def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(
 
 
 def _report(node) -> tuple[bytes, str, dict[str, str]]:
-    node._update_diagnostics()
-    status = node.diagnostics.status("force", "rig")
+    status = node._status()
     return status.level, status.message, {pair.key: pair.value for pair in status.values}
 
 

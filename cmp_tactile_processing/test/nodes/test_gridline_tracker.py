@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
@@ -114,28 +113,6 @@ def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sam
     assert tracker.diagnostics.bad_frames == 0
 
 
-def test_a_mirror_image_is_called_so_and_no_corner_gets_a_number(ros, sample):
-    """As it comes where the description flips a view that needs none, or the other way round."""
-    ros.start(GridlineTracker)
-    grids, reports = ros.listen(GridMsg, "left/grid"), ros.listen(DiagnosticArray, "/diagnostics")
-    publisher = ros.publisher(Image, "left/image_raw")
-    publisher.publish(_message(np.ascontiguousarray(_view(sample)[:, ::-1]), 0))
-    publisher.publish(_message(_view(sample), 1))
-    ros.wait(lambda: len(grids) == 2, "a grid for each")
-    assert (grids[0].fault, grids[0].found_fraction) == ("mirrored", 0.0)
-    assert grids[1].found_fraction == 1.0
-    name = f"{ros.namespace}/gridline_tracker"[1:]
-
-    def reported() -> list[DiagnosticStatus]:
-        own = (s for report in reports for s in report.status if s.name == name)
-        return [s for s in own if s.level == DiagnosticStatus.ERROR]
-
-    ros.wait(reported, "a report of the mirror image")
-    assert reported()[0].message == grids[0].reason
-    values = {pair.key: pair.value for pair in reported()[0].values}
-    assert (values["fault"], values["view"]) == ("mirrored", "left")
-
-
 @pytest.mark.parametrize(
     ("image", "reason"),
     [
@@ -205,19 +182,3 @@ def test_a_burst_is_drawn_as_its_first_and_its_last_image(ros, sample, count_cal
     tracker.set_parameters([Parameter("overlay_rate", value=0.0)])
     send(burst)
     ros.wait(lambda: len(overlays) == 2 + burst, "an overlay of every image")
-
-
-def test_diagnostics_report_what_was_followed_and_how_surely(ros, sample):
-    tracker = ros.start(GridlineTracker)
-    grids = ros.listen(GridMsg, "left/grid")
-    publisher = ros.publisher(Image, "left/image_raw")
-    for number in range(4):
-        publisher.publish(_message(_view(sample), number))
-    ros.wait(lambda: len(grids) == 4, "four grids")
-    assert [msg.followed for msg in grids] == [False, True, True, True]
-    assert len(grids[0].corner_std_px) == 400
-    assert len(grids[0].row_line_std_px) == len(grids[0].row_line_status)
-    tracker._update_diagnostics()
-    figures = tracker.diagnostics.extra
-    assert figures["followed"] in ("0.75", "1.00", "nan"), "a report may have come in between"
-    assert figures["fault"] == ""

@@ -189,20 +189,6 @@ def test_a_name_that_is_spelled_wrongly_is_reported_at_the_start(ros, capfd):
     assert f"{qos}: no such parameter; did you mean {meant}?" in reported[1]
 
 
-def test_values_that_need_each_other_are_set_together(ros):
-    """One after the other the first would be above the limit that the second raises."""
-    node = ros.start(ForceReconstructor, **{"slip.full_ratio": 0.4})
-    wanted = [
-        Parameter("slip.incipient_ratio", value=0.5),
-        Parameter("slip.full_ratio", value=0.6),
-    ]
-    assert [done for done, _ in _set(ros, node, *wanted)] == [False, True]
-    assert _set(ros, node, wanted[0]) == [(True, "")]
-    back = [Parameter("slip.incipient_ratio", value=0.8), Parameter("slip.full_ratio", value=0.9)]
-    assert _set(ros, node, *back, together=True) == [(True, "")]
-    assert (node._slip.value.incipient_ratio, node._slip.value.full_ratio) == (0.8, 0.9)
-
-
 def _surface(stamp_ms: int) -> Surface:
     surface = surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape)
     stamp = Time(sec=stamp_ms // 1000, nanosec=stamp_ms % 1000 * 10**6)

@@ -9,7 +9,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -85,20 +84,3 @@ def test_a_moving_gel_is_not_inspected(ros, sample):
     ros.wait(answer.done, "the answer", 60)
     assert not answer.result().success
     assert "the frames must be of one rest" in answer.result().message
-
-
-def test_an_inspection_without_frames_gives_up(ros, sample):
-    rig = Rig(ros, print_frames=2, print_timeout=0.2)
-    first = rig.ask_for_inspection()
-    ros.wait(first.done, "the answer")
-    found = f"found 0 frames on {ros.namespace}/left/image_raw in 0.2 s, expected 2"
-    assert first.result().message == found
-    rig.node.set_parameters([Parameter("print_timeout", value=60.0)])
-    again = rig.inspect_later()
-    busy = rig.ask_for_inspection()
-    ros.wait(busy.done, "the answer while busy")
-    assert "being inspected already" in busy.result().message
-    rig.send(sample("rest").frame)
-    rig.send(sample("rest").frame)
-    ros.wait(again.done, "the second answer", 60)
-    assert "no defects" in again.result().message

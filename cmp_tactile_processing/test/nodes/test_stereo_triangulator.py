@@ -22,7 +22,6 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, MarkerFault, Status
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
-from cmp_tactile_processing.ros.base_nodes import FrameCollection
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
@@ -137,17 +136,6 @@ def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, repor
     assert bool(implausible_ray_gap(gap, status, "x")) is reported
 
 
-def test_corner_missing_in_one_view_is_missing_alone(ros, sample):
-    rig = Rig(ros)
-    seen = np.ones(SHAPE.corners, bool)
-    seen[3, 7] = False
-    rig.publish("left", _grid_msg(sample("slide"), "left", 1, seen))
-    rig.publish("right", _grid_msg(sample("slide"), "right", 1))
-    (surface,) = rig.wait_surfaces(1)
-    np.testing.assert_array_equal(surface.status == Status.MISSING, ~seen)
-    np.testing.assert_array_equal(np.isnan(surface.position[..., 0]), ~seen)
-
-
 def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
     rig = Rig(ros)
     rest = sample("rest")
@@ -232,17 +220,6 @@ def test_set_reference_averages_the_next_frames_and_answers(ros, sample):
     assert late[0].reference == references[1].reference
 
 
-def test_moving_gel_is_no_reference(ros, sample):
-    rig = Rig(ros, reference_frames=2)
-    answer = rig.set_reference_later()
-    rig.send(sample("rest"), 1)
-    rig.send(sample("slide"), 2)
-    ros.wait(answer.done, "the answer")
-    assert not answer.result().success
-    assert "expected a gel at rest" in answer.result().message
-    assert {surface.reference_id for surface in rig.wait_surfaces(2)} == {0}
-
-
 def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sample):
     rig = Rig(ros, reference_frames=2, reference_timeout=0.2)
     first = rig.ask_for_reference()
@@ -261,30 +238,6 @@ def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sampl
     assert again.result().success
 
 
-def test_giving_up_counts_the_frames_that_came(ros):
-    collection = FrameCollection[int](2)
-    collection.add(1)
-    task = ros.executor.create_task(collection.awaited, ros.node, 0.05, "/grid")
-    ros.wait(task.done, "the end of the wait")
-    assert task.result() == (False, "found 1 frames on /grid in 0.05 s, expected 2")
-
-
-def test_automatic_reference_takes_the_first_frames_at_rest(ros, sample):
-    rig = Rig(ros, rest_frames=4)
-    references = ros.listen(SurfaceMsg, "reference", latched=True)
-    half = np.zeros(SHAPE.corners, bool)
-    half[:10] = True
-    rest = sample("rest")
-    rig.send(rest, *range(1, 5), seen=half)
-    rig.send(rest, *range(5, 9))
-    surfaces = rig.wait_surfaces(8)
-    assert [surface.reference_id for surface in surfaces] == [0] * 7 + [1]
-    assert surfaces[-1].reference_stamp_ns == 8_000_000_000
-    np.testing.assert_allclose(surfaces[7].displacement, 0, atol=ATOL_M)
-    ros.wait(lambda: references and references[-1].reference_id == 1, "the latched reference")
-    assert references[-1].header.stamp.sec == 8
-
-
 def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sample):
     reports = ros.listen(DiagnosticArray, "/diagnostics")
     rig = Rig(ros, rest_frames=4)
@@ -299,21 +252,6 @@ def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sampl
     assert rig.wait_surfaces(8)[-1].reference_id == 1
     report = _report(ros, reports, lambda status: "no reference yet" not in status.message)
     assert {item.key: item.value for item in report.values}["reference frames"] == "4"
-
-
-def test_no_automatic_reference_where_it_is_off(ros, sample):
-    rig = Rig(ros, rest_frames=4, auto_reference="never")
-    rig.send(sample("rest"), *range(1, 10))
-    assert {surface.reference_id for surface in rig.wait_surfaces(9)} == {0}
-
-
-def test_reference_survives_a_recording_that_begins_again(ros, sample):
-    """Stamps that go back are a replay's loop or a camera's restart, not a new sensor."""
-    rig = Rig(ros, rest_frames=4)
-    rig.send(sample("rest"), 5, 6, 7, 8, 1, 2)
-    surfaces = rig.wait_surfaces(6)
-    assert [surface.reference_id for surface in surfaces] == [0, 0, 0, 1, 1, 1]
-    assert surfaces[-1].reference_stamp_ns == 8_000_000_000
 
 
 def test_drift_at_rest_is_warned_of(ros, sample):
@@ -383,23 +321,3 @@ def _report(ros, reports, wanted) -> DiagnosticStatus:
 
     ros.wait(found, "the report")
     return found()[-1]
-
-
-def test_bad_grids_do_not_stop_the_triangulator(ros, sample):
-    rig = Rig(ros)
-    rest = sample("rest")
-    short, contradictory, other = (_grid_msg(rest, "left", 1) for _ in range(3))
-    short.corner_px = short.corner_px[:-2]
-    contradictory.corner_px[0] = float("nan")
-    other.cols = 19
-    for bad in (short, contradictory, other):
-        rig.publish("left", bad)
-    rig.send(rest, 2)
-    rig.wait_surfaces(1)
-    assert rig.surfaces[0].header.stamp.sec == 2
-    diagnostics = rig.node.diagnostics
-    assert diagnostics.bad_frames == 3
-    assert diagnostics.last_error == (
-        f"{ros.namespace}/left/grid: rows, cols, points_per_segment: "
-        "found 20, 19, 6, expected 20, 20, 6"
-    )

@@ -252,22 +252,6 @@ def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_sl
         assert (line.scale.x, line.scale.y, line.scale.z) == (0.001, 0.0, 0.001)
 
 
-@pytest.mark.parametrize("look_along", [(0, 0, -1), (0, 1, 0), (0.26, 0.73, -0.56)])
-def test_lines_of_a_text_stand_below_one_another(look_along):
-    """From above, from the front and in the view of the packaged settings, by a letter at least."""
-    contact = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
-    look = MarkerParameters()
-    drawn = force_markers(_pressed(contact), look)
-    lines = [m for m in drawn if m.namespace == "contact_text" and m.text]
-    assert not any("\n" in line.text for line in lines), "RViz adds 5 mm to each line"
-    view = np.array(look_along) / np.linalg.norm(look_along)
-    # The gel's z is up on the screen, and its y where the look is along z.
-    up = np.array((0.0, 1.0, 0.0) if abs(view[2]) > 0.99 else (0.0, 0.0, 1.0))
-    up -= (up @ view) * view
-    heights = np.array([line.position for line in lines]) @ (up / np.linalg.norm(up))
-    assert (-np.diff(heights) >= look.text_size).all()
-
-
 @pytest.mark.parametrize(
     "up", [(0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, -1), (0.3, 0.8, 0.5), (0, 0, 0)]
 )
@@ -378,17 +362,6 @@ def test_a_surface_is_drawn_alone_where_its_force_does_not_come(ros):
     assert not scene.node._alone
 
 
-def test_contact_of_which_nothing_is_known_is_no_error(ros):
-    """NaN everywhere, as a field may have it: nothing of it is drawn."""
-    nothing = np.full(3, np.nan)
-    unknown = _contact(
-        SlipEstimate(), (0, 0, 0), centre_of_pressure=nothing, outline=np.full((4, 3), np.nan)
-    )
-    markers = Scene(ros).show(_pressed(unknown))
-    for name in ("contact", "resultant", "moment", "contact_text"):
-        assert markers[name].action == Marker.DELETE
-
-
 def test_nothing_is_computed_while_nobody_looks(ros):
     node = ros.start(SurfaceVisualizer)
     publisher = ros.publisher(SurfaceMsg, "surface")
@@ -401,43 +374,6 @@ def test_nothing_is_computed_while_nobody_looks(ros):
     ros.wait_subscribed(node, "markers")
     publisher.publish(surface_to_msg(surface, HEADER))
     ros.wait(lambda: arrays, "markers")
-
-
-def test_gain_may_be_changed_within_its_range_and_what_is_shown_is_drawn_again(ros):
-    """So it can be adjusted while a recording is paused."""
-    scene = Scene(ros)
-    displacement = np.zeros((ROWS, COLS, 3))
-    displacement[2, 3, 0] = 2e-4
-    scene.show(_surface(displacement))
-    refused = _set(ros, "displacement_gain", -1.0)
-    assert not refused.successful
-    assert "displacement_gain" in refused.reason
-    assert _set(ros, "displacement_gain", 5.0).successful
-    ros.wait(lambda: len(scene.arrays) == 2, "the same surface with the new gain")
-    (marker,) = (marker for marker in scene.arrays[1].markers if marker.ns == "displacement")
-    tail, tip = _points(marker)[:2]
-    np.testing.assert_allclose(tip - tail, (1e-3, 0, 0), atol=1e-8)
-
-
-def test_markers_are_drawn_at_the_limited_rate_and_the_last_is_not_forgotten(ros):
-    """A burst is two pictures: its first, and, when the time has come, its last."""
-    scene = Scene(ros, max_rate=1.0)
-    burst = 12
-    for number in range(burst):
-        displacement = np.zeros((ROWS, COLS, 3))
-        displacement[2, 3, 0] = 2e-4 * (number + 1)
-        surface = _surface(displacement)
-        scene.publish(surface_to_msg(surface, HEADER))
-    ros.wait(lambda: scene.node.diagnostics.frames_in == burst, "the burst")
-    ros.wait(lambda: len(scene.arrays) == 2, "two pictures")
-    ros.run(1.2)
-    assert len(scene.arrays) == 2
-    lengths = []
-    for array in scene.arrays:
-        (marker,) = (item for item in array.markers if item.ns == "displacement")
-        tail, tip = _points(marker)[:2]
-        lengths.append(tip[0] - tail[0])
-    np.testing.assert_allclose(lengths, [2e-4, burst * 2e-4], atol=1e-8)
 
 
 def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
@@ -593,15 +529,3 @@ def test_dense_points_have_position_displacement_and_status(ros):
     bridged[2 + 4 * 4 + 1 : 2 + 4 * 6, 2 + 4 * 8 + 1 : 2 + 4 * 10] = True
     np.testing.assert_array_equal(points["status"] == 2, bridged)
     assert node.diagnostics.frames_out == 1
-
-
-def test_bad_surface_does_not_stop_the_markers(ros):
-    scene = Scene(ros)
-    good = surface_to_msg(_surface(), HEADER)
-    bad = surface_to_msg(_surface(), HEADER)
-    bad.position[4] = float("inf")
-    for msg in (bad, good):
-        scene.publish(msg)
-    ros.wait(lambda: scene.arrays, "the markers of the good surface")
-    assert scene.node.diagnostics.bad_frames == 1
-    assert "position: found NaN or inf at 1 points" in scene.node.diagnostics.last_error

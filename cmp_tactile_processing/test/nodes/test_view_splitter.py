@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 from pathlib import Path
 
 import cv2
@@ -15,7 +14,6 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
-from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
@@ -86,33 +84,6 @@ def test_views_are_the_halves_of_the_frame_unmirrored(ros, splitter, sample):
         np.testing.assert_array_equal(image, columns[:, ::-1])
 
 
-@pytest.mark.parametrize("encoding", ["mono16", "bayer_grbg8", "rgba8", "uyvy", "nv12"])
-def test_frames_of_other_makes_of_cameras_become_views(ros, sample, encoding):
-    ros.start(ViewSplitter)
-    frame = sample("slide").frame
-    deep = frame.astype("<u2") * 16
-    deep[0, 0] = 4095
-    chroma = np.full((frame.shape[0] // 2, frame.shape[1]), 128, np.uint8)
-    rows = {
-        "mono16": deep.view(np.uint8),
-        "bayer_grbg8": frame,
-        "rgba8": np.dstack([frame, frame, frame, frame]).reshape(len(frame), -1),
-        "uyvy": np.dstack([np.full_like(frame, 128), frame]).reshape(len(frame), -1),
-        "nv12": np.concatenate([frame, chroma]),
-    }[encoding]
-    message = _frame_msg(frame, encoding)
-    message.step = rows.shape[1]
-    message.data = array.array("B", np.ascontiguousarray(rows).tobytes())
-    left = ros.listen(Image, "left/image_raw")
-    ros.publisher(Image, "image_raw").publish(message)
-    ros.wait(lambda: left, "the left view")
-    view = np.frombuffer(left[0].data, np.uint8).reshape(768, 512, -1)[..., 0]
-    expected = frame[:, :512][:, ::-1].astype(int)
-    differences = np.abs(view - expected)
-    # A mosaic is interpolated: only where the frame is smooth it stays as it is.
-    assert np.percentile(differences, 50 if encoding.startswith("bayer") else 99) <= 1
-
-
 def test_compressed_frames_are_the_same_and_others_are_reported(ros, sample):
     splitter = ros.start(ViewSplitter, input_transport="compressed")
     frame = sample("slide").frame
@@ -143,11 +114,6 @@ def test_frames_that_come_compressed_alone_are_named_where_raw_ones_are_awaited(
     ros.node.create_publisher(CompressedImage, "image_raw/compressed", 2)
     there = "image_raw/compressed, sensor_msgs/msg/CompressedImage)"
     ros.wait(lambda: there in splitter._status().message, "what there is instead")
-
-
-def test_wrong_transport_is_refused(ros):
-    with pytest.raises(ParameterError, match="input_transport: found 'h264', expected one of raw"):
-        ros.start(ViewSplitter, input_transport="h264")
 
 
 def test_tf_and_camera_info_project_the_true_points(described, sample):
@@ -343,22 +309,6 @@ def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
     assert rect[0].header == raw[0].header, "the left view's own frame is the pair's"
 
 
-@pytest.mark.parametrize("encoding", ["bgr8", "rgb8"])
-def test_colours_are_kept(ros, splitter, encoding):
-    """The tracker needs them: a red and green pattern may have no contrast in grey."""
-    bgr = np.random.default_rng(5).integers(0, 256, (768, 1024, 3)).astype(np.uint8)
-    left, rect = ros.listen(Image, "left/image_raw"), ros.listen(Image, "left/image_rect")
-    ros.wait_subscribed(splitter, "left/image_rect")
-    sent = bgr if encoding == "bgr8" else np.ascontiguousarray(bgr[..., ::-1])
-    msg = _frame_msg(sent, "bgr8")
-    msg.encoding = encoding
-    ros.publisher(Image, "image_raw").publish(msg)
-    ros.wait(lambda: left and rect, "the left view, raw and rectified")
-    assert left[0].encoding == rect[0].encoding == "bgr8"
-    image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512, 3)
-    np.testing.assert_array_equal(image, bgr[:, 511::-1])
-
-
 @pytest.mark.parametrize("coloured", [False, True])
 def test_yuyv_frames_become_what_the_tracking_asks_for(ros, tmp_path, sample, coloured):
     path = SENSORS / "sample_rig.yaml"
@@ -379,38 +329,6 @@ def test_yuyv_frames_become_what_the_tracking_asks_for(ros, tmp_path, sample, co
     else:
         image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
         np.testing.assert_array_equal(image, frame[:, 511::-1])
-
-
-def test_burst_of_frames_is_not_lost(ros, splitter, sample):
-    """Frames that come faster than they are taken wait, in order; a shallow queue drops them."""
-    frame = sample("rest").frame
-    right = ros.listen(Image, "right/image_raw")
-    publisher = ros.publisher(Image, "image_raw")
-    burst = 15
-    for number in range(burst):
-        header = Header(stamp=Time(sec=number), frame_id="camera")
-        publisher.publish(image_to_msg(frame, "mono8", header))
-    ros.wait(lambda: len(right) == burst, "all frames of the burst")
-    assert [msg.header.stamp.sec for msg in right] == list(range(burst))
-
-
-@pytest.mark.parametrize("reliable_input", [True, False])
-def test_best_effort_camera_is_taken_on_request_and_else_warned_of(
-    ros, sample, capfd, reliable_input
-):
-    ros.start(ViewSplitter, reliable_input=reliable_input)
-    left = ros.listen(Image, "left/image_raw")
-    publisher = ros.node.create_publisher(Image, "image_raw", qos_profile_sensor_data)
-    if reliable_input:
-        ros.wait(lambda: "incompatible QoS" in capfd.readouterr().err, "the warning")
-        publisher.publish(_frame_msg(sample("rest").frame))
-        ros.run(0.5)
-        assert not left
-    else:
-        ros.wait(publisher.get_subscription_count, "the splitter")
-        publisher.publish(_frame_msg(sample("rest").frame))
-        ros.wait(lambda: left, "the left view")
-        assert "incompatible QoS" not in capfd.readouterr().err
 
 
 def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
@@ -482,17 +400,3 @@ def test_one_mount_given_twice_and_sensors_with_names_of_their_own_are_not_warne
     ros.wait(lambda: len(statics) == 3, "all transforms")
     ros.run(0.5)
     assert _frame_warnings(capfd) == []
-
-
-def test_one_parent_with_two_mounts_is_warned_of(ros, capfd):
-    ros.start(ViewSplitter, name="first", parent_frame="gripper")
-    mount = {"mount_position": [0.0, 0.05, 0.0]}
-    ros.start(ViewSplitter, name="second", parent_frame="gripper", **mount)
-    found: list[str] = []
-
-    def warned():
-        found.extend(_frame_warnings(capfd))
-        return found
-
-    ros.wait(warned, "the warning")
-    assert "sample_rig_gel_frame has two places in gripper" in found[0]

@@ -12,7 +12,6 @@ from made_forces import made_contact
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
@@ -42,7 +41,6 @@ from cmp_tactile_processing.ros.messages.conversions import (
 from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
     grid_from_msg,
-    image_from_msg,
     stamp_ns,
     surface_from_msg,
 )
@@ -399,26 +397,6 @@ def test_inconsistent_force_field_or_contact_is_refused_by_field(field, name, va
     setattr(msg.contacts[1] if reason.startswith("^contacts") else msg, name, value)
     with pytest.raises(GeometryError, match=reason):
         force_field_from_msg(msg)
-
-
-def _image(encoding: str, width: int, height: int, data: np.ndarray, step: int = 0) -> Image:
-    msg = Image(width=width, height=height, encoding=encoding)
-    msg.step = step or data.size // height
-    msg.data.frombytes(data.astype(np.uint8).tobytes())
-    return msg
-
-
-def test_yuyv_gives_its_luminance():
-    luminance = np.arange(16, 16 + 12).reshape(2, 6)
-    yuyv = np.stack([luminance, np.full((2, 6), 128)], axis=-1)
-    np.testing.assert_array_equal(image_from_msg(_image("yuv422_yuy2", 6, 2, yuyv)), luminance)
-
-
-def test_yuyv_gives_its_colours_where_they_are_asked_for():
-    """BT.601: a pair of saturated red pixels; U and V exchanged would make them blue."""
-    yuyv = np.array([[[81, 90], [81, 240]]])
-    found = image_from_msg(_image("yuv422_yuy2", 2, 1, yuyv), weights=(0.5, -0.5, 0.0))
-    np.testing.assert_allclose(found, [[[0, 0, 254]] * 2], atol=2)
 
 
 def test_image_round_trip():

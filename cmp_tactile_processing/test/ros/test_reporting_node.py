@@ -16,11 +16,8 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
-from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
-from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
-from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
 from cmp_tactile_processing.ros.wiring import Wiring, joining
@@ -89,29 +86,6 @@ def test_both_views_are_published_before_anything_else_of_them(ros, published):
     assert reported[2:] == [
         f"{v}/{t}" for v in ("left", "right") for t in ("camera_info", "image_rect")
     ]
-
-
-def test_the_grid_is_published_before_its_picture(ros, published):
-    node = ros.start(GridlineTracker)
-    ros.listen(Image, "left/grid_overlay")
-    grids = ros.listen(GridMsg, "left/grid")
-    ros.wait_subscribed(node, "left/grid_overlay", "left/grid")
-    order = published(node)
-    roi = SENSOR.views["left"].roi
-    frame = np.zeros((roi.height, roi.width), np.uint8)
-    ros.publisher(Image, "left/image_raw").publish(image_to_msg(frame, "mono8", HEADER))
-    assert _until(ros, order, 2) == ["left/grid", "left/grid_overlay"]
-    ros.wait(lambda: grids, "the grid")
-    triangulator = ros.start(StereoTriangulator)
-    ros.listen(SurfaceMsg, "surface")
-    ros.listen(PointCloud2, "surface_points")
-    ros.wait_subscribed(triangulator, "surface", "surface_points")
-    order = published(triangulator)
-    left = ros.publisher(GridMsg, "left/grid")
-    right = ros.publisher(GridMsg, "right/grid")
-    left.publish(grids[0])
-    right.publish(grids[0])
-    assert _until(ros, order, 2) == ["surface", "surface_points"]
 
 
 def test_the_surface_of_another_pattern_is_refused(ros):
