@@ -63,8 +63,8 @@ class Sensor(_Graph):
 
 @dataclass(frozen=True, kw_only=True)
 class Gripper(Sensor):
-    """Start the sensors of a left and a right finger in one component container. Each has a source
-    of its own: simulated (the default), replay or v4l2 (a camera):
+    """Start the sensors of a left and a right finger, each in a process and with a source of its
+    own: simulated (the default), replay or v4l2 (a camera):
 
       cmp_tactile gripper left_source:=v4l2 left_device:=/dev/video0 left_sensor:=left.yaml
                           right_source:=v4l2 right_device:=/dev/video2 right_sensor:=right.yaml

@@ -94,7 +94,6 @@ class LoadedComponent:
 
     def begins(self, node: Node) -> None:
         """It is spun from now on."""
-        _warn_of_unknown_parameters(node, self._arguments)
         with suppress(Exception):  # stopped meanwhile
             self.ready.set_result(node.get_fully_qualified_name())
 
@@ -271,15 +270,6 @@ def _build(component: ComponentClass, arguments: dict[str, Any]) -> Node:
         _destroy(node)
         raise
     return node
-
-
-def _warn_of_unknown_parameters(node: Node, arguments: dict[str, Any]) -> None:
-    """Warn of values that no parameter takes: ROS passes over them, also over a mistyped name."""
-    given = [item.name for item in arguments.get("parameter_overrides", ())]
-    unknown = [name for name in given if not node.has_parameter(name)]
-    if unknown:
-        text = f"has no parameter {', '.join(unknown)}; the values have no effect"
-        node.get_logger().warning(text)
 
 
 def _destroy(node: Node) -> None:

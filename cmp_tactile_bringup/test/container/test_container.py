@@ -74,11 +74,6 @@ def test_wrong_type_of_a_parameter_is_reported(rig):
         rig.load("Echo", parameters={"prefix": 3})
 
 
-def test_parameter_that_nobody_declared_is_warned_of(rig, capfd):
-    rig.load("Echo", parameters={"prefx": "a"})
-    rig.wait(lambda: "has no parameter prefx" in "".join(capfd.readouterr()), "a warning")
-
-
 def test_busy_component_is_reported_and_goes_once_it_can(rig):
     sticks = rig.load("Sticks", parameters={"seconds": 1.0})
     assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)

@@ -17,7 +17,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterValue
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_msgs.msg import String
 
 
@@ -59,20 +58,7 @@ class Unsure(Node):
         raise RuntimeError(msg)
 
 
-class Unasked(Node):
-    """Fails after its constructor, before it runs."""
-
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("unasked", **node_kwargs)
-
-    def has_parameter(self, name: str) -> bool:
-        """Raises, once it is asked for the parameter that it was given."""
-        if name == "speed":
-            raise RuntimeError(name)
-        return super().has_parameter(name)
-
-
-OWN = {"Quits": Quits, "Talks": Talks, "Unsure": Unsure, "Unasked": Unasked}
+OWN = {"Quits": Quits, "Talks": Talks, "Unsure": Unsure}
 
 
 @pytest.fixture
@@ -147,14 +133,6 @@ def test_a_component_that_cannot_be_asked_does_not_silence_the_others(box):
     box.wait(lambda: [s for s in reports if s.name == name], "the diagnostics")
     assert "no idea" in box.container.list()[0].failure
     assert _listed(box) == ["unsure", "talks"]
-
-
-def test_a_component_that_ends_before_it_runs_is_reported(box):
-    speed = Parameter("speed", value=1).to_parameter_msg()
-    answer = box.request_load("Unasked", parameters=[speed])
-    assert not answer.success
-    assert "RuntimeError: speed" in answer.error_message
-    assert _listed(box) == []
 
 
 def test_a_component_that_is_ready_as_the_container_ends_is_not_listed(box, monkeypatch):

@@ -14,6 +14,7 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
+from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
@@ -329,6 +330,15 @@ def test_yuyv_frames_become_what_the_tracking_asks_for(ros, tmp_path, sample, co
     else:
         image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
         np.testing.assert_array_equal(image, frame[:, 511::-1])
+
+
+def test_a_best_effort_camera_is_taken_on_request(ros, sample):
+    ros.start(ViewSplitter, reliable_input=False)
+    left = ros.listen(Image, "left/image_raw")
+    publisher = ros.node.create_publisher(Image, "image_raw", qos_profile_sensor_data)
+    ros.wait(publisher.get_subscription_count, "the splitter")
+    publisher.publish(_frame_msg(sample("rest").frame))
+    ros.wait(lambda: left, "the left view")
 
 
 def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):

@@ -144,6 +144,8 @@ def outside(ros):
 
 def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, outside):
     node = ros.start(_Slow)
+    # Each would cost time whenever the executor waits.
+    assert sum(item.get_num_entities().num_events for item in node.waitables) == 0
     name = f"{ros.namespace}/outside"
     unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     wanting = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

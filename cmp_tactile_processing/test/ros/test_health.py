@@ -83,11 +83,6 @@ def test_the_worst_fault_of_a_period_is_reported_though_good_frames_follow():
     assert health.close_period()[:2] == (DiagnosticStatus.OK, "")
 
 
-def test_without_grids_the_figures_are_unknown():
-    figures = GridHealth().close_period()[2]
-    assert figures["followed"] == figures["confidence"] == figures["tracked fraction"] == "nan"
-
-
 def test_a_wrong_description_is_reported_before_bad_frames():
     diagnostics = StageDiagnostics()
     health = GridHealth()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import pytest
 
@@ -11,18 +11,7 @@ pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.nodes.force_reconstructor import (
-    ForceReconstructor,
-    ForceReconstructorParameters,
-)
-from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker, GridlineTrackerParameters
-from cmp_tactile_processing.nodes.view_splitter import (
-    Mounting,
-    ViewSplitter,
-    ViewSplitterParameters,
-)
 from cmp_tactile_processing.ros.parameters import (
-    SensorParameters,
     StageParameters,
     declare_parameters,
 )
@@ -58,28 +47,6 @@ def test_descriptors_carry_range_unit_and_choices(node):
     assert (bounds.from_value, bounds.to_value) == (1, 9)
     assert method.additional_constraints == "one of fast, exact"
     assert not any(item.read_only for item in (gain, floor, count, method))
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        ("gain", 2.5, "gain"),
-        ("gain", float("nan"), "gain"),
-        ("gain", 1, "Wrong parameter type"),
-        ("floor", -0.1, "floor: found -0.1, expected at least 0.0"),
-        ("count", 10, "count"),
-        ("method", "slow", "method: found 'slow', expected one of fast, exact"),
-    ],
-)
-def test_bad_value_is_refused_with_the_reason_and_changes_nothing(node, name, value, reason):
-    seen = []
-    parameters = StageParameters(node, Settings(), seen.append)
-    (result,) = node.set_parameters([Parameter(name, value=value)])
-    assert not result.successful
-    assert reason in result.reason
-    assert node.get_parameter(name).value == getattr(Settings(), name)
-    assert parameters.value == Settings()
-    assert seen == []
 
 
 def test_good_values_set_together_arrive_together(node):
@@ -169,23 +136,3 @@ def test_fixed_parameters_come_from_a_dataclass(node):
         ParameterError, match=r"parameter offset: found \[0.0\], expected 2 numbers"
     ):
         Place((0.0,))  # type: ignore[arg-type]
-
-
-def test_every_fixed_parameter_of_a_stage_is_a_field_of_one_dataclass(ros):
-    """Its only home: what a node declares by hand has its default and its range elsewhere."""
-    fixed = {
-        ViewSplitter: (SensorParameters, Mounting, ViewSplitterParameters),
-        GridlineTracker: (SensorParameters, GridlineTrackerParameters),
-        ForceReconstructor: (SensorParameters, ForceReconstructorParameters),
-    }
-    for node_class, classes in fixed.items():
-        stage = ros.start(node_class)
-        homes = [item.name for owner in classes for item in fields(owner)]
-        assert len(set(homes)) == len(homes)
-        found = {
-            name
-            for name in stage.get_parameters_by_prefix("")
-            if stage.describe_parameter(name).read_only
-            and not name.startswith(("qos_overrides.", "start_type_description_service"))
-        }
-        assert found == set(homes)

@@ -1,6 +1,7 @@
-"""Ends of a node's topics that are not connected.
+"""Ends of a node's topics that are not connected, as the graph shows.
 
-rclpy logs it when it meets an end that does not fit; these tell it as long as it lasts.
+rclpy's events would report the same, without the other node's name, but each costs time whenever
+the executor waits, and none says that it is over.
 """
 
 from __future__ import annotations
