@@ -7,7 +7,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fnmatch import fnmatchcase
@@ -19,7 +18,6 @@ import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -400,15 +398,8 @@ class Recorder(ReportingNode):
 
     def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Input:
         end = Input(lambda given: partial(self._on_message, tap, given))
-        # Not every middleware reports what it lost.
-        for message_lost in (lambda lost: recorder.lost(tap, lost.total_count_change), None):
-            callbacks = SubscriptionEventCallbacks(
-                message_lost=message_lost, use_default_callbacks=False
-            )
-            with suppress(UnsupportedEventTypeError):
-                self.connect_input(end, kind, tap.topic, qos, event_callbacks=callbacks)
-                return end
-        raise AssertionError(tap.topic)
+        self.connect_counting(end, kind, tap.topic, qos, partial(recorder.lost, tap))
+        return end
 
     def _replaced(self, tap: Tap, before: Input) -> None:
         self._count_pushed_out_of(tap, before)

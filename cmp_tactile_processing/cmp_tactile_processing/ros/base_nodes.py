@@ -9,14 +9,18 @@ import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    SubscriptionEventCallbacks,
+    UnsupportedEventTypeError,
+)
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -153,6 +157,28 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
         kwargs.setdefault("event_callbacks", none)
         return super().create_subscription(*args, **kwargs)
 
+    def connect_counting(
+        self,
+        end: Input,
+        message_type: type,
+        topic: str,
+        qos: QoSProfile,
+        on_lost: Callable[[int], None] | None,
+        **kwargs: Any,
+    ) -> None:
+        """As `connect_input`; on_lost: takes how many messages more were lost, if ROS reports it.
+
+        Not every middleware does.
+        """
+        attempts = (lambda event: on_lost(event.total_count_change)) if on_lost else None, None
+        for message_lost in attempts:
+            events = SubscriptionEventCallbacks(
+                message_lost=message_lost, use_default_callbacks=False
+            )
+            with suppress(UnsupportedEventTypeError):
+                self.connect_input(end, message_type, topic, qos, event_callbacks=events, **kwargs)
+                return
+
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         kwargs.setdefault("qos_profile", SERVICE_QOS)
@@ -272,20 +298,15 @@ class StageNode(ReportingNode):
             self._run_guarded(name, lambda: begun.append(begin(given.value)))
             return lambda: self._run_guarded(name, callback, *begun, header) if begun else None
 
-        def lost(event: Any) -> None:
-            watch.add_lost(event.total_count_change)
-
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         numbered = get_rmw_implementation_identifier() in NUMBERING_RMW
         watch.end = Input(begin_guarded, from_msg, needs_all)
-        self.connect_input(
+        self.connect_counting(
             watch.end,
             message_type,
             topic,
             QoSProfile(depth=1 if newest else INPUT_DEPTH, reliability=policy),
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=None if numbered else lost, use_default_callbacks=False
-            ),
+            None if numbered else watch.add_lost,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self.diagnostics.inputs.append(watch)

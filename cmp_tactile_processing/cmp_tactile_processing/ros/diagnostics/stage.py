@@ -161,6 +161,11 @@ class StageDiagnostics:
         """Messages that were sent to this node and never got to it."""
         return sum(item.lost for item in self.inputs)
 
+    @property
+    def frames_out(self) -> int:
+        """Results that were published."""
+        return self._sent.frames
+
     def frame_in(self) -> None:
         """A message came in."""
         self.frames_in += 1
@@ -194,7 +199,7 @@ class StageDiagnostics:
     def _counts(self) -> dict[str, int]:
         return {
             "frames in": self.frames_in,
-            "frames out": self._sent.frames,
+            "frames out": self.frames_out,
             "bad frames": self.bad_frames,
             "lost on the way": self.lost,
             "passed over": self.passed_over + sum(item.passed_over for item in self.inputs),
