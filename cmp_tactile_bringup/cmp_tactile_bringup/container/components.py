@@ -7,7 +7,6 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
@@ -91,21 +90,6 @@ def node_arguments(component: Component) -> dict[str, Any]:
 ENDING = "the container is shutting down"
 
 
-@dataclass(frozen=True)
-class ComponentStatus:
-    """A loaded component: its id, full node name, and how many of its callbacks raised.
-
-    failure: why it can do its work no longer, as its attribute `failure` says; empty where it can
-    or has no such attribute.
-    """
-
-    unique_id: int
-    full_name: str
-    callback_errors: int
-    last_error: str
-    failure: str = ""
-
-
 class ComponentContainer:
     """Runs components, those of a sensor connected with one another and on one thread.
 
@@ -176,35 +160,22 @@ class ComponentContainer:
         """
         with self._lock:
             life = self._components.get(unique_id)
-            if life is not None and life.name:
+            if life is not None and life.full_name:
                 del self._components[unique_id]
-        if life is None or not life.name:
+        if life is None or not life.full_name:
             known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
             msg = f"no component has the id {unique_id}; loaded ids: {known}"
             raise UnknownComponentError(msg)
         life.request_stop()
         if not life.join(timeout):
-            msg = f"{life.name}: a callback still runs after {timeout} s"
+            msg = f"{life.full_name}: a callback still runs after {timeout} s"
             raise ComponentError(msg)
         self._collect_later()
 
-    def list(self) -> tuple[ComponentStatus, ...]:
+    def list(self) -> tuple[LoadedComponent, ...]:
         """The running components, in the order in which they were loaded."""
         with self._lock:
-            lives = dict(self._components)
-        return tuple(
-            ComponentStatus(key, life.name, life.callback_errors, life.last_error, life.failure)
-            for key, life in sorted(lives.items())
-            if life.name
-        )
-
-    def full_name(self, unique_id: int) -> str:
-        """The full node name of a loaded component; UnknownComponentError where there is none."""
-        for item in self.list():
-            if item.unique_id == unique_id:
-                return item.full_name
-        msg = f"no component has the id {unique_id}"
-        raise UnknownComponentError(msg)
+            return tuple(life for life in self._components.values() if life.full_name)
 
     def shutdown(self, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy all components; no more can be loaded.
@@ -220,7 +191,7 @@ class ComponentContainer:
             life.request_stop()
         deadline = time.monotonic() + timeout
         late = [
-            life.name or "a component that is being built"
+            life.full_name or "a component that is being built"
             for life in lives.values()
             if not life.join(max(0.0, deadline - time.monotonic()))
         ]
@@ -280,7 +251,7 @@ class ComponentContainer:
         with self._lock:
             if self._closed:
                 raise ComponentLoadError(ENDING)
-            unique_id = next(self._ids)
+            unique_id = life.unique_id = next(self._ids)
             self._components[unique_id] = life
             # In here, as `shutdown` joins whatever is registered.
             life.start()
@@ -292,10 +263,10 @@ class ComponentContainer:
             if unique_id not in self._components:
                 raise ComponentLoadError(ENDING)
             for other, life in self._components.items():
-                if life.name == name:
+                if life.full_name == name:
                     msg = f"id {unique_id}: the name {name} is that of id {other} already"
                     raise ComponentLoadError(msg)
-            self._components[unique_id].name = name
+            self._components[unique_id].full_name = name
 
     def _collect_later(self) -> None:
         """Free what is unloaded, once for all that is unloaded together.

@@ -22,7 +22,8 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from cmp_tactile_bringup.container.components import ComponentContainer, ComponentStatus
+from cmp_tactile_bringup.container.components import ComponentContainer
+from cmp_tactile_bringup.container.spinning import LoadedComponent
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
@@ -198,13 +199,14 @@ class ContainerServices:
         wanted = f"{request.node_namespace}/{request.node_name or request.plugin_name}".strip("/")
         try:
             response.unique_id = self._container.load(_component(request))
-            response.full_node_name = self._container.full_name(response.unique_id)
         except ComponentError as error:
             response.error_message = self._refused[wanted] = str(error)
             self._node.get_logger().error(f"cannot load {error}")
             return
         self._refused.pop(wanted, None)
         response.success = True
+        names = {item.unique_id: item.full_name for item in self._container.list()}
+        response.full_node_name = names.get(response.unique_id, "")
         self._node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
 
     def _on_unload(self, request: Any, response: Any) -> None:
@@ -232,7 +234,7 @@ class ContainerServices:
         self._diagnostics.publish(message)
 
 
-def _status(container: str, item: ComponentStatus) -> DiagnosticStatus:
+def _status(container: str, item: LoadedComponent) -> DiagnosticStatus:
     component = item.full_name.lstrip("/")
     summary = OK, "running"
     if item.failure:

@@ -33,8 +33,9 @@ class LoadedComponent:
     """The life of one component, built on a thread that ends then.
 
     `ready` gives the full node name once the component runs; it raises ComponentLoadError where
-    the constructor failed or the component was stopped before it was built.  `name`: that name
-    once the container has taken it, empty before.
+    the constructor failed or the component was stopped before it was built.  `full_name`: that
+    name once the container has taken it, empty before.  `callback_errors`: how many of its
+    callbacks raised, and `last_error` what.
     """
 
     def __init__(
@@ -48,7 +49,8 @@ class LoadedComponent:
         spinner_of: which thread runs components of a class.
         """
         self.ready: Future[str] = Future()
-        self.name = ""
+        self.full_name = ""
+        self.unique_id = 0
         self.node: Node | None = None
         self.callback_errors = 0
         self.last_error = self._last_traceback = ""

@@ -187,6 +187,16 @@ def test_a_topic_that_asks_for_less_is_connected_as_the_documentation_says(ros, 
     assert _values(node._status())["wrong connections"] == "none"
 
 
+def test_a_clock_that_stands_still_silences_nobody(ros):
+    """As in a simulation that is paused: ros/diagnostics 210, 458 (stale, or of another clock)."""
+    ros.start(_Slow, use_sim_time=True)
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    name = f"{ros.namespace}/slow"[1:]
+    ros.wait(lambda: [r for r in reports if r.status[0].name == name], "a report")
+    (report,) = [r for r in reports if r.status[0].name == name][:1]
+    assert report.header.stamp == Time()
+
+
 def test_nobody_publishing_is_reported(ros):
     node = ros.start(_Slow)
     topic = f"{ros.namespace}/surface"
