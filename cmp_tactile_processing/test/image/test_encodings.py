@@ -7,6 +7,8 @@ Public reports, each tried here:
 - leggedrobotics/darknet_ros 336 (bgra8, rgba8, mono16 refused): read.
 - voxel51/fiftyone 7961 (12 bits in 16, scaled by 65535, are black; by the maximum, they flicker):
   one scale for a stream, which never becomes smaller again.
+- dganbold/raspicam_node 4 (more than height x step bytes), ros-perception/vision_opencv 27 (padded
+  rows): read, every encoding.
 """
 
 from __future__ import annotations
