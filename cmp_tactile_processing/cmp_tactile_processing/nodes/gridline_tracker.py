@@ -28,6 +28,7 @@ from cmp_tactile_processing.ros.parameters import (
 )
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters
+from cmp_tactile_processing.ros.waiting_frames import FrameCollection, FrameService
 from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -95,7 +96,7 @@ class GridlineTracker(base_nodes.StageNode):
             begin=self._track,
             reliable=options.reliable_input,
         )
-        self._inspection = base_nodes.FrameService[NDArray[np.uint8]](
+        self._inspection = FrameService[NDArray[np.uint8]](
             self,
             "~/inspect_print",
             "the print is being inspected already",
@@ -156,7 +157,7 @@ class GridlineTracker(base_nodes.StageNode):
         options = self._print_options.value
         return options.print_frames, options.print_timeout, self.resolve_topic_name(self._topic)
 
-    def _inspect_print(self, inspection: base_nodes.FrameCollection[NDArray[np.uint8]]) -> None:
+    def _inspect_print(self, inspection: FrameCollection[NDArray[np.uint8]]) -> None:
         try:
             self._print = self._tracker.inspect_print(inspection.frames)
             self.get_logger().info(self._print.report)

@@ -22,6 +22,7 @@ from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.waiting_frames import FrameCollection, FrameService, StampPairing
 from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
@@ -57,7 +58,7 @@ class StereoTriangulator(base_nodes.StageNode):
         optics = self.sensor.calibration
         self.diagnostics.calibrations["calibration"] = optics.date if optics else None
         self._keeper = reference_keeping.ReferenceKeeper(Reference.nominal(self.sensor))
-        self._pairing = base_nodes.StampPairing(("left", "right"))
+        self._pairing = StampPairing(("left", "right"))
         self._options = StageParameters(self, ReferenceParameters(), lambda _: None)
         self._keeper.zero(
             StageParameters(self, reference_keeping.ZeroParameters(), self._keeper.zero).value
@@ -73,7 +74,7 @@ class StereoTriangulator(base_nodes.StageNode):
         read = partial(grid_from_msg, shape=self.sensor.pattern.shape)
         for view in self.sensor.views:
             self.add_input(GridMsg, f"{view}/grid", partial(self._on_grid, view), read)
-        self._averaging = base_nodes.FrameService[Markers3D](
+        self._averaging = FrameService[Markers3D](
             self,
             "~/set_reference",
             "a reference is being taken already",
@@ -134,7 +135,7 @@ class StereoTriangulator(base_nodes.StageNode):
             self.get_logger().info(said)
             self._publish_reference(stamp)
 
-    def _take_reference(self, averaging: base_nodes.FrameCollection[Markers3D], stamp: Any) -> None:
+    def _take_reference(self, averaging: FrameCollection[Markers3D], stamp: Any) -> None:
         try:
             explanation = self._keeper.take(averaging.frames, stamp_ns(stamp))
         except ReferenceFramesError as error:

@@ -16,7 +16,7 @@ from visualization_msgs.msg import MarkerArray
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.measured import ForceField, Surface
-from cmp_tactile_processing.ros.base_nodes import StageNode, StampPairing
+from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
 from cmp_tactile_processing.ros.messages.making import gel_frame
@@ -24,6 +24,7 @@ from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz import drawing
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
+from cmp_tactile_processing.ros.waiting_frames import StampPairing
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
