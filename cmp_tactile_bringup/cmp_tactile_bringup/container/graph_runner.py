@@ -18,7 +18,8 @@ from rclpy.logging import get_logger
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import leave_process, running_container
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.description import Graph, argument_list
+from cmp_tactile_bringup.graphs.arguments import argument_list
+from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.running import RunningLine

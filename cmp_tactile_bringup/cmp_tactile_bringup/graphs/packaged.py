@@ -16,21 +16,23 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.description import (
+from cmp_tactile_bringup.graphs.arguments import (
     LAUNCH_ARGUMENTS,
+    RUN_ARGUMENTS,
+    Argument,
+    Condition,
+    Value,
+    argument_rows,
+)
+from cmp_tactile_bringup.graphs.description import (
     LETTERS,
     ROS_NAME,
     ROS_NAMESPACE,
-    RUN_ARGUMENTS,
-    Argument,
     Component,
-    Condition,
     Graph,
     GraphFunction,
     GraphSensor,
-    Value,
     absolute_name,
-    argument_rows,
     graph,
     load_graph_file,
 )

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.description import Argument, parameters_of_nodes
+from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import load_graph, sensor_arguments
 
 GRAPH = '''
-from cmp_tactile_bringup.graphs.description import Argument, Condition
+from cmp_tactile_bringup.graphs.arguments import Argument, Condition
 from cmp_tactile_bringup.graphs.description import Component, graph
 from cmp_tactile_bringup.graphs.packaged import gripper, sensor_components
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.graphs import packaged
-from cmp_tactile_bringup.graphs.description import LAUNCH_ARGUMENTS
+from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS
 
 ROOT = Path(__file__).parents[2]
 # What is given to each, beside a mounting.

@@ -7,7 +7,8 @@ import pytest
 import yaml
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graphs.description import LAUNCH_ARGUMENTS, parameters_of_nodes
+from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS
+from cmp_tactile_bringup.graphs.description import parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import GRAPHS, MARKER, load_graph, renew
 from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.rviz import rviz_settings, rviz_settings_file
