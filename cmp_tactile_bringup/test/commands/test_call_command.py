@@ -15,9 +15,8 @@ import rclpy
 from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_bringup.commands import parse
+from cmp_tactile_bringup.commands import parse, running_sensor
 from cmp_tactile_bringup.commands.running_sensor import RunningSensorError
-from cmp_tactile_bringup.graphs import running
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.nodes.replay import Replay
 from cmp_tactile_msgs.msg import Contact, ForceField
@@ -45,7 +44,7 @@ def run(ros):
 @pytest.fixture
 def short_search(monkeypatch):
     monkeypatch.setattr(services, "SEARCH_S", 3.0)
-    monkeypatch.setattr(running, "SEARCH_TIME_S", 3.0)
+    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 3.0)
 
 
 class Zeroed:

@@ -22,8 +22,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import parse, record
-from cmp_tactile_bringup.graphs import running
+from cmp_tactile_bringup.commands import parse, record, running_sensor
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader
@@ -100,7 +99,7 @@ def test_the_defaults_are_those_of_the_node():
 
 @pytest.mark.usefixtures("own_signals")
 def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
+    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 0.3)
     bag = tmp_path / "bag"
     assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
     error = capsys.readouterr().err
