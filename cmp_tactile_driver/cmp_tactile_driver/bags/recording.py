@@ -3,71 +3,47 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from cmp_tactile_driver.bags import reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
-from cmp_tactile_processing.errors import FrameError
 
 
-class Recording(Protocol):
-    """Messages in the order of their recording; can be read several times.
-
-    name: what it is, for messages.
-    """
-
-    name: str
-
-    @property
-    def has_camera_info(self) -> bool:
-        """Whether camera infos are among the messages."""
-
-    @property
-    def health(self) -> frames.SourceHealth:
-        """What was lost in the last reading so far."""
-
-    @property
-    def duration(self) -> float:
-        """Time of its last message, s from its first frame."""
-
-    @property
-    def gaps(self) -> str:
-        """Times of it that are skipped, in one line; empty for none."""
-
-    def calibration(self) -> reader.RecordedCalibration | None:
-        """What the recorded camera infos say; None where there are none."""
-
-    def messages(
-        self, span: timeline.TimeSpan = timeline.WHOLE
-    ) -> Iterator[reader.RecordedMessage]:
-        """The messages of a part; bad ones are skipped and counted.
-
-        Raises FrameSourceError where not one frame is good.
-        """
-
-
-class _WithoutStamps:
+class ImageRecording:
     """Images or a video: frame k has the stamp k / rate, and there is no calibration."""
 
     has_camera_info = False
     gaps = ""
 
-    def __init__(self, path: Path, frame_id: str, expected_size: frames.ImageSize | None) -> None:
+    def __init__(
+        self, open_source: Callable[[], files.ImageFolder | files.VideoFile], frame_id: str
+    ) -> None:
         """Raises FrameSourceError where there is nothing to read."""
-        self.name = str(path)
-        self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
-        self._source = self._open()
+        self._open, self._frame_id = open_source, frame_id
+        self._source = open_source()
+        self.name = self._source.name
 
     @property
     def health(self) -> frames.SourceHealth:
         """Frames that could not be used in the last reading."""
         return self._source.health
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame that is said to be there, s."""
+        return max(self._source.declared_frames - 1, 0) / self._source.frame_rate
+
+    @property
+    def stated_frames(self) -> int | None:
+        """How many frames are said to be there; None where that is not known."""
+        return self._source.declared_frames or None
 
     def calibration(self) -> reader.RecordedCalibration | None:
         """None: images alone do not have it."""
@@ -78,86 +54,20 @@ class _WithoutStamps:
     ) -> Iterator[reader.RecordedMessage]:
         """The good frames; FrameSourceError where there is none, or of another size."""
         self._source = self._open()
-        try:
+        with closing(self._source) as source:
             for good in count():
-                frame = self._source.read()
+                frame = source.read()
                 # A bad image leaves a gap, as a lost frame does.
-                number = good + self._source.health.bad_frames
-                time_s = number / self._source.frame_rate
+                time_s = (good + source.health.bad_frames) / source.frame_rate
                 if frame is None or time_s >= span.end:
                     return
                 if time_s in span:
                     stamp_ns = round(time_s * 1e9)
                     times = time_s, stamp_ns, stamp_ns
                     yield reader.RecordedFrame(*times, self._frame_id, frame.image)
-        finally:
-            self._source.close()
-
-    def _open(self) -> files.ImageFolder | files.VideoFile:
-        raise NotImplementedError
 
 
-class FolderRecording(_WithoutStamps):
-    """A folder of images in natural order."""
-
-    def __init__(
-        self, path: Path, frame_rate: float, frame_id: str, expected_size: frames.ImageSize | None
-    ) -> None:
-        """Raises FrameSourceError for an absent folder and one without images."""
-        self._frame_rate = frame_rate
-        super().__init__(path, frame_id, expected_size)
-
-    @property
-    def duration(self) -> float:
-        """Time of the last image, s."""
-        return (len(files.image_files(self._path)) - 1) / self._frame_rate
-
-    def _open(self) -> files.ImageFolder:
-        return files.ImageFolder(self._path, self._frame_rate, expected_size=self._expected_size)
-
-
-class VideoRecording(_WithoutStamps):
-    """A video file, at its own rate."""
-
-    _source: files.VideoFile
-
-    @property
-    def duration(self) -> float:
-        """Time of the last frame that the file says it has, s."""
-        return max(self._source.declared_frames - 1, 0) / self._source.frame_rate
-
-    def _open(self) -> files.VideoFile:
-        return files.VideoFile(self._path, expected_size=self._expected_size)
-
-
-class SingleImage:
-    """One image file as a recording of one frame, with stamp 0."""
-
-    has_camera_info = False
-    gaps = ""
-    health = frames.SourceHealth()
-    duration = 0.0
-
-    def __init__(self, path: Path, frame_id: str, expected_size: frames.ImageSize | None) -> None:
-        self.name = str(path)
-        self._path, self._frame_id, self._expected_size = path, frame_id, expected_size
-
-    def calibration(self) -> reader.RecordedCalibration | None:
-        """None: an image alone does not have it."""
-        return None
-
-    def messages(
-        self, span: timeline.TimeSpan = timeline.WHOLE
-    ) -> Iterator[reader.RecordedMessage]:
-        """The image; FrameError where it cannot be used."""
-        image = files.decode_file(self._path)
-        size, expected = (image.shape[1], image.shape[0]), self._expected_size
-        if expected is not None and size != expected:
-            found = frames.size_text(size)
-            msg = f"{self._path}: found {found}, expected {frames.size_text(expected)}"
-            raise FrameError(msg)
-        if 0.0 in span:
-            yield reader.RecordedFrame(0.0, 0, 0, self._frame_id, image)
+Recording = reader.BagReader | ImageRecording
 
 
 def split_inputs(text: str) -> list[Path]:
@@ -179,12 +89,12 @@ def open_recording(
     frame_id: of images and videos.  expected_size: absent for the size of the first image.
     Raises FrameSourceError where there is nothing to replay.
     """
-    if path.is_dir() and not is_bag(path):
-        return FolderRecording(path, frame_rate, frame_id, expected_size)
-    if path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES:
-        return SingleImage(path, frame_id, expected_size)
+    is_image = path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES
+    if is_image or (path.is_dir() and not is_bag(path)):
+        images = partial(files.ImageFolder, path, frame_rate, expected_size=expected_size)
+        return ImageRecording(images, frame_id)
     if path.is_file() and path.suffix.lower() not in storage.STORAGE_SUFFIXES:
-        return VideoRecording(path, frame_id, expected_size)
+        return ImageRecording(partial(files.VideoFile, path, expected_size=expected_size), frame_id)
     return reader.BagReader(path, topic, expected_size)
 
 

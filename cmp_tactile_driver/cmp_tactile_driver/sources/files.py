@@ -84,8 +84,11 @@ VIDEO_SUFFIXES = (
 def image_files(folder: Path) -> list[Path]:
     """The images of a folder in natural order: 2.png before 10.png; hidden files are none.
 
+    An image by itself is its own folder.
     Raises FrameSourceError where there is no such folder or no image in it.
     """
+    if folder.is_file():
+        return [folder]
     if not folder.is_dir():
         msg = f"{folder}: found no such folder, expected one with images"
         raise FrameSourceError(msg)
@@ -100,9 +103,11 @@ def image_files(folder: Path) -> list[Path]:
 
 
 class ImageFolder(FileSource):
-    """A FrameSource that reads the images of a folder in natural order.
+    """A FrameSource that reads the images of a folder in natural order, or one image.
 
     Where they have 16 bits a pixel, all are read ahead once for the bits that they use.
+
+    declared_frames: how many images there are.
     """
 
     def __init__(
@@ -119,6 +124,7 @@ class ImageFolder(FileSource):
         """
         super().__init__(folder, frame_rate, loop=loop, expected_size=expected_size)
         self._files = image_files(folder)
+        self.declared_frames = len(self._files)
         self._depth = BitDepth(str(folder), look_ahead=self._used_bits)
         self._next = 0
         self._good_in_pass = 0

@@ -191,9 +191,21 @@ def test_what_is_left_of_a_recording_that_was_killed(tmp_path, bags, compressed)
     last = bag / "bag_1.mcap"
     last.write_bytes(last.read_bytes()[: CHUNK_BYTES * 3 // 2])
     reader = BagReader(bag)
-    # Six frames of the first file, and the four of the other's one whole chunk.
-    assert [frame.time_ns for frame in reader.frames()] == times[:10]
-    assert "10 messages can be read, any after them are lost" in reader.loss
+    # Six frames of the first file; of the other four in its whole chunk, one in what is left.
+    assert [frame.time_ns for frame in reader.frames()] == times[:11]
+    assert "11 messages can be read, any after them are lost" in reader.loss
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_of_a_chunk_that_is_cut_what_is_there_is_read(tmp_path, bags, compressed):
+    """Also where it is the only one, as in short results of `process`."""
+    bag = tmp_path / "bag"
+    times = write(bag, bags, 3, compressed=compressed)
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 4 // 5])
+    reader = BagReader(bag)
+    assert [frame.time_ns for frame in reader.frames()] == times[:2]
+    assert "2 of 3 messages read, the rest is lost" in reader.loss
 
 
 @pytest.mark.parametrize("distribution", ["jazzy", ""])
