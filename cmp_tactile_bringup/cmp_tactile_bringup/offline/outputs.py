@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from cmp_tactile_bringup.offline.jobs import Job, Options
 from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
-from cmp_tactile_driver.bags.mcap_writer import McapFile, qos_yaml
+from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -70,7 +71,7 @@ class ResultBag:
         self._make = bag_messages()
         self._rectification = Rectification(sensor)
         self._file = McapFile(path, compressed=True)
-        self._channels: dict[str, int] = {}
+        self._has_transforms = False
 
     def __enter__(self) -> ResultBag:
         return self
@@ -85,10 +86,11 @@ class ResultBag:
 
     def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
         """Write what the next frame showed."""
-        if not self._channels:
+        if not self._has_transforms:
             transforms = making.static_transforms(self._make, self._sensor, self._rectification)
             message = self._make.new(TF_MESSAGE, transforms=transforms)
             self._write("/tf_static", TF_MESSAGE, message, frame)
+            self._has_transforms = True
         for name, kind, message in self._messages(frame.stamp_ns, result):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
         if self._file.chunk_is_full:
@@ -111,14 +113,15 @@ class ResultBag:
         yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
-        store = simulation_typestore()
-        if topic not in self._channels:
-            text, _ = store.generate_msgdef(kind, ros_version=2)
-            latched = topic == "/tf_static" or topic.endswith("/camera_info")
-            qos = qos_yaml([LATCHED] if latched else [])
-            self._channels[topic] = self._file.add_channel(topic, kind, text, qos)
-        data = bytes(store.serialize_cdr(message, kind))
-        self._file.write(self._channels[topic], frame.time_ns, frame.stamp_ns, data)
+        latched = topic == "/tf_static" or topic.endswith("/camera_info")
+        self._file.add_topic(topic, kind, _definition(kind), [LATCHED] if latched else [])
+        data = bytes(simulation_typestore().serialize_cdr(message, kind))
+        self._file.write(topic, frame.time_ns, frame.stamp_ns, data)
+
+
+@cache
+def _definition(kind: str) -> str:
+    return simulation_typestore().generate_msgdef(kind, ros_version=2)[0]
 
 
 @contextmanager
