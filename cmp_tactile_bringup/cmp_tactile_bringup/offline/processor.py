@@ -30,7 +30,8 @@ from cmp_tactile_bringup.offline.result_files import ResultFiles
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal.output import error_line, processor_name
-from cmp_tactile_driver.bags.reader import RecordedFrame, calibration_mismatch
+from cmp_tactile_driver.bags.calibration import calibration_mismatch
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import Recording, open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmp_tactile_driver.bags import reader, storage, timeline
+from cmp_tactile_driver.bags import calibration, reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
 
@@ -45,7 +45,7 @@ class ImageRecording:
         """How many frames are said to be there; None where that is not known."""
         return self._source.declared_frames or None
 
-    def calibration(self) -> reader.RecordedCalibration | None:
+    def calibration(self) -> calibration.RecordedCalibration | None:
         """None: images alone do not have it."""
         return None
 
@@ -122,7 +122,7 @@ class RecordedSource:
         self.name = self._bag.name
         self._loop = options.loop
         self._past_bad_frames = 0
-        mismatch = reader.calibration_mismatch(self._bag.calibration(), options.sensor)
+        mismatch = calibration.calibration_mismatch(self._bag.calibration(), options.sensor)
         if mismatch:
             msg = f"{self.name}: {mismatch}"
             raise FrameSourceError(msg)
