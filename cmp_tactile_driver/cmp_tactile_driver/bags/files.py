@@ -41,10 +41,15 @@ def unpacked(data: bytes) -> bytes:
     """A message that rosbag2 may have compressed by itself; DamageError where it cannot be."""
     if not data.startswith(ZSTD_MAGIC):
         return data
+    # Takes frames that do not state how long their content is, too.
+    unpacking = zstandard.ZstdDecompressor().decompressobj()
     try:
-        return zstandard.ZstdDecompressor().decompress(data)
+        content = unpacking.decompress(data)
     except zstandard.ZstdError as error:
         raise DamageError(str(error)) from None
+    if not unpacking.eof:
+        raise DamageError("a compressed message is cut")
+    return content
 
 
 def head_stamp_ns(head: bytes) -> int:

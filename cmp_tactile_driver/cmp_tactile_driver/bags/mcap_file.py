@@ -188,7 +188,8 @@ class McapBagFile:
                 counts[self._channels[number].topic] += count
         # A writer may count messages without counting those of each channel.
         if counts.total() == statistics.message_count:
-            self.stated = dict(counts)
+            # A topic without messages may not be among the counts.
+            self.stated = {topic: counts[topic] for topic in self.topics}
         return True
 
     def _add_schema(self, schema: Schema) -> None:

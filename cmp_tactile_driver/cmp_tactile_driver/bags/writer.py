@@ -142,6 +142,8 @@ class BagWriter:
         """
         if publish_ns is None or publish_ns < 0:
             publish_ns = log_ns
+        # Of a clock that was set back, the file's time counts from there.
+        self._first_ns = min(self._first_ns, log_ns)
         if self._is_full(log_ns):
             self.split()
         if not self._first_ns:

@@ -109,6 +109,17 @@ def test_files_of_limited_size_and_duration_are_one_bag(tmp_path, bags, limits, 
     assert [frame.time_ns for frame in BagReader(tmp_path / "bag").frames()] == times
 
 
+def test_a_clock_that_is_set_back_does_not_keep_a_file_from_ending(tmp_path, bags):
+    """Report: ros2/rosbag2 1450 (splits by duration go wrong); tried: three frames to a file."""
+    times = [*bags.stamps(6), *(time_ns - 60 * 10**9 for time_ns in bags.stamps(6))]
+    with BagWriter(tmp_path / "bag", limits=SplitLimits(duration_ns=149_000_000)) as writer:
+        writer.add_topic(TOPIC, IMAGE)
+        for time_ns in times:
+            writer.write(TOPIC, time_ns, serialised(bags.frames(1)[0], time_ns, bags))
+    files = sorted((tmp_path / "bag").glob("*.mcap"))
+    assert [BagReader(file).stated_frames for file in files] == [3, 6, 3]
+
+
 TF = "tf2_msgs/msg/TFMessage"
 
 

@@ -12,6 +12,10 @@ Public reports, tried on this reader (report: trial: result):
 - ros2/rosbag2 2040: chunks without a message index: read
 - ros2/rosbag2 2173: messages received at one moment: in the order in which they were written
 - facontidavide/cloudini 29: other QoS in metadata.yaml than in the file: read
+- foxglove/mcap 389: zstd without the content's size, of chunks or messages: read
+- foxglove/mcap 1474: cut within the summary: whole, as nothing of the messages is missing
+- foxglove/mcap 385: cut within a chunk: read up to the cut (test_bag_writer)
+- ouster-lidar/ouster-sdk 666: a file of a split recording without messages of the topic: counted
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -103,6 +108,45 @@ def test_whatever_the_writer_chose(tmp_path, bags, frames, options, late_ms):
     reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows, **options))
     _check_whole(reader, bags, frames)
     assert reader.gaps == ""
+
+
+def _without_content_size(data: bytes) -> bytes:
+    packing = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+    return packing.compress(data) + packing.flush()
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_zstd_that_does_not_state_the_size_of_its_content(tmp_path, bags, frames, compression):
+    """Messages that were compressed one by one, in chunks that may be compressed as well."""
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression)
+        writer.start("ros2", "other")
+        channel = writer.register_channel(
+            TOPIC, "cdr", writer.register_schema(IMAGE, "ros2msg", b"")
+        )
+        for time_ns, message in _rows(bags, frames):
+            data = _without_content_size(bytes(STORE.serialize_cdr(message, IMAGE)))
+            writer.add_message(channel, time_ns, data, time_ns)
+        writer.finish()
+    _check_whole(BagReader(path), bags, frames)
+
+
+def test_a_summary_that_is_cut_loses_nothing(tmp_path, bags, frames):
+    path = write_mcap(tmp_path / "bag.mcap", _rows(bags, frames))
+    path.write_bytes(path.read_bytes()[:-150])
+    _check_whole(BagReader(path), bags, frames)
+
+
+def test_a_file_of_a_split_recording_may_have_no_message_of_the_topic(tmp_path, bags, frames):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    rows = _rows(bags, frames)
+    write_mcap(bag / "bag_0.mcap", rows)
+    write_mcap(bag / "bag_1.mcap", [])
+    reader = BagReader(bag)
+    assert reader.stated_frames == len(frames)
+    _check_whole(reader, bags, frames)
 
 
 def _change_metadata(bag: Path, change: Any) -> None:
