@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 
@@ -19,12 +18,9 @@ from linuxpy.video import raw
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as ParameterOfNode
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
 
-from cmp_tactile_driver.nodes import camera_driver as camera_driver_node
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 
 SIZE = (1024, 768)
 
@@ -190,23 +186,6 @@ def test_setting_controls_and_refusals(ros, camera):
     assert driver.set(calibrate_sensor=True) == ""
     assert (camera.pushed, driver.get("calibrate_sensor")) == (1, False)
     assert (driver.get("gain"), driver.get("auto_exposure")) == (20, 1)
-
-
-def test_parameters_show_what_the_camera_makes_of_them(ros, camera):
-    driver = _Driver(ros)
-    gain = camera.named("Gain")
-    # A camera that has fewer steps than it says.
-    gain.high = 50
-    assert driver.set(gain=90) == ""
-    assert (gain.value, driver.get("gain")) == (50, 50)
-
-
-def test_controls_given_at_start_are_set(ros, camera):
-    given = {"controls.exposure_time_absolute": 12, "controls.auto_exposure": 1}
-    driver = _Driver(ros, **given)
-    assert driver.state == "active"
-    assert camera.named("Exposure Time, Absolute").value == 12
-    assert driver.get("exposure_time_absolute") == 12
 
 
 def test_wrong_controls_at_start_leave_the_node_unconfigured(ros, camera):
@@ -376,32 +355,6 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     assert len(reported) <= 3, "one line for each reason, and that of the attempt by hand"
 
 
-def test_attempts_come_less_and_less_often_and_end_with_a_change_by_hand(
-    ros, camera, kernel, monkeypatch
-):
-    times = []
-    opened = camera_driver_node.CameraDriver._open_source
-
-    def note(node):
-        times.append(time.monotonic())
-        return opened(node)
-
-    monkeypatch.setattr(camera_driver_node.CameraDriver, "_open_source", note)
-    kernel.unplug(camera)
-    driver = _Driver(ros, reconnect_delay=0.02, reconnect_delay_max=0.16)
-    ros.wait(lambda: len(times) == 6, "six attempts")
-    waits = [after - before for before, after in itertools.pairwise(times)]
-    for waited, least in zip(waits, (0.02, 0.04, 0.08, 0.16, 0.16), strict=True):
-        assert waited > 0.95 * least
-    kernel.plug(camera)
-    ros.wait(lambda: driver.node._capture is not None, "the camera")
-    assert driver.change(Transition.TRANSITION_DEACTIVATE)
-    assert driver.change(Transition.TRANSITION_CLEANUP)
-    count = len(times)
-    ros.run(0.4)
-    assert (len(times), driver.state) == (count, "unconfigured")
-
-
 @pytest.mark.parametrize(
     ("modes", "given", "reason"),
     [
@@ -423,13 +376,6 @@ def test_what_is_wrong_with_a_camera_that_is_there_is_not_tried_again(
     assert not driver.node._attempts.pending
 
 
-def test_a_node_that_is_shut_down_looks_no_more(ros, kernel):
-    driver = _Driver(ros)
-    assert driver.node._attempts.pending
-    assert driver.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
-    assert (driver.state, driver.node._attempts.pending) == ("finalized", False)
-
-
 def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
     driver = _Driver(ros, autostart=False)
     assert not driver.change(Transition.TRANSITION_CONFIGURE)
@@ -444,24 +390,9 @@ def test_figures_are_checked_by_thresholds_as_those_of_a_stage(ros, exposing):
     ros.wait(lambda: driver.report.level == DiagnosticStatus.WARN, "the diagnostics")
     ros.wait(lambda: "results a second, expected 500" in driver.report.message, "the rate")
     assert float(driver.values["rate (Hz)"]) < 500
-    stage = StageDiagnostics().status("", "")
-    same = {"rate (Hz)", "latency median (ms)", "latency p99 (ms)", "late frames"}
-    same |= {"dropped frames", "frames out", "bad frames", "wrong connections"}
-    assert same <= {item.key for item in stage.values} & driver.values.keys()
     changed = ParameterOfNode("diagnostics.rate_warn", value=1.0)
     assert driver.node.set_parameters([changed])[0].successful
     ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the new threshold")
-
-
-def test_who_cannot_be_connected_is_reported(ros, exposing):
-    """rclpy's own handlers of that are left out: each costs time whenever the executor waits."""
-    driver = _Driver(ros)
-    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    ros.node.create_subscription(Image, "image_raw", lambda _: None, profile)
-    ros.wait(lambda: "asks for durability" in driver.values.get("wrong connections", ""), "it")
-    assert driver.report.level == DiagnosticStatus.WARN
-    assert "tester gets nothing" in driver.report.message
-    assert sum(item.get_num_entities().num_events for item in driver.node.waitables) == 0
 
 
 def test_a_camera_without_frames_is_an_error(ros, camera):
