@@ -5,7 +5,6 @@ Its records are gone through by their lengths: an index would only say where the
 
 from __future__ import annotations
 
-import os
 import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -246,12 +245,13 @@ def _chunk_records(file: IO[bytes], begin: int) -> bytes:
 
     DamageError where they are not what its checksum says.
     """
-    file.seek(begin - LENGTH.size)
+    _, first = _chunk_layout(file, begin)
     try:
+        file.seek(first - LENGTH.size)
         (length,) = LENGTH.unpack(file.read(LENGTH.size))
-        content = file.read(min(length, os.fstat(file.fileno()).st_size))
-        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-        if len(content) < length:
+        file.seek(begin)
+        chunk = Chunk.read(ReadDataStream(file))
+        if len(chunk.data) < length:
             return _begin_of_records(chunk)
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         data = stream.read(size)
