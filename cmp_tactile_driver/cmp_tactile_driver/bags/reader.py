@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from cmp_tactile_driver.bags.calibration import RecordedCalibration
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
+from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import COMPRESSED, decode_compressed
@@ -59,6 +61,7 @@ RecordedMessage = RecordedFrame | RecordedCameraInfo
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+FRAMES_FOR_RATE = 20
 # What rosbags raises for bytes that are no message of their type.
 # KeyError where a damaged schema names a type that nobody knows.
 BAD_MESSAGE = (SerdeError, ValueError, LookupError, OverflowError)
@@ -107,6 +110,13 @@ class BagReader:
     def duration(self) -> float:
         """Time of the last message, s from the first frame."""
         return self._timeline.duration
+
+    @cached_property
+    def frame_rate(self) -> float:
+        """Of its first frames, Hz; BagError where none is good."""
+        times_s = [frame.time_s for frame in islice(self.frames(), FRAMES_FOR_RATE)]
+        interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+        return min(1 / interval_s, 1000.0) if interval_s > 0 else DEFAULT_FRAME_RATE
 
     @property
     def gaps(self) -> str:

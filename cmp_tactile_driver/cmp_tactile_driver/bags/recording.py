@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import closing
-from functools import partial
-from itertools import count, islice
+from collections.abc import Iterator
 from pathlib import Path
-
-import numpy as np
 
 from cmp_tactile_driver.bags import calibration, reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
@@ -17,18 +12,14 @@ from cmp_tactile_driver.sources import files, frames
 
 
 class ImageRecording:
-    """Images or a video: frame k has the stamp k / rate, and there is no calibration."""
+    """Images or a video: frame k has the stamp k / frame_rate, and there is no calibration."""
 
     has_camera_info = False
     gaps = ""
 
-    def __init__(
-        self, open_source: Callable[[], files.ImageFolder | files.VideoFile], frame_id: str
-    ) -> None:
-        """Raises FrameSourceError where there is nothing to read."""
-        self._open, self._frame_id = open_source, frame_id
-        self._source = open_source()
-        self.name = self._source.name
+    def __init__(self, source: files.ImageFolder | files.VideoFile, frame_id: str) -> None:
+        self._source, self._frame_id = source, frame_id
+        self.name, self.frame_rate = source.name, source.frame_rate
 
     @property
     def health(self) -> frames.SourceHealth:
@@ -38,7 +29,7 @@ class ImageRecording:
     @property
     def duration(self) -> float:
         """Time of the last frame that is said to be there, s."""
-        return max(self._source.declared_frames - 1, 0) / self._source.frame_rate
+        return max(self._source.declared_frames - 1, 0) / self.frame_rate
 
     @property
     def stated_frames(self) -> int | None:
@@ -53,18 +44,18 @@ class ImageRecording:
         self, span: timeline.TimeSpan = timeline.WHOLE
     ) -> Iterator[reader.RecordedMessage]:
         """The good frames; FrameSourceError where there is none, or of another size."""
-        self._source = self._open()
-        with closing(self._source) as source:
-            for good in count():
-                frame = source.read()
-                # A bad image leaves a gap, as a lost frame does.
-                time_s = (good + source.health.bad_frames) / source.frame_rate
-                if frame is None or time_s >= span.end:
-                    return
-                if time_s in span:
-                    stamp_ns = round(time_s * 1e9)
-                    times = time_s, stamp_ns, stamp_ns
-                    yield reader.RecordedFrame(*times, self._frame_id, frame.image)
+        # A bad image leaves a gap, as a lost frame does.
+        for number, image in self._source.images():
+            time_s = number / self.frame_rate
+            if time_s >= span.end:
+                return
+            if time_s in span:
+                stamp_ns = round(time_s * 1e9)
+                yield reader.RecordedFrame(time_s, stamp_ns, stamp_ns, self._frame_id, image)
+
+    def frames(self) -> Iterator[reader.RecordedFrame]:
+        """As `messages`, of which there are no others."""
+        return (item for item in self.messages() if isinstance(item, reader.RecordedFrame))
 
 
 Recording = reader.BagReader | ImageRecording
@@ -91,10 +82,10 @@ def open_recording(
     """
     is_image = path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES
     if is_image or (path.is_dir() and not is_bag(path)):
-        images = partial(files.ImageFolder, path, frame_rate, expected_size=expected_size)
+        images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
         return ImageRecording(images, frame_id)
     if path.is_file() and path.suffix.lower() not in storage.STORAGE_SUFFIXES:
-        return ImageRecording(partial(files.VideoFile, path, expected_size=expected_size), frame_id)
+        return ImageRecording(files.VideoFile(path, expected_size=expected_size), frame_id)
     return reader.BagReader(path, topic, expected_size)
 
 
@@ -103,59 +94,61 @@ def is_bag(folder: Path) -> bool:
     return (folder / "metadata.yaml").exists() or bool(storage.bag_files(folder))
 
 
-# Frames of which the times give the rate.
-SAMPLE = 20
-
-
 class RecordedSource:
-    """A FrameSource that reads the images of a bag; their stamps are forgotten."""
+    """A FrameSource of the frames of a recording; their stamps are forgotten.
 
-    def __init__(self, options: frames.SourceOptions) -> None:
-        """The source `bag` of the driver.
+    frame_rate: what is asked for, or as recorded.
+    """
 
-        Raises FrameSourceError for what is no bag, has no images of the sensor's size, or was
-        recorded with another camera.
-        """
-        self._bag = reader.BagReader(
-            Path(options.input).expanduser(), expected_size=options.frame_size
-        )
-        self.name = self._bag.name
+    def __init__(self, recording: Recording, options: frames.SourceOptions) -> None:
+        """Raises FrameSourceError for a recording that another camera made."""
+        self._recording, self.name = recording, recording.name
         self._loop = options.loop
         self._past_bad_frames = 0
-        mismatch = calibration.calibration_mismatch(self._bag.calibration(), options.sensor)
+        mismatch = calibration.calibration_mismatch(recording.calibration(), options.sensor)
         if mismatch:
             msg = f"{self.name}: {mismatch}"
             raise FrameSourceError(msg)
-        self._frame_rate = options.frame_rate or self._recorded_rate()
-        self._frames: Iterator[reader.RecordedFrame] = self._bag.frames()
-
-    @property
-    def frame_rate(self) -> float:
-        """What is asked for, or as recorded."""
-        return self._frame_rate
+        self.frame_rate = options.frame_rate or recording.frame_rate
+        self._frames = recording.frames()
 
     @property
     def health(self) -> frames.SourceHealth:
         """Frames that could not be used, in all passes."""
-        health = self._bag.health
+        health = self._recording.health
         return frames.SourceHealth(self._past_bad_frames + health.bad_frames, health.problem)
 
     def read(self) -> frames.Frame | None:
         """The next good frame, or None at the end; FrameSourceError where none is good."""
         frame = next(self._frames, None)
         if frame is None and self._loop:
-            self._past_bad_frames += self._bag.health.bad_frames
-            self._frames = self._bag.frames()
+            self._past_bad_frames += self._recording.health.bad_frames
+            self._frames = self._recording.frames()
             frame = next(self._frames, None)
         if frame is None:
             return None
-        return frames.Frame(frame.image, f"{self.name} at {frame.time_ns} ns")
+        return frames.Frame(frame.image, f"{self.name} at {frame.time_s:.3f} s")
 
     def close(self) -> None:
-        """Forget where it was; the bag is open only while it is read."""
+        """Forget where it was; files are open only while they are read."""
         self._frames = iter(())
 
-    def _recorded_rate(self) -> float:
-        times_s = [frame.time_s for frame in islice(self._bag.frames(), SAMPLE)]
-        interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-        return min(1 / interval_s, 1000.0) if interval_s > 0 else files.DEFAULT_FRAME_RATE
+
+def bag_source(options: frames.SourceOptions) -> RecordedSource:
+    """The source `bag` of the driver; FrameSourceError for what is no bag of this camera."""
+    path = Path(options.input).expanduser()
+    return RecordedSource(reader.BagReader(path, expected_size=options.frame_size), options)
+
+
+def image_source(options: frames.SourceOptions) -> RecordedSource:
+    """The source `images` of the driver; FrameSourceError where there are none."""
+    path = Path(options.input).expanduser()
+    images = files.ImageFolder(path, expected_size=options.frame_size)
+    return RecordedSource(ImageRecording(images, ""), options)
+
+
+def video_source(options: frames.SourceOptions) -> RecordedSource:
+    """The source `video` of the driver; FrameSourceError for what is no video."""
+    path = Path(options.input).expanduser()
+    video = files.VideoFile(path, expected_size=options.frame_size)
+    return RecordedSource(ImageRecording(video, ""), options)
