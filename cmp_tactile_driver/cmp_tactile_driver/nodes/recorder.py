@@ -17,8 +17,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
+from rclpy.type_support import check_for_type_support
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -235,7 +237,8 @@ class Recorder(ReportingNode):
     def _subscribe(self, topic: FoundTopic, recorder: BagRecorder) -> None:
         try:
             kind = message_class(topic.kind)
-        except (ImportError, AttributeError):
+            check_for_type_support(kind)
+        except (ImportError, AttributeError, NoTypeSupportImportedException):
             text = "found no such message here, expected its package to be installed"
             self.get_logger().warning(f"{topic.name}: is not recorded: {topic.kind}: {text}")
             return
