@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -276,69 +276,56 @@ def test_receipts_of_one_moment_leave_the_order_as_it_was_written(tmp_path, bags
     assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
 
 
-def test_receipts_with_a_gap_do_not_move_the_frames(tmp_path, bags, frames):
-    rows = [(n if n < 5 else t, m) for n, (t, m) in enumerate(_rows(bags, frames))]
+# The stamp and the receipt of frame n, which was taken at t, and what is said of that.
+Clocks = tuple[Callable[[int, int], int], Callable[[int, int], int], str]
+CLOCKS: dict[str, Clocks] = {
+    "receipts begin before /clock": (
+        lambda _, t: t,
+        lambda n, t: n if n < 5 else t,
+        "gap of 1.7e+09 s between the times of receipt",
+    ),
+    "receipts an hour early": (lambda _, t: t, lambda _, t: t - HOUR_NS, ""),
+    "receipts an hour late": (lambda _, t: t, lambda _, t: t + HOUR_NS, ""),
+    "both jump": (
+        lambda n, t: t + (n > 5) * HOUR_NS,
+        lambda n, t: t + (n > 5) * HOUR_NS,
+        "skipped: 1, the largest of 3600.05 s",
+    ),
+    "stamps are set back by 0.3 s": (
+        lambda n, t: t - (n > 5) * 300 * MS,
+        lambda _, t: t,
+        "skipped: 1, the largest of -0.25 s",
+    ),
+    "stamps are set back by 100 s": (
+        lambda n, t: t - (n > 5) * 100_000 * MS,
+        lambda _, t: t,
+        "skipped: 1, the largest of -99.95 s",
+    ),
+    "stamps are set back and later forward": (
+        lambda n, t: t + (0, -10_000 * MS, HOUR_NS)[n // 4],
+        lambda _, t: t,
+        "skipped: 2, the largest of 3610.05 s",
+    ),
+    "some stamps are zero": (lambda n, t: 0 if n in (0, 4, 5, 11) else t, lambda _, t: t + MS, ""),
+    "all stamps are zero": (lambda _, __: 0, lambda _, t: t + MS, ""),
+}
+
+
+@pytest.mark.parametrize("clocks", CLOCKS.values(), ids=CLOCKS.keys())
+def test_time_goes_on_from_frame_to_frame_whatever_the_clocks_did(tmp_path, bags, frames, clocks):
+    stamp, receipt, said = clocks
+    times = list(enumerate(bags.stamps(len(frames))))
+    rows = [
+        (receipt(*time), bags.image(frame, stamp(*time)))
+        for frame, time in zip(frames, times, strict=True)
+    ]
     reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
-    _check_whole(reader, bags, frames)
-    assert "gap of 1.7e+09 s between the times of receipt" in reader.gaps
-
-
-@pytest.mark.parametrize("offset_ns", [-HOUR_NS, HOUR_NS])
-def test_stamps_of_another_clock_give_the_time(tmp_path, bags, frames, offset_ns):
-    rows = [(time_ns + offset_ns, message) for time_ns, message in _rows(bags, frames)]
-    reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
-    _check_whole(reader, bags, frames)
-    assert reader.gaps == ""
-
-
-def _times_of(path: Path) -> tuple[list[int], list[float], str]:
-    reader = BagReader(path)
     found = list(reader.frames())
-    return [item.stamp_ns for item in found], [item.time_s for item in found], reader.gaps
-
-
-def test_a_jump_of_the_stamps_is_skipped_and_said_once(tmp_path, bags, frames):
-    stamps = [t + (n > 5) * HOUR_NS for n, t in enumerate(bags.stamps(len(frames)))]
-    rows = [(t, bags.image(f, t)) for f, t in zip(frames, stamps, strict=True)]
-    found, times, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
-    assert found == stamps
-    assert times == pytest.approx([0.05 * number for number in range(len(frames))])
-    assert "skipped: 1" in gaps
-    assert "3600.05 s" in gaps
-
-
-@pytest.mark.parametrize("back_s", [0.3, 100.0])
-def test_a_clock_that_was_set_back_begins_anew_after_what_was_before(
-    tmp_path, bags, frames, back_s
-):
-    times = bags.stamps(len(frames))
-    stamps = [t - (n > 5) * round(back_s * 10**9) for n, t in enumerate(times)]
-    rows = [(t, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
-    found, seconds, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
-    assert found == stamps
-    assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
-    assert gaps
-
-
-def test_a_clock_that_was_set_back_and_later_forward(tmp_path, bags, frames):
-    times = bags.stamps(len(frames))
-    moved = (0,) * 4 + (-10 * 10**9,) * 4 + (HOUR_NS,) * 4
-    stamps = [t + move for t, move in zip(times, moved, strict=True)]
-    rows = [(t, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
-    found, seconds, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
-    assert found == stamps
-    assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
-    assert "skipped: 2" in gaps
-
-
-def test_stamps_that_are_zero_leave_a_frame_where_it_was_received(tmp_path, bags, frames):
-    times = bags.stamps(len(frames))
-    for zeros in ((0, 4, 5, 11), range(len(frames))):
-        stamps = [0 if number in zeros else t for number, t in enumerate(times)]
-        rows = [(t + MS, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
-        found, seconds, _ = _times_of(write_mcap(tmp_path / f"{len(zeros)}.mcap", rows))
-        assert found == stamps
-        assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
+    assert [item.stamp_ns for item in found] == [stamp(*time) for time in times]
+    expected = [0.05 * number for number in range(len(frames))]
+    assert [item.time_s for item in found] == pytest.approx(expected)
+    assert reader.duration == pytest.approx(expected[-1])
+    assert (said in reader.gaps) if said else reader.gaps == ""
 
 
 def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path, bags, frames):
