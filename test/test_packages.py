@@ -41,7 +41,6 @@ ROSDEP_KEYS = {
 COME_WITH = {"llvmlite": "numba"}
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
-    "cloudpickle": "distributed",
     "linuxpy": "linuxpy",
     "distributed": "distributed",
     "mcap": "mcap",

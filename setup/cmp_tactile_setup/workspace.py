@@ -22,6 +22,7 @@ SUITE = (
     "cmp_tactile_viewer",
     "cmp_tactile_bringup",
 )
+MOST_NAMED = 3
 UNDERLAY = ("composition_interfaces", "tf2_msgs", "tf2_ros_py")
 _MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
@@ -36,43 +37,33 @@ _REASONS = (
 
 
 @dataclass(frozen=True)
-class Package:
-    """A package of this checkout and the hash of everything that its build depends on.
-
-    Installed Python modules and shared files are links into the checkout, so their names count
-    but not their contents.
-    """
-
-    name: str
-    folder: Path
-    digest: str
-
-
-@dataclass(frozen=True)
 class Workspace:
-    """What is to be built: the packages, and the ROS 2 that they are built against."""
+    """What is to be built: the packages, and the ROS 2 that they are built against.
+
+    digests: of each package, by name, the hash of everything that its build depends on.  Installed
+    Python modules and shared files are links into the checkout, so their names count but not their
+    contents.
+    """
 
     layout: Layout
     flavour: str
     from_wheels: bool
-    packages: tuple[Package, ...]
+    digests: Mapping[str, str]
 
     @classmethod
     def from_layout(cls, layout: Layout, ros: RosInstallation | None) -> Workspace:
         """The suite, and those packages of the underlay that the sourced ROS 2 does not bring."""
         missing = [name for name in UNDERLAY if ros is None or ros.prefix_of(name) is None]
-        folders = [layout.root / "underlay" / name for name in missing]
-        folders += [layout.root / name for name in SUITE]
-        packages = [
-            Package(folder.name, folder, digest(_sources(folder), _linked(folder), layout.root))
-            for folder in folders
-        ]
-        return cls(layout, _flavour(layout, ros), ros is None, tuple(packages))
+        digests = {}
+        for name in (*missing, *SUITE):
+            folder = _folder_of(layout, name)
+            digests[name] = digest(_sources(folder), _linked(folder), layout.root)
+        return cls(layout, _flavour(layout, ros), ros is None, digests)
 
-    def changed(self) -> list[Package]:
+    def changed(self) -> list[str]:
         """The packages that are not built, or that have changed since."""
         built = self._built()
-        return [package for package in self.packages if built.get(package.name) != package.digest]
+        return [name for name, found in self.digests.items() if built.get(name) != found]
 
     def is_finished(self) -> bool:
         """Whether the last build was completed and recorded with its environment."""
@@ -80,29 +71,29 @@ class Workspace:
         return record.get("setup") == _setup_digest() and not self.changed()
 
     def clear_outdated(self) -> None:
-        """Remove what was built for another ROS 2."""
+        """Remove what was built for another ROS 2, so that the next build starts from nothing."""
         if not self._built():
-            forget_build(self.layout)
+            self.layout.build_record.unlink(missing_ok=True)
+            for folder in (self.layout.build, self.layout.install):
+                shutil.rmtree(folder, ignore_errors=True)
 
-    def build(self, changed: Sequence[Package], env: Mapping[str, str]) -> None:
+    def build(self, changed: Sequence[str], env: Mapping[str, str]) -> None:
         """Build packages. Raises SetupError with the reason if that fails."""
-        kept = self._built()
-        for package in changed:
-            kept.pop(package.name, None)
+        kept = {name: found for name, found in self._built().items() if name not in changed}
         self._write_record(kept, finished=False)
         self._colcon_build(changed, env)
         _link_command(self.layout)
 
     def record_finished(self) -> None:
         """Record that everything is built, and the environment written."""
-        self._write_record({p.name: p.digest for p in self.packages}, finished=True)
+        self._write_record(self.digests, finished=True)
 
     def _built(self) -> dict[str, Any]:
         """Digest by name of what is built; nothing if it is for another ROS 2 or has leftovers."""
         record = read_record(self.layout.build_record)
         built: dict[str, Any] = record.get("packages", {})
         usable = record.get("flavour") == self.flavour
-        return built if usable and built.keys() <= {p.name for p in self.packages} else {}
+        return built if usable and built.keys() <= self.digests.keys() else {}
 
     def _write_record(self, packages: Mapping[str, str], finished: bool) -> None:
         self.layout.install.mkdir(exist_ok=True)
@@ -114,13 +105,13 @@ class Workspace:
         }
         write_record(self.layout.build_record, record)
 
-    def _colcon_build(self, selected: Sequence[Package], env: Mapping[str, str]) -> None:
+    def _colcon_build(self, selected: Sequence[str], env: Mapping[str, str]) -> None:
         layout = self.layout
         log = layout.logs / "build.log"
         command = [
             *(str(layout.venv_python), "-m", "colcon", "--log-base", str(layout.logs), "build"),
-            *("--paths", *(str(package.folder) for package in self.packages)),
-            *("--packages-select", *(package.name for package in selected)),
+            *("--paths", *(str(_folder_of(layout, name)) for name in self.digests)),
+            *("--packages-select", *selected),
             *("--build-base", str(layout.build), "--install-base", str(layout.install)),
             "--symlink-install",
             *("--event-handlers", "console_direct+"),
@@ -128,9 +119,14 @@ class Workspace:
             *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
             *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if self.from_wheels else []),
         ]
-        title = f"building {_enumerate(selected)}"
+        few = len(selected) <= MOST_NAMED
+        title = f"building {', '.join(selected) if few else f'{len(selected)} packages'}"
         if not run_step(title, command, log, env, layout.root):
             raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
+
+
+def _folder_of(layout: Layout, package: str) -> Path:
+    return layout.root / ("underlay" if package in UNDERLAY else "") / package
 
 
 def _flavour(layout: Layout, ros: RosInstallation | None) -> str:
@@ -145,25 +141,12 @@ def _flavour(layout: Layout, ros: RosInstallation | None) -> str:
     return hashlib.sha256("\n".join(sorted(compiled_against)).encode()).hexdigest()
 
 
-def forget_build(layout: Layout) -> None:
-    """Remove what is built, so that the next build starts from nothing."""
-    layout.build_record.unlink(missing_ok=True)
-    for folder in (layout.build, layout.install):
-        shutil.rmtree(folder, ignore_errors=True)
-
-
 def explain_build_failure(output: str, log: Path) -> str:
     """One line on which package failed and why, from the output of colcon."""
     failed = re.findall(r"Failed\s+<<< (\S+)", output)
     reason = next((m for p in _REASONS if (m := p.search(output))), None)
     text = reason.group().strip() if reason else "no reason given"
     return f"building {', '.join(failed) or 'the packages'} failed: {text} (log: {log})"
-
-
-def _enumerate(packages: Sequence[Package], at_most: int = 3) -> str:
-    if len(packages) > at_most:
-        return f"{len(packages)} packages"
-    return ", ".join(package.name for package in packages)
 
 
 def _link_command(layout: Layout) -> None:

@@ -40,13 +40,6 @@ def complete(layout):
     return layout
 
 
-def test_an_interrupted_one_is_not_current(layout):
-    """pip was stopped half-way: the interpreter is there, the record is not."""
-    layout.venv_python.parent.mkdir(parents=True)
-    layout.venv_python.symlink_to(sys.executable)
-    assert not virtual_environment.is_current(layout, None)
-
-
 def test_a_cut_off_record_is_none(complete):
     text = complete.venv_record.read_text()
     complete.venv_record.write_text(text[: len(text) // 2])
@@ -167,7 +160,7 @@ LINUX = (
 )
 
 
-@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("python", [PYTHONS[0], PYTHONS[-1]])
 @pytest.mark.parametrize("distro", DISTRIBUTIONS)
 def test_a_lock_is_complete_and_has_a_wheel_of_each_library(distro, python):
     """Resolved anew with its own versions: nothing is missing, contradicted or without a wheel."""
@@ -208,14 +201,8 @@ def test_newer_versions_in_an_index_change_nothing(distro, tmp_path):
     assert set(re.findall(r"^ \+ (\S+)$", planned, re.MULTILINE)) == wanted_now
 
 
-# What a new virtual environment has: Debian 12 with Python 3.10 or 3.11, 3.11 and 3.12 as they
-# came, 3.13, 3.14, and none of these: uv.
-INSTALLERS = ["pip==23.0.1", "pip==23.2.1", "pip==24.0", "pip==24.2", "pip==25.2", "pip", "uv"]
-if sys.version_info >= (3, 12):
-    INSTALLERS.remove("pip==23.0.1")
-
-
-@pytest.mark.parametrize("installer", INSTALLERS)
+# What a new virtual environment has: that of Python 3.11 as it came, the newest, and none: uv.
+@pytest.mark.parametrize("installer", ["pip==23.2.1", "pip", "uv"])
 def test_each_installer_takes_the_locked_version_where_a_newer_one_is_served(
     layout, installer, capsys
 ):
@@ -302,20 +289,14 @@ def test_another_place_or_interpreter_needs_another_environment(complete):
     assert not virtual_environment.needs_another(complete, None)
 
 
-def test_a_vanished_interpreter_is_noticed(complete):
+@pytest.mark.parametrize("name", ["python3.99", "nowhere"])
+def test_an_interpreter_that_was_upgraded_or_removed_is_noticed(complete, tmp_path, name):
+    """After an upgrade of the system, python3 is another version than the one in lib/."""
+    (tmp_path / "python3.99").touch()
     complete.venv_python.unlink()
-    complete.venv_python.symlink_to("/nowhere/python3")
+    complete.venv_python.symlink_to(tmp_path / name)
     assert not virtual_environment.is_current(complete, None)
     assert virtual_environment.needs_another(complete, None)
-
-
-def test_an_upgraded_interpreter_is_noticed(complete, tmp_path):
-    """After an upgrade of the system, python3 is another version than the one in lib/."""
-    newer = tmp_path / "python3.99"
-    newer.touch()
-    complete.venv_python.unlink()
-    complete.venv_python.symlink_to(newer)
-    assert not virtual_environment.is_current(complete, None)
 
 
 def test_wheels_do_not_serve_beside_ros(complete):

@@ -34,12 +34,6 @@ def test_include_folders_of_every_wheel(prefix, tag):
     export.write_text(export_of_wheel(tag))
     assert repair_prefix(prefix, "/usr/include/py", "/venv/numpy") == [export]
     assert export.read_text() == EXPORT.format(python="/usr/include/py", numpy="/venv/numpy")
-
-
-def test_a_second_repair_changes_nothing(prefix):
-    export = prefix / "share" / "std_msgs" / "cmake" / "pyExport.cmake"
-    export.write_text(export_of_wheel("311"))
-    assert repair_prefix(prefix, "/usr/include/py", "/venv/numpy") == [export]
     assert repair_prefix(prefix, "/usr/include/py", "/venv/numpy") == []
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags import reader
+from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.recording import is_bag, open_recording
 from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
@@ -203,7 +204,7 @@ def _read_images(
             markers.append(camera.markers(frame.image))
     doubts = (
         recording.health.summary,
-        reader.calibration_mismatch(recording.calibration(), sensor),
+        calibration_mismatch(recording.calibration(), sensor),
     )
     stamp_ns = np.array(stamps, np.int64)
     time_s = (stamp_ns - stamp_ns[0]) * 1e-9

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from cmp_tactile_bringup.recordings.simulated import Recording
-    from cmp_tactile_bringup.report.evaluation import DemoResults
+    from cmp_tactile_bringup.report.results import DemoResults
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Compiled code is the same for every sensor.

@@ -14,9 +14,9 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import ClusterError, TaskError
 from cmp_tactile_bringup.offline.display import Display
+from cmp_tactile_bringup.offline.identity import software_version
 from cmp_tactile_bringup.offline.jobs import Outcome, Task
 from cmp_tactile_bringup.offline.processor import run_guarded
-from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.recordings.library import is_packaged
 
 SECONDS_TO_CONNECT = 10
@@ -63,7 +63,7 @@ def _connected(address: str) -> Any:
 def _check_workers(client: Any, address: str) -> None:
     def version() -> str:
         # Sent as source, as all functions within functions are: the package may be absent there.
-        from cmp_tactile_bringup.offline.result_files import software_version
+        from cmp_tactile_bringup.offline.identity import software_version
 
         return software_version()
 

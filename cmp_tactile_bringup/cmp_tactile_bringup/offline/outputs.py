@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,11 @@ from rosbags.interfaces import (
 )
 
 from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.offline.identity import software_version
 from cmp_tactile_bringup.offline.jobs import Job, Options
-from cmp_tactile_bringup.offline.result_files import software_version
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
-from cmp_tactile_driver.bags.mcap_writer import McapFile, qos_yaml
+from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -39,7 +40,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
-ROWS_IN_MEMORY = 4096
 # What a player needs to offer late listeners the last message, as rosbag2 writes it.
 FOREVER = QosTime(2**63 // 10**9, 2**63 % 10**9 - 1)
 LATCHED = Qos(
@@ -70,7 +70,7 @@ class ResultBag:
         self._make = bag_messages()
         self._rectification = Rectification(sensor)
         self._file = McapFile(path, compressed=True)
-        self._channels: dict[str, int] = {}
+        self._has_transforms = False
 
     def __enter__(self) -> ResultBag:
         return self
@@ -85,10 +85,11 @@ class ResultBag:
 
     def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
         """Write what the next frame showed."""
-        if not self._channels:
+        if not self._has_transforms:
             transforms = making.static_transforms(self._make, self._sensor, self._rectification)
             message = self._make.new(TF_MESSAGE, transforms=transforms)
             self._write("/tf_static", TF_MESSAGE, message, frame)
+            self._has_transforms = True
         for name, kind, message in self._messages(frame.stamp_ns, result):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
         if self._file.chunk_is_full:
@@ -111,14 +112,15 @@ class ResultBag:
         yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
-        store = simulation_typestore()
-        if topic not in self._channels:
-            text, _ = store.generate_msgdef(kind, ros_version=2)
-            latched = topic == "/tf_static" or topic.endswith("/camera_info")
-            qos = qos_yaml([LATCHED] if latched else [])
-            self._channels[topic] = self._file.add_channel(topic, kind, text, qos)
-        data = bytes(store.serialize_cdr(message, kind))
-        self._file.write(self._channels[topic], frame.time_ns, frame.stamp_ns, data)
+        latched = topic == "/tf_static" or topic.endswith("/camera_info")
+        self._file.add_topic(topic, kind, _definition(kind), [LATCHED] if latched else [])
+        data = bytes(simulation_typestore().serialize_cdr(message, kind))
+        self._file.write(topic, frame.time_ns, frame.stamp_ns, data)
+
+
+@cache
+def _definition(kind: str) -> str:
+    return simulation_typestore().generate_msgdef(kind, ros_version=2)[0]
 
 
 @contextmanager
@@ -130,38 +132,25 @@ def csv_table(path: Path) -> Iterator[Callable[[Row], object]]:
         yield writer.writerow
 
 
-@contextmanager
-def parquet_table(path: Path) -> Iterator[Callable[[Row], object]]:
-    """Appends rows of COLUMNS to a Parquet file; NaN stays NaN.
+def write_parquet(table: Path, path: Path) -> None:
+    """Make a Parquet file of a CSV table; each column's metadata has its `unit`, NaN stays NaN.
 
-    Each column's metadata has its `unit`.  Raises OutputError where pyarrow is not installed.
+    Raises OutputError where pyarrow is not installed.
     """
     require_parquet()
     import pyarrow as pa
+    import pyarrow.csv
     import pyarrow.parquet as pq
 
     types = {name: pa.type_for_alias(COLUMN_TYPES.get(name, "double")) for name in COLUMNS}
+    read = pyarrow.csv.read_csv(
+        table, convert_options=pyarrow.csv.ConvertOptions(column_types=types, null_values=[])
+    )
     schema = pa.schema(
         pa.field(name, types[name], nullable=False, metadata={"unit": unit_of(name)})
         for name in COLUMNS
     )
-    rows: list[Row] = []
-
-    def flush() -> None:
-        columns = zip(*rows, strict=True)
-        arrays = [pa.array(values, item.type) for values, item in zip(columns, schema, strict=True)]
-        writer.write_batch(pa.record_batch(arrays, schema))
-        rows.clear()
-
-    def append(row: Row) -> None:
-        rows.append(row)
-        if len(rows) == ROWS_IN_MEMORY:
-            flush()
-
-    with pq.ParquetWriter(path, schema) as writer:
-        yield append
-        if rows:
-            flush()
+    pq.write_table(read.cast(schema), path)
 
 
 def require_parquet() -> None:
@@ -187,10 +176,10 @@ class Outputs(ExitStack):
             self._bag = stack.enter_context(ResultBag(folder / ".mcap", sensor, grids))
             facts = {"software": software_version(), "reference": options.reference}
             self._bag.describe(facts, Path(job.sensor).read_bytes())
-            self._tables = [stack.enter_context(csv_table(folder / "_wrench.csv"))]
             if options.parquet:
-                table = parquet_table(folder / "_wrench.parquet")
-                self._tables.append(stack.enter_context(table))
+                # Once the table is closed, unless that is after an error.
+                stack.push(partial(_add_parquet, folder))
+            self._append_row = stack.enter_context(csv_table(folder / "_wrench.csv"))
             self._arrays: results.ArrayLog | None = None
             if options.arrays:
                 self._arrays = stack.enter_context(results.ArrayLog(folder / ".npz"))
@@ -200,10 +189,14 @@ class Outputs(ExitStack):
         """Write what came of the next frame."""
         self._bag.append(frame, result)
         row = results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault)
-        for append in self._tables:
-            append(row)
+        self._append_row(row)
         if self._arrays is not None:
             self._arrays.append(_arrays(frame.stamp_ns, result))
+
+
+def _add_parquet(folder: Path, error: object, *_: object) -> None:
+    if error is None:
+        write_parquet(folder / "_wrench.csv", folder / "_wrench.parquet")
 
 
 def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:

@@ -30,16 +30,11 @@ from cmp_tactile_bringup.offline.result_files import ResultFiles
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal.output import error_line, processor_name
-from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, calibration_mismatch
-from cmp_tactile_driver.bags.recording import (
-    FolderRecording,
-    Recording,
-    SingleImage,
-    open_recording,
-)
+from cmp_tactile_driver.bags.calibration import calibration_mismatch
+from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.recording import Recording, open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.files import image_files
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
@@ -88,7 +83,7 @@ class Processor:
     def expected_frames(self) -> int | None:
         """How many frames there are to process; None where that is not known."""
         whole = self._options.start_s == 0 and math.isinf(self._options.end_s)
-        return _declared_frames(self._recording, Path(self._job.source)) if whole else None
+        return self._recording.stated_frames if whole else None
 
     def run(self, folder: Path, on_frames: Callable[[int], None]) -> Outcome:
         """Process every frame and write the files into a folder, each named by its suffix.
@@ -226,17 +221,6 @@ def _frames_between(recording: Recording, start_s: float, end_s: float) -> Itera
             f"expected times from 0 to {recording.duration:.3f} s"
         )
         raise FrameSourceError(msg)
-
-
-def _declared_frames(recording: Recording, source: Path) -> int | None:
-    """Number of frames that a recording claims to have; None where it does not say."""
-    if isinstance(recording, SingleImage):
-        return 1
-    if isinstance(recording, BagReader):
-        return recording.stated_frames
-    if isinstance(recording, FolderRecording):
-        return len(image_files(source))
-    return None
 
 
 def run_task(task: Task, report: Report) -> Outcome:

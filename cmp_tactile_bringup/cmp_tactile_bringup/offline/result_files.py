@@ -4,43 +4,30 @@ All are written in a hidden folder beside their places.  Its record, which comes
 they are complete; then they are moved, and the record after them.  What is found of an interrupted
 run is removed, or moved to its place where the record is there.
 
-The record names what the results were made from: recording, sensor description, software, options.
-The same means the same bytes of results, however they are made, on processors of one type.
+The record names what the results were made from (`identity`).
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
-from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import OutputError
+from cmp_tactile_bringup.offline.identity import made_from
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome
-from cmp_tactile_processing.cache.compiled import source_digest
-from cmp_tactile_processing.cache.files import atomic_path, digest, files_digest, locked
+from cmp_tactile_processing.cache.files import atomic_path, locked
 
 RECORD = "_process.json"
 VERSION = 1
 # The lock of a run that was just killed is gone in a moment.
 SECONDS_FOR_LOCK = 3.0
 OPTIONAL = (".npz", "_wrench.parquet")
-# The results depend on the sources of these packages, and contain what these libraries make.
-PACKAGES = (
-    "cmp_tactile_processing",
-    "cmp_tactile_driver",
-    "cmp_tactile_simulation",
-    "cmp_tactile_bringup",
-)
-LIBRARIES = ("numpy", "scipy", "numba", "mcap", "rosbags", "pyarrow")
 WORDS = {
     "recording": "another recording",
     "sensor": "another sensor description",
@@ -104,7 +91,7 @@ class ResultFiles:
     def begin(self) -> Path:
         """An empty folder for the files, each to be named by its suffix alone."""
         # As they are now: should the recording change meanwhile, the next run is to see it.
-        self._facts = self._facts or _facts(self._job, self._options)
+        self._facts = self._facts or made_from(self._job, self._options)
         self._partial.mkdir()
         return self._partial
 
@@ -148,7 +135,7 @@ class ResultFiles:
             path = self._job.path(suffix)
             if not path.is_file() or path.stat().st_size != size:
                 return f"but {path.name} is not as it was made"
-        self._facts = _facts(self._job, self._options, record)
+        self._facts = made_from(self._job, self._options, record)
         found, expected = record["identity"], self._facts["identity"]
         changed = [words for key, words in WORDS.items() if found.get(key) != expected[key]]
         return (changed and "made from " + " and ".join(changed)) or ""
@@ -161,54 +148,3 @@ def _make_durable(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def _facts(job: Job, options: Options, record: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What results are made from, as JSON has it: the identity and the state of the recording.
-
-    record: of an earlier run; while names, sizes and times of the recording's files are those that
-    it has, its digest of their content is taken for theirs.
-    """
-    # Before the content is read: a change meanwhile must not count as what was read.
-    files = dict(_files_of(Path(job.source)))
-    state = [[name, p.stat().st_size, p.stat().st_mtime_ns] for name, p in files.items()]
-    if record is not None and record["recording_state"] == state:
-        content = record["identity"].get("recording")
-    else:
-        content = files_digest(files.items())
-    values = asdict(options)
-    values["end_s"] = None if math.isinf(options.end_s) else options.end_s
-    identity = {
-        "recording": content,
-        "sensor": digest(Path(job.sensor).read_bytes()),
-        "software": software_version(),
-        "options": values,
-    }
-    return {"identity": identity, "recording_state": state}
-
-
-@lru_cache(maxsize=1)
-def software_version() -> str:
-    """Changes with all that results are computed and written with."""
-    import cv2
-
-    parts = [f"{name} {_source_version(name)}" for name in PACKAGES]
-    for name in LIBRARIES:
-        try:
-            parts.append(f"{name} {version(name)}")
-        except PackageNotFoundError:  # noqa: PERF203  each by itself
-            parts.append(f"{name} absent")
-    return ", ".join([*parts, f"opencv {cv2.__version__}"])
-
-
-def _source_version(package: str) -> str:
-    spec = find_spec(package)
-    return source_digest(Path(spec.origin).parent) if spec and spec.origin else "absent"
-
-
-def _files_of(source: Path) -> Iterator[tuple[str, Path]]:
-    """Name and path of a file, or of the files of a folder."""
-    for path in [source] if source.is_file() else sorted(source.iterdir()):
-        # No recording has hidden files or folders; results may have been put there.
-        if path.is_file() and not path.name.startswith("."):
-            yield path.name, path

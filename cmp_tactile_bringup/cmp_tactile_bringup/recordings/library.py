@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 from cmp_tactile_driver.bags.recording import is_bag
@@ -24,7 +25,7 @@ SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
 """What is replayed and processed, beside packaged scenes."""
 
 SHOWN_NAMES = 6
-# Of a record in the summary of a results file, and of the description in it.
+# Of a record at the beginning of a results file, such as the description.
 MOST_BYTES = 2**24
 
 MakingProgress = Callable[[str, float], None]
@@ -126,17 +127,25 @@ def sensor_of_recording(source: str) -> str:
 
 
 def _attached_sensor(path: Path) -> str:
-    """A file with the description that is attached to results; empty where none is."""
+    """A file with the description that is attached to results, whole or cut; empty for none.
+
+    It comes before their messages.
+    """
     from mcap.exceptions import McapError
-    from mcap.reader import SeekingReader
+    from mcap.records import Attachment, Header, Metadata
+    from mcap.stream_reader import StreamReader
 
     with path.open("rb") as file:
         try:
-            attached = SeekingReader(file, record_size_limit=MOST_BYTES).iter_attachments()
-            data = next((item.data for item in attached if item.name == SENSOR_FILE), b"")
+            records = StreamReader(file, emit_chunks=True, record_size_limit=MOST_BYTES).records
+            for record in takewhile(
+                lambda r: isinstance(r, Header | Metadata | Attachment), records
+            ):
+                if isinstance(record, Attachment) and record.name == SENSOR_FILE:
+                    return _kept(record.data.decode("utf-8", "replace"))
         except (McapError, ValueError, struct.error):
-            return ""
-    return _kept(data.decode("utf-8", "replace")) if data else ""
+            pass
+    return ""
 
 
 def sensor_of_scene(name_or_path: str) -> str:

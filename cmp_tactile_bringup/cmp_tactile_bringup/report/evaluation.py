@@ -1,127 +1,16 @@
-"""What was measured while a recording was played, and its numbers against the truth."""
+"""The results of a played recording against the truth, and the table of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.recordings import library
-from cmp_tactile_bringup.recordings.simulated import Recording
-from cmp_tactile_processing.calibration.check import CheckedRecording, CheckParameters
-from cmp_tactile_processing.calibration.outcome import length_text
+from cmp_tactile_bringup.report.results import DemoResults, TableRow
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
-from cmp_tactile_processing.measured import ForceField, Grid, Status, Surface
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth
-
-EQUAL_SHARE = 0.95
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """One frame and all that was derived from it.
-
-    index: number of the frame in the recording, from 0.  image (H, W) uint8.
-    left, right: grids that know their placement in the frame.
-    """
-
-    index: int
-    stamp_ns: int
-    image: NDArray[np.uint8]
-    left: Grid
-    right: Grid
-    surface: Surface
-    force: ForceField
-
-
-@dataclass(frozen=True)
-class RunFacts:
-    """How the run went; every entry was measured or asked of the machine.
-
-    frames_sent: published on image_raw.
-    received: topic -> number of frames of the recording that came with it.
-    grid_latency_s, wrench_latency_s: publication of image_raw to arrival of both grids and of the
-    wrench, one per frame; empty where nothing was sent over topics.
-    asked_hz, rate_hz: frames per second that were asked for, and at which wrenches came; NaN
-    where nothing was sent over topics.
-    stages_s: what took how long before and after the frames.
-    machine: what the run was made with and on.
-    """
-
-    frames_sent: int
-    received: Mapping[str, int]
-    grid_latency_s: NDArray[np.float64]
-    wrench_latency_s: NDArray[np.float64]
-    asked_hz: float
-    rate_hz: float
-    stages_s: Mapping[str, float]
-    machine: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class DemoResults:
-    """A recording, the frames of it that came through every stage in order, and the run's facts."""
-
-    sensor: SensorDescription
-    recording: Recording
-    frames: tuple[FrameResult, ...]
-    run: RunFacts
-
-    @property
-    def time_s(self) -> NDArray[np.float64]:
-        """(n,) time of each frame since the first of the recording, s."""
-        stamps = np.array([frame.stamp_ns for frame in self.frames], np.int64)
-        return (stamps - self.recording.truth.stamp_ns[0]).astype(np.float64) * 1e-9
-
-    @property
-    def positions(self) -> NDArray[np.float64]:
-        """(n, rows, cols, 3) measured marker positions, gel frame, m."""
-        return np.stack([frame.surface.position for frame in self.frames])
-
-    def frame(self, index: int) -> FrameResult:
-        """The frame of that number in the recording; LookupError where it was lost."""
-        for frame in self.frames:
-            if frame.index == index:
-                return frame
-        msg = f"frame {index} of the recording did not come through"
-        raise LookupError(msg)
-
-
-@dataclass(frozen=True)
-class Jump:
-    """Two neighbouring frames between which the markers moved far.
-
-    before, after: positions in `DemoResults.frames`.  distance (rows, cols): m per marker.
-    """
-
-    before: int
-    after: int
-    distance: NDArray[np.float64]
-
-
-def find_jump(results: DemoResults) -> Jump:
-    """The largest movement within one frame interval, by the mean over the markers.
-
-    A knock and the knock back are equally large but for noise: the first of such equals counts.
-    Raises LookupError where no two neighbouring frames came through.
-    """
-    indices = np.array([frame.index for frame in results.frames])
-    neighbours = np.flatnonzero(np.diff(indices) == 1)
-    if neighbours.size == 0:
-        msg = "found no two neighbouring frames"
-        raise LookupError(msg)
-    positions = results.positions
-    distances = np.linalg.norm(positions[neighbours + 1] - positions[neighbours], axis=-1)
-    means = np.nan_to_num(np.nanmean(distances, axis=(1, 2)))
-    first = int(np.argmax(means >= EQUAL_SHARE * means.max()))
-    before = int(neighbours[first])
-    return Jump(before, before + 1, distances[first])
-
+from cmp_tactile_processing.measured import Status
 
 NAMED_FRAMES = 5
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -170,16 +59,6 @@ class Evaluation:
     position_max_um: float
     displacement_mean_um: float
     force: ForceEvaluation
-
-
-@dataclass(frozen=True)
-class TableRow:
-    """One line of the table; passed is None without a limit."""
-
-    name: str
-    value: str
-    limit: str = ""
-    passed: bool | None = None
 
 
 def evaluate(results: DemoResults) -> Evaluation:
@@ -408,116 +287,3 @@ def _rms_of_each(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     if not len(errors):
         return np.full(errors.shape[1:], np.nan)
     return np.asarray(np.sqrt((errors**2).mean(axis=0)))
-
-
-# A gel is at rest while its markers are truly this near to their places at rest, m.
-AT_REST = 1e-6
-
-
-@dataclass(frozen=True)
-class TruthLimits:
-    """Of the mean distances, um, and of the displacement's in percent of the largest."""
-
-    position_um: float = 5.0
-    displacement_um: float = 5.0
-    displacement_percent: float = 1.0
-
-
-TRUTH_LIMITS = TruthLimits()
-
-
-@dataclass(frozen=True)
-class TruthErrors:
-    """Distances (frames, rows, cols) m of the markers to the truth, NaN where one is missing.
-
-    position: gel frame.  displacement: from the mean of the frames in which the gel is truly at
-    rest; all NaN without such frames.  largest_displacement: true, m.
-    """
-
-    position: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    largest_displacement: float
-
-    @property
-    def kept(self) -> bool:
-        """Whether all limits are kept."""
-        return all(row.passed for row in self.rows())
-
-    def rows(self) -> list[TableRow]:
-        """Mean distances with their limits."""
-        mean = float(np.nanmean(self.position))
-        far = float(np.nanpercentile(self.position, 99))
-        rows = [
-            TableRow(
-                "3-D error against the truth: mean, 99 % below",
-                f"{length_text(mean)}, {length_text(far)}",
-                f"mean <= {TRUTH_LIMITS.position_um:g} um",
-                mean * 1e6 <= TRUTH_LIMITS.position_um,
-            )
-        ]
-        if np.isfinite(self.displacement).any():
-            rows.append(self._displacement_row())
-        return rows
-
-    def _displacement_row(self) -> TableRow:
-        mean = float(np.nanmean(self.displacement))
-        percent = 100 * mean / max(self.largest_displacement, 1e-12)
-        kept = mean * 1e6 <= TRUTH_LIMITS.displacement_um
-        limit = f"mean <= {TRUTH_LIMITS.displacement_um:g} um"
-        value = length_text(mean)
-        if self.largest_displacement > TRUTH_LIMITS.displacement_um * 1e-6:
-            value += f", {percent:.2f} % of the largest, {self.largest_displacement * 1e3:.2f} mm"
-            limit += f" and {TRUTH_LIMITS.displacement_percent:g} %"
-            kept &= percent <= TRUTH_LIMITS.displacement_percent
-        return TableRow("Displacement error against the truth", value, limit, kept)
-
-
-def truth_of(source: Path) -> RecordedTruth | None:
-    """What is true of a recording's frames; None where it is not recorded."""
-    if not library.sensor_of_recording(str(source)):
-        return None
-    try:
-        return read_truth(library.recorded_source(source))
-    except OutputError:
-        return None
-
-
-def truth_errors(
-    sensor: SensorDescription,
-    grids: Mapping[str, Sequence[Grid]],
-    stamps_ns: Sequence[int],
-    truth: RecordedTruth,
-) -> TruthErrors:
-    """Errors of a sensor's description on frames of which the truth is known.
-
-    grids: of the frames with these stamps, by view.  Raises RecordingError where the truth is of
-    another pattern or of other frames, or no marker is seen.
-    """
-    numbers = {int(stamp): k for k, stamp in enumerate(truth.stamp_ns)}
-    shape = sensor.pattern.shape.corners
-    if truth.corners_m.shape[1:3] != shape:
-        msg = f"truth: found {truth.corners_m.shape[1:3]} corners, expected {shape}"
-        raise library.RecordingError(msg)
-    unknown = [stamp for stamp in stamps_ns if stamp not in numbers]
-    if unknown:
-        msg = f"truth: found none of the frame with the stamp {unknown[0]} ns"
-        raise library.RecordingError(msg)
-    found = CheckedRecording(sensor, grids, CheckParameters()).positions
-    true = truth.corners_m[[numbers[stamp] for stamp in stamps_ns]]
-    return _compared(found, true, sensor.pattern.corners())
-
-
-def _compared(
-    found: NDArray[np.float64], true: NDArray[np.float64], nominal: NDArray[np.float64]
-) -> TruthErrors:
-    off = np.linalg.norm(found - true, axis=-1)
-    if not np.isfinite(off).any():
-        msg = "truth: found no marker in 3-D, expected the pattern of this sensor"
-        raise library.RecordingError(msg)
-    moved = np.linalg.norm(true - nominal, axis=-1)
-    still = np.nanmax(moved.reshape(len(moved), -1), axis=1) < AT_REST
-    displacement = np.full_like(off, np.nan)
-    if still.any():
-        zero, true_zero = np.nanmean(found[still], axis=0), np.nanmean(true[still], axis=0)
-        displacement = np.linalg.norm((found - zero) - (true - true_zero), axis=-1)
-    return TruthErrors(off, displacement, float(np.nanmax(moved)))

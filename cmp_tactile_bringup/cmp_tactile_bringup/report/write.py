@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import BAND, DemoResults, TableRow, find_jump
+from cmp_tactile_bringup.report.evaluation import BAND
 from cmp_tactile_bringup.report.figures.over_time import contact_figure, wrench_figure
 from cmp_tactile_bringup.report.figures.overview import overview_figure, write_animation
+from cmp_tactile_bringup.report.results import DemoResults, TableRow, find_jump
 
 # By the names of their files; captions are in the template of the page.
 FIGURES = {"wrench": wrench_figure, "contacts": contact_figure}

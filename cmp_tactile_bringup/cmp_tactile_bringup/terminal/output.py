@@ -21,7 +21,7 @@ from rich.text import Text
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
 if TYPE_CHECKING:
-    from cmp_tactile_bringup.report.evaluation import TableRow
+    from cmp_tactile_bringup.report.results import TableRow
 
 OnStage = Callable[[str, float], None]
 """Takes what is being done, and the share of it that is done, from 0 to 1."""

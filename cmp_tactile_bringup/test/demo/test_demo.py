@@ -12,7 +12,7 @@ from rich.progress import Progress
 import cmp_tactile_bringup.demo
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands.demo import Demo, _play
-from cmp_tactile_bringup.report.evaluation import DemoResults
+from cmp_tactile_bringup.report.results import DemoResults
 
 
 @pytest.fixture

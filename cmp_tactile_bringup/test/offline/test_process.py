@@ -214,13 +214,6 @@ def test_results_never_lie_in_the_place_of_the_recording(images, tmp_path, capsy
     one_line_error(capsys, "images: found --output", "apart from the recording")
 
 
-def test_an_image_of_another_size_is_named(tmp_path, capsys):
-    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((48, 64), np.uint8))
-    assert process(tmp_path / "small.png", "--output", tmp_path / "out") == 1
-    one_line_error(capsys, "small.png", "64 x 48", "1024 x 768")
-    assert not list(tmp_path.glob("out/*"))
-
-
 def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys, monkeypatch):
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((48, 64), np.uint8))
@@ -228,15 +221,6 @@ def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys
     assert process(tmp_path, "--output", tmp_path / "out") == 1
     one_line_error(capsys, "first 2 of 3 images", "64 x 48", "1024 x 768")
     assert not list(tmp_path.glob("out/*"))
-
-
-def test_one_frame_of_another_size_at_the_beginning_is_skipped(images, tmp_path, capsys):
-    cv2.imwrite(str(images / "0.png"), np.zeros((48, 64), np.uint8))
-    assert process(images, "--output", tmp_path / "out") == 1
-    error = capsys.readouterr().err
-    assert "not all of it could be used: " in error
-    assert "0.png: found 64 x 48 px, expected 1024 x 768 px" in error
-    assert (tmp_path / "out" / "images.mcap").exists()
 
 
 def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, tmp_path, capsys):

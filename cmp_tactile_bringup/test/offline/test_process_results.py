@@ -215,20 +215,6 @@ def test_the_reference_is_taken_by_itself_as_the_node_takes_it(images, tmp_path,
     assert numbers == [0] * 19 + [1, 1]
 
 
-def test_a_video_is_processed_at_its_own_rate(images, tmp_path, capsys):
-    path = tmp_path / "video.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (1024, 768))
-    for k in range(3):
-        writer.write(cv2.imread(str(images / f"{k}.png")))
-    writer.release()
-    assert process(path, "--output", tmp_path) == 0
-    with (tmp_path / "video_wrench.csv").open() as file:
-        assert [row["stamp_ns"] for row in csv.DictReader(file)] == ["0", "40000000", "80000000"]
-    path.write_bytes(b"not a clip")
-    assert process(path, "--output", tmp_path / "bad") == 1
-    assert "video.avi: found 10 bytes, expected a video" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("text", ["first-0", "first-1001", "first-x", "still"])
 def test_a_reference_that_is_none_is_a_wrong_option(text, capsys):
     with pytest.raises(SystemExit) as ended:

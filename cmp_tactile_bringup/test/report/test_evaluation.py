@@ -7,14 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.report.evaluation import (
-    LIMITS,
-    DemoResults,
-    Limits,
-    evaluate,
-    find_jump,
-    table_rows,
-)
+from cmp_tactile_bringup.report.evaluation import LIMITS, Limits, evaluate, table_rows
+from cmp_tactile_bringup.report.results import DemoResults, find_jump
 
 CORNERS_PER_FRAME = 2 * 20 * 20
 PITCH = 14.5e-3 / 21

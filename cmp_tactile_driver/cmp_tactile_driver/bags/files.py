@@ -1,12 +1,10 @@
-"""What a file of a bag gives, whatever its format."""
+"""What files of bags have in common, whatever their format."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import zstandard
 
@@ -39,32 +37,19 @@ class Place:
         return replace(self, file=number) if number else self
 
 
-class BagFile(Protocol):
-    """One file.
-
-    topics: message type by topic.  stated: how many messages of a topic the file itself says it
-    holds.  damage: why some of its bytes cannot be read; empty where all can.
-    """
-
-    topics: dict[str, str]
-    stated: dict[str, int]
-    damage: str
-
-    def places(self, topics: Collection[str]) -> list[Place]:
-        """Where the messages of some topics lie, in the order in which they were written."""
-
-    def opened(self) -> AbstractContextManager[Callable[[Any], bytes]]:
-        """Reads the CDR bytes at a place's `where`, DamageError where they are damaged."""
-
-
 def unpacked(data: bytes) -> bytes:
     """A message that rosbag2 may have compressed by itself; DamageError where it cannot be."""
     if not data.startswith(ZSTD_MAGIC):
         return data
+    # Takes frames that do not state how long their content is, too.
+    unpacking = zstandard.ZstdDecompressor().decompressobj()
     try:
-        return zstandard.ZstdDecompressor().decompress(data)
+        content = unpacking.decompress(data)
     except zstandard.ZstdError as error:
         raise DamageError(str(error)) from None
+    if not unpacking.eof:
+        raise DamageError("a compressed message is cut")
+    return content
 
 
 def head_stamp_ns(head: bytes) -> int:

@@ -15,6 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, NamedTuple
 
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
@@ -51,7 +52,11 @@ class _Where(NamedTuple):
 
 
 class McapBagFile:
-    """As `files.BagFile`."""
+    """One file.
+
+    topics: message type by topic.  stated: how many messages of a topic the file itself says it
+    holds.  damage: why some of its bytes cannot be read; empty where all can.
+    """
 
     def __init__(self, path: Path) -> None:
         """Raises DamageError where nothing of it can be read."""
@@ -71,7 +76,10 @@ class McapBagFile:
                 raise DamageError(self.damage)
 
     def places(self, topics: Collection[str]) -> list[Place]:
-        """As `files.BagFile`; what is damaged is passed over where its length is known."""
+        """Where the messages of some topics lie, in the order in which they were written.
+
+        What is damaged is passed over where its length is known.
+        """
         self.damage = ""
         found: list[Place] = []
         with self._path.open("rb") as file:
@@ -87,7 +95,7 @@ class McapBagFile:
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[_Where], bytes]]:
-        """As `files.BagFile`."""
+        """Reads the CDR bytes at a place's `where`; DamageError where they are damaged."""
         with self._path.open("rb") as file:
             chunk = lru_cache(KEPT_CHUNKS)(lambda begin: _chunk_records(file, begin))
 
@@ -179,7 +187,8 @@ class McapBagFile:
                 counts[self._channels[number].topic] += count
         # A writer may count messages without counting those of each channel.
         if counts.total() == statistics.message_count:
-            self.stated = dict(counts)
+            # A topic without messages may not be among the counts.
+            self.stated = {topic: counts[topic] for topic in self.topics}
         return True
 
     def _add_schema(self, schema: Schema) -> None:
@@ -196,7 +205,8 @@ class McapBagFile:
 def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int, int]]:
     """Opcode, begin and length of the records between two places; DamageError where one is cut.
 
-    The stream stands where the record begins.
+    A chunk that is cut comes before that, with the length that is left.  The stream stands where
+    the record begins.
     """
     while begin < end:
         stream.seek(begin)
@@ -210,6 +220,8 @@ def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int
             raise DamageError(msg)
         begin += RECORD_HEAD.size
         if begin + length > end:
+            if opcode == Opcode.CHUNK:
+                yield opcode, begin, end - begin
             msg = f"a record of {length} bytes at byte {begin} is cut"
             raise DamageError(msg)
         yield opcode, begin, length
@@ -229,12 +241,20 @@ def _chunk_layout(file: IO[bytes], begin: int) -> tuple[bool, int]:
 
 
 def _chunk_records(file: IO[bytes], begin: int) -> bytes:
-    """The records of a chunk, unpacked; DamageError where they are not what its checksum says."""
-    file.seek(begin)
+    """The records of a chunk, unpacked; of one that is cut, what is there of them.
+
+    DamageError where they are not what its checksum says.
+    """
+    _, first = _chunk_layout(file, begin)
     try:
+        file.seek(first - LENGTH.size)
+        (length,) = LENGTH.unpack(file.read(LENGTH.size))
+        file.seek(begin)
         chunk = Chunk.read(ReadDataStream(file))
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        data = stream.read(length)
+        if len(chunk.data) < length:
+            return _begin_of_records(chunk)
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        data = stream.read(size)
     except Exception as error:  # noqa: BLE001  damaged bytes raise anything
         msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
         raise DamageError(msg) from None
@@ -243,3 +263,13 @@ def _chunk_records(file: IO[bytes], begin: int) -> bytes:
         msg = f"the chunk at byte {begin}: {sizes}"
         raise DamageError(msg)
     return data
+
+
+def _begin_of_records(cut: Chunk) -> bytes:
+    """As much as can be unpacked; a checksum is only over all of them."""
+    if cut.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(cut.data)
+    if cut.compression:
+        msg = f"is cut, and {cut.compression} is not unpacked in part"
+        raise DamageError(msg)
+    return cut.data

@@ -1,7 +1,8 @@
 """One MCAP file of CDR messages, in chunks that are in it whole or not at all.
 
-The records are those of the library `mcap`.  Its own writer compresses at a level that takes a
-camera frame six times as long, and cannot give up a chunk for which the disk has no room.
+The records are those of the library `mcap`.  Its own writer ends no chunk before that is full,
+compresses at a level that takes a camera frame six times as long, and cannot give up a chunk for
+which the disk has no room; that of `rosbags` writes neither checksums nor stamps nor attachments.
 """
 
 from __future__ import annotations
@@ -23,12 +24,8 @@ from rosbags.rosbag2.metadata import dump_qos_v9
 
 CHUNK_BYTES = 2**20
 ZSTD_LEVEL = 1
-
-
-def qos_yaml(profiles: Sequence[Qos]) -> str:
-    """Profiles of a topic's publishers as a channel has them."""
-    parts = [dict(item) for item in dump_qos_v9(list(profiles))]
-    return yaml.safe_dump(parts, sort_keys=False).strip() if parts else ""
+NO_TIMES_NS = (2**63 - 1, 0)
+"""First and last time of no messages, as rosbag2 writes them."""
 
 
 @dataclass
@@ -45,7 +42,7 @@ class McapFile:
     Every method may raise OSError.  After that the file ends with the last whole chunk, and may
     only be closed.
 
-    counts: messages by channel that are in the file.  times_ns: the first and last of their log
+    counts: messages by topic that are in the file.  times_ns: the first and last of their log
     times.
     """
 
@@ -55,13 +52,14 @@ class McapFile:
         self._compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL) if compressed else None
         self._file = path.open("xb", buffering=0)
         self._schemas: dict[str, records.Schema] = {}
-        self._channels: list[records.Channel] = []
-        self._chunk_indices: list[records.ChunkIndex] = []
-        self._more_indices: list[records.AttachmentIndex | records.MetadataIndex] = []
+        self._channels: dict[str, records.Channel] = {}
+        self._indices: list[
+            records.ChunkIndex | records.AttachmentIndex | records.MetadataIndex
+        ] = []
         self._chunk = _Chunk()
         self._whole_bytes = 0
-        self.counts: Counter[int] = Counter()
-        self.times_ns = (2**63 - 1, 0)
+        self.counts: Counter[str] = Counter()
+        self.times_ns = NO_TIMES_NS
         self._put(MCAP0_MAGIC + _bytes_of([records.Header("ros2", "cmp_tactile")]))
 
     def __enter__(self) -> McapFile:
@@ -80,52 +78,50 @@ class McapFile:
         """Whether it is time for `flush`."""
         return self._chunk.content.count > CHUNK_BYTES
 
-    def add_channel(self, topic: str, kind: str, definition: str, qos: str = "") -> int:
-        """The number of a new channel.  qos: from `qos_yaml`."""
+    def add_topic(self, topic: str, kind: str, definition: str, qos: Sequence[Qos] = ()) -> None:
+        """Name a topic before its first message; again is no fault.  qos: of its publishers."""
+        if topic in self._channels:
+            return
         if kind not in self._schemas:
             schema = records.Schema(
                 id=len(self._schemas) + 1, name=kind, encoding="ros2msg", data=definition.encode()
             )
             self._schemas[kind] = schema
             schema.write(self._chunk.content)
+        profiles = [dict(item) for item in dump_qos_v9(list(qos))]
+        text = yaml.safe_dump(profiles, sort_keys=False).strip() if profiles else ""
         channel = records.Channel(
             id=len(self._channels) + 1,
             topic=topic,
             message_encoding="cdr",
-            metadata={"offered_qos_profiles": qos},
+            metadata={"offered_qos_profiles": text},
             schema_id=self._schemas[kind].id,
         )
-        self._channels.append(channel)
+        self._channels[topic] = channel
         channel.write(self._chunk.content)
-        return channel.id
 
-    def write(
-        self, channel: int, log_ns: int, publish_ns: int, data: bytes, sequence: int = 0
-    ) -> None:
+    def write(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message to the chunk to come."""
+        channel = self._channels[topic].id
         index = self._chunk.indices.setdefault(channel, records.MessageIndex(channel, []))
         index.records.append((log_ns, self._chunk.content.count))
         message = records.Message(
-            channel_id=channel,
-            log_time=log_ns,
-            data=data,
-            publish_time=publish_ns,
-            sequence=sequence,
+            channel_id=channel, log_time=log_ns, data=data, publish_time=publish_ns, sequence=0
         )
         message.write(self._chunk.content)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Add a file."""
-        record = records.Attachment(0, 0, name, media_type, data)
-        place = self._whole_bytes, self._put(_bytes_of([record]))
-        index = records.AttachmentIndex(*place, 0, 0, len(data), name, media_type)
-        self._more_indices.append(index)
+        begin = self._whole_bytes
+        length = self._put(_bytes_of([records.Attachment(0, 0, name, media_type, data)]))
+        index = records.AttachmentIndex(begin, length, 0, 0, len(data), name, media_type)
+        self._indices.append(index)
 
     def describe(self, name: str, facts: Mapping[str, str]) -> None:
         """Add metadata."""
-        record = records.Metadata(name, dict(facts))
-        place = self._whole_bytes, self._put(_bytes_of([record]))
-        self._more_indices.append(records.MetadataIndex(*place, name))
+        begin = self._whole_bytes
+        length = self._put(_bytes_of([records.Metadata(name, dict(facts))]))
+        self._indices.append(records.MetadataIndex(begin, length, name))
 
     def flush(self) -> None:
         """Hand all messages to the operating system; those that it does not take are dropped."""
@@ -149,7 +145,7 @@ class McapFile:
             index.write(indices)
         index_bytes = indices.end()
         self._put(packed + index_bytes)
-        self._chunk_indices.append(
+        self._indices.append(
             records.ChunkIndex(
                 chunk_length=len(packed),
                 chunk_start_offset=begin,
@@ -162,9 +158,10 @@ class McapFile:
                 uncompressed_size=len(data),
             )
         )
-        self.counts.update({number: len(i.records) for number, i in chunk.indices.items()})
-        first, last = self.times_ns
-        self.times_ns = min(first, *times), max(last, *times)
+        for topic, known in self._channels.items():
+            if known.id in chunk.indices:
+                self.counts[topic] += len(chunk.indices[known.id].records)
+        self.times_ns = min(self.times_ns[0], *times), max(self.times_ns[1], *times)
 
     def sync(self) -> None:
         """As `flush`, and have the disk keep it: no power cut takes it any more."""
@@ -198,20 +195,20 @@ class McapFile:
     def _put_end(self) -> None:
         data_end = _bytes_of([records.DataEnd(0)])
         begin = self._whole_bytes + len(data_end)
-        kinds = [type(index) for index in self._more_indices]
+        kinds = Counter(type(index) for index in self._indices)
         statistics = records.Statistics(
-            attachment_count=kinds.count(records.AttachmentIndex),
+            attachment_count=kinds[records.AttachmentIndex],
             channel_count=len(self._channels),
-            channel_message_counts=dict(self.counts),
-            chunk_count=len(self._chunk_indices),
+            channel_message_counts={self._channels[t].id: n for t, n in self.counts.items()},
+            chunk_count=kinds[records.ChunkIndex],
             message_count=self.counts.total(),
             message_end_time=self.times_ns[1],
             message_start_time=self.times_ns[0] if self.counts else 0,
-            metadata_count=kinds.count(records.MetadataIndex),
+            metadata_count=kinds[records.MetadataIndex],
             schema_count=len(self._schemas),
         )
-        indices = (*self._chunk_indices, *self._more_indices)
-        summary = _bytes_of([*self._schemas.values(), *self._channels, statistics, *indices])
+        parts = (*self._schemas.values(), *self._channels.values(), statistics, *self._indices)
+        summary = _bytes_of(parts)
         # The checksum covers the footer, too, up to itself.
         footer = _bytes_of([records.Footer(begin, 0, 0)])[:-4]
         checksum = zlib.crc32(footer, zlib.crc32(summary)).to_bytes(4, "little")

@@ -6,77 +6,38 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from enum import Enum
 from itertools import cycle
-from typing import Generic, TypeVar
+from typing import TypeVar, cast
 
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.capture import Pacer, Worker
+from cmp_tactile_driver.sources.capture import Worker
+from cmp_tactile_driver.sources.timing import Pacer
 
 T = TypeVar("T")
 
 
-class Prefetch(Generic[T]):
-    """The items of an iterator in their order, up to `depth` of them ahead.
+def read_ahead(items: Iterator[T], depth: int) -> Generator[T, None, None]:
+    """The items in their order, up to `depth` of them read ahead on a thread.
 
-    To be used in a with statement, at whose end the thread ends.  What the iterator raises is
-    raised after its last item.
+    Ends that thread when it is closed.  What the iterator raises is raised after its last item.
     """
-
-    def __init__(self, items: Iterator[T], depth: int) -> None:
-        self._items = items
-        self._depth = depth
-        self._ready: deque[T] = deque()
-        self._condition = threading.Condition()
-        self._closed = self._ended = False
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._read, name="prefetch", daemon=True)
-
-    def __enter__(self) -> Prefetch[T]:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._thread.join()
-
-    def __iter__(self) -> Iterator[T]:
-        while True:
-            with self._condition:
-                self._condition.wait_for(lambda: self._ready or self._ended)
-                if not self._ready:
-                    break
-                item = self._ready.popleft()
-                self._condition.notify_all()
-            yield item
-        if self._error is not None:
-            raise self._error
-
-    def _read(self) -> None:
+    end = object()
+    with ThreadPoolExecutor(1, "read_ahead") as pool:
+        ahead = deque(pool.submit(next, items, end) for _ in range(depth))
         try:
-            for item in self._items:
-                if not self._put(item):
-                    break
-        except Exception as error:  # noqa: BLE001  it is raised where the items are used
-            self._error = error
-        with self._condition:
-            self._ended = True
-            self._condition.notify_all()
-
-    def _put(self, item: T) -> bool:
-        with self._condition:
-            self._condition.wait_for(lambda: self._closed or len(self._ready) < self._depth)
-            if not self._closed:
-                self._ready.append(item)
-                self._condition.notify_all()
-            return not self._closed
+            while (item := ahead.popleft().result()) is not end:
+                ahead.append(pool.submit(next, items, end))
+                yield cast("T", item)
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 POLL_TIME = 0.02
@@ -285,7 +246,7 @@ class Player:
     def _play_from(self, start: float) -> bool:
         """Whether all was played; False where it was stopped or is to jump."""
         durations, offset = cycle(item.duration for item in self._recordings), 0.0
-        with Prefetch(self._timeline(start), PREFETCH_DEPTH) as items:
+        with closing(read_ahead(self._timeline(start), PREFETCH_DEPTH)) as items:
             for item in items:
                 if item is _Mark.RECORDING_OVER:
                     self._last_s = None

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,16 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
+from cmp_tactile_driver.bags.calibration import RecordedCalibration
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
+from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import COMPRESSED, decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
-from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, whole_frame_info
-from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.ros.messages.making import CAMERA_INFO
 
 
 @dataclass(frozen=True)
@@ -54,72 +56,12 @@ class RecordedCameraInfo:
     data: bytes
 
 
-@dataclass(frozen=True)
-class RecordedCalibration:
-    """What a sensor_msgs/CameraInfo on `topic` says.
-
-    width, height: 0 where it leaves them unset.  K (3, 3), px: all 0 if not calibrated.
-    """
-
-    topic: str
-    width: int
-    height: int
-    K: NDArray[np.float64]
-    D: NDArray[np.float64]
-
-
 RecordedMessage = RecordedFrame | RecordedCameraInfo
-
-
-# What rounding in a description file may change; another camera differs by more.
-MATRIX_TOLERANCE_PX = 0.1
-DISTORTION_TOLERANCE = 1e-3
-
-
-def calibration_mismatch(found: RecordedCalibration | None, sensor: SensorDescription) -> str:
-    """The first difference in one line: topic, field, found, expected; empty where they agree.
-
-    Size, K and D are compared; K and D only where the camera of the recording is calibrated and
-    the sensor has one camera for the whole frame.
-    """
-    if found is None:
-        return ""
-    difference = _size_difference(found, sensor) or _lens_difference(found, sensor)
-    if not difference:
-        return ""
-    return f"{found.topic}: {difference}: is {sensor.name} the description of this sensor?"
-
-
-def _size_difference(found: RecordedCalibration, sensor: SensorDescription) -> str:
-    for field in ("width", "height"):
-        value, expected = getattr(found, field), getattr(sensor.image, field)
-        if value not in (0, expected):
-            return f"{field}: found {value}, expected {expected}"
-    return ""
-
-
-def _lens_difference(found: RecordedCalibration, sensor: SensorDescription) -> str:
-    camera = sensor.camera
-    if camera is None or not found.K.any():
-        return ""
-    K = whole_frame_info(sensor).K
-    if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
-        return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
-    expected = np.array(camera.distortion)
-    length = max(found.D.size, expected.size)
-    # Coefficients that are left out are 0.
-    D, D_expected = (np.pad(D, (0, length - D.size)) for D in (found.D, expected))
-    if not np.allclose(D, D_expected, rtol=0, atol=DISTORTION_TOLERANCE):
-        return f"D: found {_numbers(found.D)}, expected {_numbers(expected)}"
-    return ""
-
-
-def _numbers(values: NDArray[np.float64]) -> str:
-    return "[" + ", ".join(f"{value:g}" for value in values.ravel()) + "]"
 
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+FRAMES_FOR_RATE = 20
 # What rosbags raises for bytes that are no message of their type.
 # KeyError where a damaged schema names a type that nobody knows.
 BAD_MESSAGE = (SerdeError, ValueError, LookupError, OverflowError)
@@ -168,6 +110,13 @@ class BagReader:
     def duration(self) -> float:
         """Time of the last message, s from the first frame."""
         return self._timeline.duration
+
+    @cached_property
+    def frame_rate(self) -> float:
+        """Of its first frames, Hz; BagError where none is good."""
+        times_s = [frame.time_s for frame in islice(self.frames(), FRAMES_FOR_RATE)]
+        interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+        return min(1 / interval_s, 1000.0) if interval_s > 0 else DEFAULT_FRAME_RATE
 
     @property
     def gaps(self) -> str:

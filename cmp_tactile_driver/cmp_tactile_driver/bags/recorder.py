@@ -7,7 +7,7 @@ import time
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -82,23 +82,15 @@ class RecordingProgress:
         return self.state is RecorderState.FAILED
 
 
-@dataclass
-class _Queue:
-    """Messages between those who bring them and the thread that writes."""
-
-    limit: int
-    items: deque[tuple[Tap, int, Any, int]] = field(default_factory=deque)
-    size: int = 0
-    peak: int = 0
-
-
 class BagRecorder:
     """Writes what `put` brings; never waits for the disk in `put`."""
 
     def __init__(self, writer: BagWriter, queue_bytes: int) -> None:
         """queue_bytes: what may wait; what comes while it is full is dropped, and counted."""
         self._writer = writer
-        self._queue = _Queue(queue_bytes)
+        self._queue: deque[tuple[Tap, int, Any, int]] = deque()
+        self._limit_bytes = queue_bytes
+        self._queued_bytes = self._peak_bytes = 0
         self._condition = threading.Condition()
         self._stopping = self._split_wanted = False
         self._state = RecorderState.RECORDING
@@ -122,32 +114,28 @@ class BagRecorder:
                 self._size,
                 self._files,
                 (self._last_ns - self._first_ns) * 1e-9,
-                self._queue.size,
-                self._queue.peak,
+                self._queued_bytes,
+                self._peak_bytes,
             )
 
     def put(self, tap: Tap, log_ns: int, message: Any) -> None:
         """Hand a message over, which nobody may change any more."""
         size = max(len(getattr(message, "data", ())), tap.size)
         with self._condition:
-            queue = self._queue
             if self._state is not RecorderState.RECORDING or self._stopping:
                 return
-            if queue.size + size > queue.limit or len(queue.items) >= MESSAGE_LIMIT:
-                self._dropped[tap.topic] += 1
-                self._problem = f"{tap.topic}: dropped, because writing is too slow"
+            queued = self._queued_bytes + size
+            if queued > self._limit_bytes or len(self._queue) >= MESSAGE_LIMIT:
+                self._drop(tap, 1, "dropped, because writing is too slow")
                 return
-            queue.items.append((tap, log_ns, message, size))
-            queue.size += size
-            queue.peak = max(queue.peak, queue.size)
-            if len(queue.items) == 1:
-                self._condition.notify()
+            self._queue.append((tap, log_ns, message, size))
+            self._queued_bytes, self._peak_bytes = queued, max(self._peak_bytes, queued)
+            self._condition.notify()
 
     def lost(self, tap: Tap, count: int) -> None:
         """Count messages that did not come as far as `put`."""
         with self._condition:
-            self._dropped[tap.topic] += count
-            self._problem = f"{tap.topic}: lost on the way to the recorder"
+            self._drop(tap, count, "lost on the way to the recorder")
 
     def split(self) -> None:
         """Begin a new file before the next message."""
@@ -161,6 +149,10 @@ class BagRecorder:
             self._stopping = True
             self._condition.notify()
         self._thread.join()
+
+    def _drop(self, tap: Tap, count: int, reason: object) -> None:
+        self._dropped[tap.topic] += count
+        self._problem = f"{tap.topic}: {reason}"
 
     def _run(self) -> None:
         problem = ""
@@ -180,51 +172,41 @@ class BagRecorder:
             self._messages -= lost
             self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
             self._problem = problem or self._problem
-            for tap, *_ in self._queue.items:
-                self._dropped[tap.topic] += 1
-            self._queue.items.clear()
-            self._queue.size = 0
+            self._dropped.update(tap.topic for tap, *_ in self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
 
     def _write_all(self) -> None:
         sync_at = time.monotonic() + SYNC_PERIOD_S
         while True:
-            items, split = self._next_items(sync_at)
+            with self._condition:
+                self._condition.wait_for(
+                    lambda: self._queue or self._stopping or self._split_wanted,
+                    max(0.0, sync_at - time.monotonic()),
+                )
+                split, self._split_wanted = self._split_wanted, False
+                item = self._queue.popleft() if self._queue else None
+                ends = self._stopping and item is None
             if split:
                 self._writer.split()
-            if items is None:
+            if ends:
                 return
-            for tap, log_ns, message, size in items:
-                self._write(tap, log_ns, message)
-                with self._condition:
-                    self._queue.size -= size
+            if item is not None:
+                self._write(*item)
             if time.monotonic() >= sync_at:
                 self._writer.sync()
                 sync_at = time.monotonic() + SYNC_PERIOD_S
             with self._condition:
                 self._size, self._files = self._writer.size, self._writer.file_count
 
-    def _next_items(self, until: float) -> tuple[list[tuple[Tap, int, Any, int]] | None, bool]:
-        """What waits, None at the end; and whether a new file is to begin."""
-        with self._condition:
-            self._condition.wait_for(
-                lambda: self._queue.items or self._stopping or self._split_wanted,
-                max(0.0, until - time.monotonic()),
-            )
-            split, self._split_wanted = self._split_wanted, False
-            if not self._queue.items and self._stopping:
-                return None, split
-            # One at a time, so that what is written leaves the queue at once.
-            items = [self._queue.items.popleft()] if self._queue.items else []
-            return items, split
-
-    def _write(self, tap: Tap, log_ns: int, message: Any) -> None:
+    def _write(self, tap: Tap, log_ns: int, message: Any, size: int) -> None:
         try:
             encoded = tap.encode(message)
             self._writer.add_topic(encoded.topic, encoded.kind, tap.qos)
         except Exception as error:  # noqa: BLE001  one message must not end the recording
             with self._condition:
-                self._dropped[tap.topic] += 1
-                self._problem = f"{tap.topic}: {error}"
+                self._drop(tap, 1, error)
+                self._queued_bytes -= size
             return
         tap.size = len(encoded.data)
         with self._condition:
@@ -232,5 +214,6 @@ class BagRecorder:
             self._messages[encoded.topic] += 1
         self._writer.write(encoded.topic, log_ns, encoded.data, encoded.stamp_ns)
         with self._condition:
+            self._queued_bytes -= size
             self._first_ns = self._first_ns or log_ns
             self._last_ns = max(self._last_ns, log_ns)

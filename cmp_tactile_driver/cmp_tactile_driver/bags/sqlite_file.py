@@ -23,7 +23,7 @@ LOG_SUFFIX = "-wal"
 
 
 class SqliteBagFile:
-    """As `files.BagFile`; the format does not state how many messages there are."""
+    """As `McapBagFile`; the format does not state how many messages there are."""
 
     def __init__(self, path: Path) -> None:
         """Raises DamageError where nothing of it can be read."""
@@ -44,7 +44,7 @@ class SqliteBagFile:
         self.topics = dict(self._topics.values())
 
     def places(self, topics: Collection[str]) -> list[Place]:
-        """As `files.BagFile`, up to the first damage."""
+        """As `McapBagFile`, up to the first damage."""
         self.damage = ""
         found = []
         query = f"SELECT id, topic_id, timestamp, substr(data, 1, {HEAD_BYTES}) FROM messages"  # noqa: S608
@@ -62,7 +62,7 @@ class SqliteBagFile:
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[int], bytes]]:
-        """As `files.BagFile`."""
+        """As `McapBagFile`."""
         with self._connected() as connection:
             yield lambda row: self._read(connection, row)
 

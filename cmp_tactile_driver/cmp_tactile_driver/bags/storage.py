@@ -17,15 +17,13 @@ from typing import Any
 import yaml
 import zstandard
 
-from cmp_tactile_driver.bags.files import BagFile, DamageError, Place
+from cmp_tactile_driver.bags.files import DamageError, Place
 from cmp_tactile_driver.bags.mcap_file import McapBagFile
 from cmp_tactile_driver.bags.sqlite_file import SqliteBagFile
 from cmp_tactile_driver.errors import BagError
 
-FORMATS: dict[str, type[McapBagFile] | type[SqliteBagFile]] = {
-    ".mcap": McapBagFile,
-    ".db3": SqliteBagFile,
-}
+BagFile = McapBagFile | SqliteBagFile
+FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
 STORAGE_SUFFIXES = tuple(FORMATS)
 PACKED_SUFFIX = ".zstd"
 
@@ -89,7 +87,7 @@ class BagStorage:
         """The messages at some places; None for one whose bytes are damaged, see `loss`."""
         failed = 0
         with ExitStack() as stack:
-            opened = [stack.enter_context(file.opened()) for file in self._files]
+            opened: list[Any] = [stack.enter_context(file.opened()) for file in self._files]
             for place in places:
                 try:
                     data = opened[place.file](place.where)

@@ -14,7 +14,7 @@ import yaml
 from rosbags.interfaces import Qos, QosDurability
 from rosbags.rosbag2.metadata import dump_qos_v9
 
-from cmp_tactile_driver.bags.mcap_writer import McapFile, qos_yaml
+from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_processing.cache.files import atomic_path
 from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
@@ -74,36 +74,6 @@ class _Topic:
         depth = sum(max(1, item.depth) for item in self.qos)
         return min(MOST_KEPT, max(depth, LEAST_KEPT.get(self.name, 0)))
 
-    def facts(self) -> dict[str, Any]:
-        """As metadata.yaml has them."""
-        return {
-            "name": self.name,
-            "type": self.kind,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": [dict(item) for item in dump_qos_v9(list(self.qos))],
-            "type_description_hash": self.definition.type_hash,
-        }
-
-
-@dataclass(frozen=True)
-class _Summary:
-    """Of a file that is closed, or of all."""
-
-    name: str
-    size: int
-    counts: Counter[str]
-    times_ns: tuple[int, int]
-
-    def facts(self) -> dict[str, Any]:
-        """As metadata.yaml has them; times of no message at all are those that rosbag2 writes."""
-        first, last = self.times_ns
-        count = self.counts.total()
-        return {
-            "duration": {"nanoseconds": last - first if count else 0},
-            "starting_time": {"nanoseconds_since_epoch": first},
-            "message_count": count,
-        }
-
 
 class BagWriter:
     """One bag; not for several threads at once.
@@ -125,9 +95,8 @@ class BagWriter:
         self._limits = limits or SplitLimits()
         self._topics: dict[str, _Topic] = {}
         self._latched: dict[str, deque[tuple[int, bytes]]] = {}
-        self._files: list[_Summary] = []
-        self._file: McapFile | None = None
-        self._channels: dict[str, int] = {}
+        self._files: list[McapFile] = []
+        self._is_open = False
         self._first_ns = self._repeated_bytes = 0
         self.counts: Counter[str] = Counter()
         self._pending: Counter[str] = Counter()
@@ -147,12 +116,12 @@ class BagWriter:
     @property
     def file_count(self) -> int:
         """How many files there are."""
-        return len(self._files) + (self._file is not None)
+        return len(self._files)
 
     @property
     def size(self) -> int:
         """Bytes of all files."""
-        return sum(file.size for file in self._files) + (self._file.size if self._file else 0)
+        return sum(file.size for file in self._files)
 
     def add_topic(self, name: str, kind: str, qos: Sequence[Qos] = ()) -> None:
         """Name a topic before its first message; again is no fault.
@@ -173,6 +142,8 @@ class BagWriter:
         """
         if publish_ns is None or publish_ns < 0:
             publish_ns = log_ns
+        # Of a clock that was set back, the file's time counts from there.
+        self._first_ns = min(self._first_ns, log_ns)
         if self._is_full(log_ns):
             self.split()
         if not self._first_ns:
@@ -180,7 +151,7 @@ class BagWriter:
             for name, messages in self._latched.items():
                 for stamp_ns, kept in messages:
                     self._put(name, log_ns, stamp_ns, kept)
-            self._repeated_bytes = self._file.size if self._file else 0
+            self._repeated_bytes = self._files[-1].size
         self._put(topic, log_ns, publish_ns, data)
         self._pending[topic] += 1
         if topic in self._latched:
@@ -188,13 +159,12 @@ class BagWriter:
             with suppress(ValueError):  # sent once more
                 self._latched[topic].remove(message)
             self._latched[topic].append(message)
-        if self._file is not None and self._file.chunk_is_full:
-            self._flush(self._file.flush)
+        if self._files[-1].chunk_is_full:
+            self._flush(self._files[-1].flush)
 
     def sync(self) -> None:
         """Have the disk keep all, so that it is there even after a power cut."""
-        if self._file is not None:
-            self._flush(self._file.sync)
+        self._flush(self._files[-1].sync)
 
     def split(self) -> None:
         """Begin a new file."""
@@ -205,9 +175,7 @@ class BagWriter:
     def close(self) -> None:
         """Write the index and metadata.yaml."""
         try:
-            # There is none where no new one could be begun.
-            if self._file is not None:
-                self._close_file()
+            self._close_file()
         finally:
             with self._write_errors(), atomic_path(self.folder / "metadata.yaml") as beside:
                 beside.write_text(self._metadata(), encoding="utf-8")
@@ -217,12 +185,12 @@ class BagWriter:
         try:
             yield
         except OSError as error:
-            place = self._file.path if self._file is not None else self.folder
+            place = self._files[-1].path if self._is_open else self.folder
             msg = f"{place}: cannot be written: {error.strerror}"
             raise BagWriteError(msg) from None
 
     def _is_full(self, log_ns: int) -> bool:
-        limits, size = self._limits, (self._file.size if self._file else 0)
+        limits, size = self._limits, self._files[-1].size
         if limits.size_bytes and size - self._repeated_bytes >= limits.size_bytes:
             return True
         passed = log_ns - self._first_ns if self._first_ns else 0
@@ -230,20 +198,14 @@ class BagWriter:
 
     def _open_file(self) -> None:
         path = self.folder / f"{self.folder.name}_{len(self._files)}.mcap"
-        self._file = McapFile(path, compressed=self._compressed)
-        self._channels = {}
+        self._files.append(McapFile(path, compressed=self._compressed))
+        self._is_open = True
         self._first_ns = self._repeated_bytes = 0
 
     def _put(self, topic: str, log_ns: int, publish_ns: int, data: bytes) -> None:
-        if self._file is None:
-            msg = f"{self.folder}: is closed"
-            raise BagWriteError(msg)
-        if topic not in self._channels:
-            item = self._topics[topic]
-            self._channels[topic] = self._file.add_channel(
-                topic, item.kind, item.definition.text, qos_yaml(item.qos)
-            )
-        self._file.write(self._channels[topic], log_ns, publish_ns, data)
+        item = self._topics[topic]
+        self._files[-1].add_topic(topic, item.kind, item.definition.text, item.qos)
+        self._files[-1].write(topic, log_ns, publish_ns, data)
 
     def _flush(self, flush: Callable[[], None]) -> None:
         pending, self._pending = self._pending, Counter()
@@ -252,38 +214,56 @@ class BagWriter:
         self.counts += pending
 
     def _close_file(self) -> None:
-        file = self._file
-        if file is None:
+        # There is none where no new one could be begun.
+        if not self._is_open:
             return
         try:
             try:
-                self._flush(file.flush)
+                self._flush(self._files[-1].flush)
             finally:
                 with self._write_errors():
-                    file.close()
+                    self._files[-1].close()
         finally:
-            counts = {topic: file.counts[number] for topic, number in self._channels.items()}
-            self._files.append(_Summary(file.path.name, file.size, Counter(counts), file.times_ns))
-            self._file = None
+            self._is_open = False
 
     def _metadata(self) -> str:
         counts = sum((file.counts for file in self._files), Counter[str]())
-        spans = [file.times_ns for file in self._files] or [(2**63 - 1, 0)]
-        begins, ends = zip(*spans, strict=True)
-        whole = _Summary("", 0, counts, (min(begins), max(ends)))
+        begins, ends = zip(*(file.times_ns for file in self._files), strict=True)
+        files = [{"path": f.path.name, **_span(f.counts, f.times_ns)} for f in self._files]
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.kind,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [dict(item) for item in dump_qos_v9(list(topic.qos))],
+                    "type_description_hash": topic.definition.type_hash,
+                },
+                "message_count": counts[topic.name],
+            }
+            for topic in self._topics.values()
+        ]
         information = {
             "version": METADATA_VERSION,
             "storage_identifier": "mcap",
-            **whole.facts(),
-            "topics_with_message_count": [
-                {"topic_metadata": topic.facts(), "message_count": counts[topic.name]}
-                for topic in self._topics.values()
-            ],
+            **_span(counts, (min(begins), max(ends))),
+            "topics_with_message_count": topics,
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": [file.name for file in self._files],
-            "files": [{"path": file.name, **file.facts()} for file in self._files],
+            "relative_file_paths": [file.path.name for file in self._files],
+            "files": files,
             "custom_data": None,
             "ros_distro": os.environ.get("ROS_DISTRO", ""),
         }
         return str(yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False))
+
+
+def _span(counts: Counter[str], times_ns: tuple[int, int]) -> dict[str, Any]:
+    """Number and times of messages as metadata.yaml has them."""
+    first, last = times_ns
+    count = counts.total()
+    return {
+        "duration": {"nanoseconds": last - first if count else 0},
+        "starting_time": {"nanoseconds_since_epoch": first},
+        "message_count": count,
+    }

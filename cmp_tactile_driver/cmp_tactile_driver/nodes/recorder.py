@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import array
 import sys
-import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from datetime import datetime
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,10 +15,10 @@ import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.exceptions import NoTypeSupportImportedException
+from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
-from rosbags import interfaces
+from rclpy.type_support import check_for_type_support
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -36,6 +33,7 @@ from cmp_tactile_driver.bags.recorder import (
 from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits, put_sensor_beside
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
+from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import COMPRESSED
@@ -49,144 +47,6 @@ from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.wiring import Given, Input
 from cmp_tactile_processing.sensor.description import load_sensor
-
-SUBSCRIPTION_DEPTH = 100
-# Publishers of one image in two transports come one after the other.
-TRANSPORT_PATIENCE_S = 1.0
-
-
-@dataclass(frozen=True)
-class FoundTopic:
-    """A topic that is published.  kind: its type's name.
-
-    qos: for a subscription that all publishers match.  offered: profiles of the publishers.
-    instead_of: the wanted topic whose image this has, where nobody publishes that.
-    """
-
-    name: str
-    kind: str
-    qos: QoSProfile
-    offered: tuple[interfaces.Qos, ...]
-    instead_of: str = ""
-
-
-class TopicWatch:
-    """The topics that fit a list of names and patterns.
-
-    Of an image that comes as TOPIC/compressed alone, that is taken for TOPIC.
-    """
-
-    def __init__(self, node: Node, wanted: Sequence[str]) -> None:
-        """wanted: relative to the node's namespace or absolute; `*` stands for anything."""
-        self._node = node
-        self._wanted = [
-            _below(node.get_namespace(), item) if "*" in item else node.resolve_topic_name(item)
-            for item in wanted
-        ]
-        self._own = node.get_fully_qualified_name() + "/"
-        self._found: dict[str, QoSProfile] = {}
-        self._compressed_since: dict[str, float] = {}
-
-    @property
-    def missing(self) -> list[str]:
-        """Names, without patterns, that nobody has published yet."""
-        names = [item for item in self._wanted if "*" not in item]
-        return [item for item in names if not self._found.keys() & {item, item + COMPRESSED}]
-
-    @property
-    def complete(self) -> bool:
-        """Whether there is nothing to wait for."""
-        return not self.missing and not any("*" in item for item in self._wanted)
-
-    def forget(self) -> None:
-        """Find all of them again."""
-        self._found.clear()
-
-    def new_topics(self) -> list[FoundTopic]:
-        """Those that were not found before, or have got a first publisher that is best effort.
-
-        A reliable subscription gets nothing of that, one with the new `qos` hears all.
-        """
-        found = []
-        kinds_of = dict(self._node.get_topic_names_and_types())
-        in_place = self._compressed_alone(kinds_of)
-        for name, kinds in kinds_of.items():
-            if name.startswith(self._own):
-                continue
-            if not any(fnmatchcase(name, item) for item in (*self._wanted, *in_place)):
-                continue
-            publishers = self._node.get_publishers_info_by_topic(name)
-            if not publishers:
-                continue
-            profiles = [item.qos_profile for item in publishers]
-            known = self._found.get(name)
-            qos = _matching_qos([*profiles, known] if known else profiles)
-            if known is None or qos.reliability != known.reliability:
-                self._found[name] = qos
-                offered = tuple(_recorded_qos(item) for item in profiles)
-                instead_of = in_place.get(name, "")
-                found.append(FoundTopic(name, kinds[0], qos, offered, instead_of))
-        return found
-
-    def _compressed_alone(self, kinds_of: dict[str, list[str]]) -> dict[str, str]:
-        """Topics of compressed images, with the wanted one that is not there for a while."""
-        now, since = time.monotonic(), self._compressed_since
-        alone = [
-            item
-            for item in self.missing
-            if kinds_of.get(item + COMPRESSED) == [COMPRESSED_IMAGE]
-            and self._node.count_publishers(item + COMPRESSED)
-            and not self._node.count_publishers(item)
-        ]
-        self._compressed_since = {item: since.get(item, now) for item in alone}
-        return {
-            item + COMPRESSED: item
-            for item, first in self._compressed_since.items()
-            if now - first >= TRANSPORT_PATIENCE_S
-        }
-
-
-def message_type(kind: str) -> Any:
-    """The class of "sensor_msgs/msg/Image"; BagWriteError where its package is not installed."""
-    try:
-        return message_class(kind)
-    except (ImportError, AttributeError):
-        msg = f"{kind}: found no such message here, expected its package to be installed"
-        raise BagWriteError(msg) from None
-
-
-def _below(namespace: str, name: str) -> str:
-    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
-
-
-def _matching_qos(offered: Sequence[QoSProfile]) -> QoSProfile:
-    """Reliable and latched where every publisher is so: less is what all of them match."""
-    reliable = all(item.reliability == ReliabilityPolicy.RELIABLE for item in offered)
-    latched = all(item.durability == DurabilityPolicy.TRANSIENT_LOCAL for item in offered)
-    return QoSProfile(
-        depth=SUBSCRIPTION_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _recorded_qos(qos: QoSProfile) -> interfaces.Qos:
-    return interfaces.Qos(
-        history=interfaces.QosHistory[qos.history.name],
-        depth=qos.depth,
-        reliability=interfaces.QosReliability[qos.reliability.name],
-        durability=interfaces.QosDurability[qos.durability.name],
-        deadline=_time(qos.deadline),
-        lifespan=_time(qos.lifespan),
-        liveliness=interfaces.QosLiveliness[qos.liveliness.name],
-        liveliness_lease_duration=_time(qos.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
-    )
-
-
-def _time(duration: Any) -> interfaces.QosTime:
-    return interfaces.QosTime(*divmod(duration.nanoseconds, 10**9))
-
 
 ENCODED = ("mono8", "bgr8", "rgb8")
 # Camera noise leaves PNG's dictionary nothing to find, and of its filters only the fixed ones are
@@ -246,8 +106,7 @@ def _stamp_ns(message: Any) -> int | None:
     return None if stamp is None else stamp_ns(stamp)
 
 
-SEARCH_PERIOD_S = 0.1
-SLOW_SEARCH_EVERY = 10
+SEARCH_PERIOD_S = 0.2
 EARLY_LIMIT = 1000
 
 
@@ -304,7 +163,6 @@ class Recorder(ReportingNode):
         self._taps: dict[str, tuple[Tap, Input]] = {}
         self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
-        self._searches = 0
         self._reported: RecorderState | None = None
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
         self.create_service(SetBool, "~/record", self._on_record)
@@ -364,20 +222,18 @@ class Recorder(ReportingNode):
         return folder
 
     def _look_for_topics(self) -> None:
-        self._searches += 1
         recorder = self._recorder
-        found = self._watch.complete or self._taps
-        pauses = found and self._searches % SLOW_SEARCH_EVERY
-        if pauses or recorder is None or not self._is_recording():
-            return
-        for topic in self._watch.new_topics():
-            self._subscribe(topic, recorder)
+        if recorder is not None and self._is_recording():
+            for topic in self._watch.new_topics():
+                self._subscribe(topic, recorder)
 
     def _subscribe(self, topic: FoundTopic, recorder: BagRecorder) -> None:
         try:
-            kind = message_type(topic.kind)
-        except BagWriteError as error:
-            self.get_logger().warning(f"{topic.name}: is not recorded: {error}")
+            kind = message_class(topic.kind)
+            check_for_type_support(kind)
+        except (ImportError, AttributeError, NoTypeSupportImportedException):
+            text = "found no such message here, expected its package to be installed"
+            self.get_logger().warning(f"{topic.name}: is not recorded: {topic.kind}: {text}")
             return
         if topic.instead_of:
             text = f"is not published, {topic.name} is recorded in its place"

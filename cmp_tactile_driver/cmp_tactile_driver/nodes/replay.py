@@ -23,8 +23,9 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
+from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.player import Player, PlayerState, PlayOptions, StartGate
-from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage, calibration_mismatch
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos

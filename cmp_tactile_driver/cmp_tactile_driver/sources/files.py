@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import cv2
@@ -36,29 +37,21 @@ DEFAULT_FRAME_RATE = 30.0
 """Of files that do not have theirs, Hz."""
 
 
-class FileSource:
-    """Name, rate, health and frame size of a FrameSource that reads a file or folder.
+class _Images:
+    """Name, health and frame size of images that a file or folder holds.
 
-    frame_rate: frames per second.  health: frames that could not be used.
+    health: frames that could not be used in the last reading.
     """
 
-    def __init__(
-        self, path: Path, frame_rate: float, *, loop: bool, expected_size: frames.ImageSize | None
-    ) -> None:
-        """expected_size: where absent, the size of the first frame that is compared."""
-        self._path = path
-        self.frame_rate = frame_rate
-        self._loop = loop
+    def __init__(self, path: Path, expected_size: frames.ImageSize | None) -> None:
+        """expected_size: where absent, the size of the first image that is compared."""
+        self._path, self.name = path, str(path)
         self._expected_size = expected_size
         self.health = frames.SourceHealth()
 
-    @property
-    def name(self) -> str:
-        """The file or folder."""
-        return str(self._path)
-
-    def _wrong_size(self, size: frames.ImageSize) -> str:
+    def _wrong_size(self, image: NDArray[np.uint8]) -> str:
         """What was found and expected; empty where the size is right."""
+        size = (image.shape[1], image.shape[0])
         self._expected_size = self._expected_size or size
         if size == self._expected_size:
             return ""
@@ -84,8 +77,11 @@ VIDEO_SUFFIXES = (
 def image_files(folder: Path) -> list[Path]:
     """The images of a folder in natural order: 2.png before 10.png; hidden files are none.
 
+    An image by itself is its own folder.
     Raises FrameSourceError where there is no such folder or no image in it.
     """
+    if folder.is_file():
+        return [folder]
     if not folder.is_dir():
         msg = f"{folder}: found no such folder, expected one with images"
         raise FrameSourceError(msg)
@@ -99,72 +95,51 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(files, key=_natural_key)
 
 
-class ImageFolder(FileSource):
-    """A FrameSource that reads the images of a folder in natural order.
+class ImageFolder(_Images):
+    """The images of a folder in natural order, or one image.
 
     Where they have 16 bits a pixel, all are read ahead once for the bits that they use.
+
+    frame_rate: frames per second.  declared_frames: how many images there are.
     """
 
     def __init__(
         self,
         folder: Path,
-        frame_rate: float,
+        frame_rate: float = DEFAULT_FRAME_RATE,
         *,
-        loop: bool = False,
         expected_size: frames.ImageSize | None = None,
     ) -> None:
         """expected_size: where absent, the size of the first good image.
 
         Raises FrameSourceError for an absent folder and one without images.
         """
-        super().__init__(folder, frame_rate, loop=loop, expected_size=expected_size)
+        super().__init__(folder, expected_size)
+        self.frame_rate = frame_rate
         self._files = image_files(folder)
+        self.declared_frames = len(self._files)
         self._depth = BitDepth(str(folder), look_ahead=self._used_bits)
-        self._next = 0
-        self._good_in_pass = 0
-        self._wrong_sizes = 0
 
-    @classmethod
-    def from_options(cls, options: frames.SourceOptions) -> ImageFolder:
-        """The source `images` of the driver."""
-        return cls(
-            Path(options.input).expanduser(),
-            options.frame_rate or DEFAULT_FRAME_RATE,
-            loop=options.loop,
-            expected_size=options.frame_size,
-        )
+    def images(self) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        """Number and pixels of the good images, from the first on; bad ones are counted.
 
-    def read(self) -> frames.Frame | None:
-        """The next good image, or None at the end.
-
-        Raises FrameSourceError where none of the images is good.
+        Raises FrameSourceError where none of them is good.
         """
-        while True:
-            if self._next == len(self._files) and not self._start_over():
-                return None
-            path = self._files[self._next]
-            self._next += 1
+        self.health = frames.SourceHealth()
+        good = wrong_sizes = 0
+        for number, path in enumerate(self._files):
             try:
                 image = self._load(path)
             except FrameError as error:
                 self.health = self.health.with_bad_frame(str(error))
-                if not self._good_in_pass and isinstance(error, WrongSizeError):
-                    self._wrong_sizes += 1
-                if self._wrong_sizes == frames.MOST_WRONG_SIZES:
-                    raise self._none_good(self._next) from None
+                wrong_sizes += isinstance(error, WrongSizeError)
+                if wrong_sizes == frames.MOST_WRONG_SIZES and not good:
+                    raise self._none_good(number + 1) from None
                 continue
-            self._good_in_pass += 1
-            return frames.Frame(image, path.name)
-
-    def close(self) -> None:
-        """Nothing to give back: files are open only while they are read."""
-
-    def _start_over(self) -> bool:
-        if not self._good_in_pass:
+            good += 1
+            yield number, image
+        if not good:
             raise self._none_good(len(self._files))
-        if self._loop:
-            self._next = self._good_in_pass = self._wrong_sizes = 0
-        return self._loop
 
     def _none_good(self, count: int) -> FrameSourceError:
         first = "" if count == len(self._files) else f"the first {count} of "
@@ -180,7 +155,7 @@ class ImageFolder(FileSource):
 
     def _load(self, path: Path) -> NDArray[np.uint8]:
         image = decode_file(path, self._depth)
-        wrong = self._wrong_size((image.shape[1], image.shape[0]))
+        wrong = self._wrong_size(image)
         if wrong:
             msg = f"{path}: {wrong}"
             raise WrongSizeError(msg)
@@ -192,88 +167,56 @@ def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
 
 
-class VideoFile(FileSource):
-    """A FrameSource that decodes a video file; its frames are BGR.
+class VideoFile(_Images):
+    """The frames of a video file, which are BGR.
 
-    declared_frames: how many frames the file says that it has; 0 where it does not.
+    frame_rate: the file's own, frames per second.  declared_frames: how many frames the file says
+    that it has; 0 where it does not.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        frame_rate: float = 0.0,
-        *,
-        loop: bool = False,
-        expected_size: frames.ImageSize | None = None,
-    ) -> None:
-        """frame_rate: frames per second, 0 for the file's own.
-
-        Raises FrameSourceError for an absent file, one that is no video, and a wrong size.
-        """
+    def __init__(self, path: Path, *, expected_size: frames.ImageSize | None = None) -> None:
+        """Raises FrameSourceError for an absent file and one that is no video."""
         if not path.is_file():
             msg = f"{path}: found no such file, expected a video"
             raise FrameSourceError(msg)
-        super().__init__(path, frame_rate, loop=loop, expected_size=expected_size)
-        self._capture = self._open()
-        own_rate = self._capture.get(cv2.CAP_PROP_FPS)
-        sensible = math.isfinite(own_rate) and 0 < own_rate <= 1000
-        self.frame_rate = frame_rate or (own_rate if sensible else DEFAULT_FRAME_RATE)
-        self.declared_frames = max(0, round(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-        self._frames_in_pass = 0
-        self._ended = False
+        super().__init__(path, expected_size)
+        with self._opened() as capture:
+            rate = capture.get(cv2.CAP_PROP_FPS)
+            self.declared_frames = max(0, round(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        sensible = math.isfinite(rate) and 0 < rate <= 1000
+        self.frame_rate = rate if sensible else DEFAULT_FRAME_RATE
 
-    @classmethod
-    def from_options(cls, options: frames.SourceOptions) -> VideoFile:
-        """The source `video` of the driver."""
-        path = Path(options.input).expanduser()
-        size = options.frame_size
-        return cls(path, options.frame_rate, loop=options.loop, expected_size=size)
-
-    def read(self) -> frames.Frame | None:
-        """The next frame, or None at the end.
+    def images(self) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+        """Number and pixels of the frames, from the first on; those that are missing are counted.
 
         Raises FrameSourceError where there is none at all, or its size is wrong.
         """
-        if self._ended:
-            return None
-        good, image = self._capture.read()
-        if not good:
-            self._note_missing()
-            self._ended = not self._loop
-            if self._ended:
-                return None
-            self._capture.release()
-            self._capture, self._frames_in_pass = self._open(), 0
-            good, image = self._capture.read()
-            if not good:
-                msg = f"{self._path}: cannot be decoded a second time"
-                raise FrameSourceError(msg)
-        self._frames_in_pass += 1
-        wrong = self._wrong_size((image.shape[1], image.shape[0]))
-        if wrong:
-            msg = f"{self._path}: {wrong}"
-            raise FrameSourceError(msg)
-        return frames.Frame(
-            np.asarray(image, np.uint8), f"{self._path.name} [{self._frames_in_pass - 1}]"
-        )
-
-    def close(self) -> None:
-        """Close the file."""
-        self._capture.release()
-
-    def _open(self) -> cv2.VideoCapture:
-        capture = cv2.VideoCapture(str(self._path))
-        if not capture.isOpened():
-            msg = f"{self._path}: found {self._path.stat().st_size} bytes, expected a video"
-            raise FrameSourceError(msg)
-        return capture
-
-    def _note_missing(self) -> None:
-        count = self._frames_in_pass
+        self.health = frames.SourceHealth()
+        count = 0
+        with self._opened() as capture:
+            while (read := capture.read())[0]:
+                image = np.asarray(read[1], np.uint8)
+                wrong = self._wrong_size(image)
+                if wrong:
+                    msg = f"{self._path}: {wrong}"
+                    raise FrameSourceError(msg)
+                yield count, image
+                count += 1
         if not count:
             msg = f"{self._path}: no frame can be decoded"
             raise FrameSourceError(msg)
         missing = self.declared_frames - count
         if missing > 0:
             text = f"{self._path}: {count} of {self.declared_frames} frames, the rest is damaged"
-            self.health = frames.SourceHealth(self.health.bad_frames + missing, text)
+            self.health = frames.SourceHealth(missing, text)
+
+    @contextmanager
+    def _opened(self) -> Iterator[cv2.VideoCapture]:
+        capture = cv2.VideoCapture(str(self._path))
+        try:
+            if not capture.isOpened():
+                msg = f"{self._path}: found {self._path.stat().st_size} bytes, expected a video"
+                raise FrameSourceError(msg)
+            yield capture
+        finally:
+            capture.release()

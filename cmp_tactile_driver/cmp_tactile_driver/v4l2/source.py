@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import frames
-from cmp_tactile_driver.sources.capture import BackOff
 from cmp_tactile_driver.sources.frames import Frame, NodeExtension, SourceHealth, SourceOptions
+from cmp_tactile_driver.sources.timing import BackOff
 from cmp_tactile_driver.v4l2 import devices
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, ModeRequest, V4L2Camera
 from cmp_tactile_driver.v4l2.devices import CameraControls, ControlValue

@@ -12,12 +12,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.reader import (
-    BagReader,
-    RecordedCalibration,
-    RecordedCameraInfo,
-    calibration_mismatch,
-)
+from cmp_tactile_driver.bags.calibration import RecordedCalibration, calibration_mismatch
+from cmp_tactile_driver.bags.reader import BagReader, RecordedCameraInfo
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import BagError, FrameSourceError
@@ -51,11 +47,6 @@ def test_camera_infos_come_in_order_and_byte_for_byte(frame_bag, frames, bags):
     assert len(found) == 2 * len(frames)
     assert all(isinstance(item, RecordedCameraInfo) for item in infos)
     assert [item.time_ns for item in infos] == bags.stamps(len(frames))
-
-
-def test_can_be_read_again(frame_bag, frames):
-    reader = BagReader(frame_bag)
-    assert [len(list(reader.frames())) for _ in range(2)] == [len(frames)] * 2
 
 
 def test_wrong_paths(tmp_path):
@@ -154,13 +145,6 @@ def test_camera_infos_that_cannot_be_read_are_left_out_and_named(frame_bag, fram
     assert reader.health.bad_frames == 0
 
 
-def test_wrong_encoding_throughout(tmp_path, frames, bags):
-    messages = [bags.image(frame, 0, encoding="32FC1") for frame in frames]
-    path = bags.write(tmp_path / "bag", {"/image_raw": messages})
-    with pytest.raises(BagError, match=r"no frame can be used: .*found '32FC1'"):
-        list(BagReader(path).frames())
-
-
 @pytest.fixture
 def large_bag(tmp_path, bags):
     """Forty frames of 300 kB: several chunks."""
@@ -179,8 +163,8 @@ def test_truncated_mcap_gives_what_is_left(large_bag, bags, fraction, with_metad
         (path / "metadata.yaml").unlink()
     reader = BagReader(path)
     found = list(reader.frames())
-    # A chunk that is cut is lost: it holds up to 1 MiB and one frame.
-    assert len(found) >= int(fraction * len(frames)) - 5
+    # Only the frame that is cut is lost, with what the file needs beside its frames.
+    assert len(found) >= int(fraction * len(frames)) - 1
     assert [frame.stamp_ns for frame in found] == bags.stamps(len(found))
     assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=False))
     left = f"{len(found)} of 40 messages read, the rest is lost"

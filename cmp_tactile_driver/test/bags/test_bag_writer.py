@@ -109,6 +109,17 @@ def test_files_of_limited_size_and_duration_are_one_bag(tmp_path, bags, limits, 
     assert [frame.time_ns for frame in BagReader(tmp_path / "bag").frames()] == times
 
 
+def test_a_clock_that_is_set_back_does_not_keep_a_file_from_ending(tmp_path, bags):
+    """Report: ros2/rosbag2 1450 (splits by duration go wrong); tried: three frames to a file."""
+    times = [*bags.stamps(6), *(time_ns - 60 * 10**9 for time_ns in bags.stamps(6))]
+    with BagWriter(tmp_path / "bag", limits=SplitLimits(duration_ns=149_000_000)) as writer:
+        writer.add_topic(TOPIC, IMAGE)
+        for time_ns in times:
+            writer.write(TOPIC, time_ns, serialised(bags.frames(1)[0], time_ns, bags))
+    files = sorted((tmp_path / "bag").glob("*.mcap"))
+    assert [BagReader(file).stated_frames for file in files] == [3, 6, 3]
+
+
 TF = "tf2_msgs/msg/TFMessage"
 
 
@@ -191,9 +202,21 @@ def test_what_is_left_of_a_recording_that_was_killed(tmp_path, bags, compressed)
     last = bag / "bag_1.mcap"
     last.write_bytes(last.read_bytes()[: CHUNK_BYTES * 3 // 2])
     reader = BagReader(bag)
-    # Six frames of the first file, and the four of the other's one whole chunk.
-    assert [frame.time_ns for frame in reader.frames()] == times[:10]
-    assert "10 messages can be read, any after them are lost" in reader.loss
+    # Six frames of the first file; of the other four in its whole chunk, one in what is left.
+    assert [frame.time_ns for frame in reader.frames()] == times[:11]
+    assert "11 messages can be read, any after them are lost" in reader.loss
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_of_a_chunk_that_is_cut_what_is_there_is_read(tmp_path, bags, compressed):
+    """Also where it is the only one, as in short results of `process`."""
+    bag = tmp_path / "bag"
+    times = write(bag, bags, 3, compressed=compressed)
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 4 // 5])
+    reader = BagReader(bag)
+    assert [frame.time_ns for frame in reader.frames()] == times[:2]
+    assert "2 of 3 messages read, the rest is lost" in reader.loss
 
 
 @pytest.mark.parametrize("distribution", ["jazzy", ""])
@@ -243,38 +266,23 @@ def test_what_the_queue_cannot_hold_is_dropped_and_counted(tmp_path, bags):
     assert recorder.progress.messages == {TOPIC: 3}
 
 
-def test_a_message_that_cannot_be_encoded_is_counted_and_the_next_is_written(tmp_path, bags):
+def test_whatever_a_message_does_to_its_encoder_the_recording_goes_on(tmp_path, bags):
     data = serialised(bags.frames(1)[0], 1, bags)
 
     def encode(message: bytes) -> EncodedMessage:
         if not message:
             msg = "found nothing"
             raise BagError(msg)
-        return EncodedMessage(TOPIC, IMAGE, message, 5)
-
-    recorder = BagRecorder(BagWriter(tmp_path / "bag"), queue_bytes=1_000_000)
-    tap = Tap(TOPIC, encode)
-    for message in (data, b"", data):
-        recorder.put(tap, 1, message)
-    recorder.stop()
-    assert recorder.progress.dropped == {TOPIC: 1}
-    assert recorder.progress.problem == f"{TOPIC}: found nothing"
-    assert len(list(BagReader(tmp_path / "bag").frames())) == 2
-
-
-def test_whatever_a_message_does_to_its_encoder_the_recording_goes_on(tmp_path, bags):
-    data = serialised(bags.frames(1)[0], 1, bags)
-
-    def encode(message: bytes) -> EncodedMessage:
         return EncodedMessage(TOPIC, IMAGE, message + b"", -1)
 
     recorder = BagRecorder(BagWriter(tmp_path / "bag"), queue_bytes=1_000_000)
     tap = Tap(TOPIC, encode)
-    for message in (data, "no bytes", data):
+    for message in (data, "no bytes", b"", data):
         recorder.put(tap, 3, message)
     recorder.stop()
     assert recorder.progress.state is RecorderState.FINISHED
-    assert recorder.progress.dropped == {TOPIC: 1}
+    assert recorder.progress.dropped == {TOPIC: 2}
+    assert recorder.progress.problem == f"{TOPIC}: found nothing"
     # Of a stamp before 1970, which MCAP does not know, the time of coming is written.
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
         times = [(m.log_time, m.publish_time) for *_, m in make_reader(file).iter_messages()]

@@ -12,19 +12,24 @@ Public reports, tried on this reader (report: trial: result):
 - ros2/rosbag2 2040: chunks without a message index: read
 - ros2/rosbag2 2173: messages received at one moment: in the order in which they were written
 - facontidavide/cloudini 29: other QoS in metadata.yaml than in the file: read
+- foxglove/mcap 389: zstd without the content's size, of chunks or messages: read
+- foxglove/mcap 1474: cut within the summary: whole, as nothing of the messages is missing
+- foxglove/mcap 385: cut within a chunk: read up to the cut (test_bag_writer)
+- ouster-lidar/ouster-sdk 666: a file of a split recording without messages of the topic: counted
 """
 
 from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -103,6 +108,45 @@ def test_whatever_the_writer_chose(tmp_path, bags, frames, options, late_ms):
     reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows, **options))
     _check_whole(reader, bags, frames)
     assert reader.gaps == ""
+
+
+def _without_content_size(data: bytes) -> bytes:
+    packing = zstandard.ZstdCompressor(write_content_size=False).compressobj()
+    return packing.compress(data) + packing.flush()
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
+def test_zstd_that_does_not_state_the_size_of_its_content(tmp_path, bags, frames, compression):
+    """Messages that were compressed one by one, in chunks that may be compressed as well."""
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression)
+        writer.start("ros2", "other")
+        channel = writer.register_channel(
+            TOPIC, "cdr", writer.register_schema(IMAGE, "ros2msg", b"")
+        )
+        for time_ns, message in _rows(bags, frames):
+            data = _without_content_size(bytes(STORE.serialize_cdr(message, IMAGE)))
+            writer.add_message(channel, time_ns, data, time_ns)
+        writer.finish()
+    _check_whole(BagReader(path), bags, frames)
+
+
+def test_a_summary_that_is_cut_loses_nothing(tmp_path, bags, frames):
+    path = write_mcap(tmp_path / "bag.mcap", _rows(bags, frames))
+    path.write_bytes(path.read_bytes()[:-150])
+    _check_whole(BagReader(path), bags, frames)
+
+
+def test_a_file_of_a_split_recording_may_have_no_message_of_the_topic(tmp_path, bags, frames):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    rows = _rows(bags, frames)
+    write_mcap(bag / "bag_0.mcap", rows)
+    write_mcap(bag / "bag_1.mcap", [])
+    reader = BagReader(bag)
+    assert reader.stated_frames == len(frames)
+    _check_whole(reader, bags, frames)
 
 
 def _change_metadata(bag: Path, change: Any) -> None:
@@ -232,69 +276,56 @@ def test_receipts_of_one_moment_leave_the_order_as_it_was_written(tmp_path, bags
     assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
 
 
-def test_receipts_with_a_gap_do_not_move_the_frames(tmp_path, bags, frames):
-    rows = [(n if n < 5 else t, m) for n, (t, m) in enumerate(_rows(bags, frames))]
+# The stamp and the receipt of frame n, which was taken at t, and what is said of that.
+Clocks = tuple[Callable[[int, int], int], Callable[[int, int], int], str]
+CLOCKS: dict[str, Clocks] = {
+    "receipts begin before /clock": (
+        lambda _, t: t,
+        lambda n, t: n if n < 5 else t,
+        "gap of 1.7e+09 s between the times of receipt",
+    ),
+    "receipts an hour early": (lambda _, t: t, lambda _, t: t - HOUR_NS, ""),
+    "receipts an hour late": (lambda _, t: t, lambda _, t: t + HOUR_NS, ""),
+    "both jump": (
+        lambda n, t: t + (n > 5) * HOUR_NS,
+        lambda n, t: t + (n > 5) * HOUR_NS,
+        "skipped: 1, the largest of 3600.05 s",
+    ),
+    "stamps are set back by 0.3 s": (
+        lambda n, t: t - (n > 5) * 300 * MS,
+        lambda _, t: t,
+        "skipped: 1, the largest of -0.25 s",
+    ),
+    "stamps are set back by 100 s": (
+        lambda n, t: t - (n > 5) * 100_000 * MS,
+        lambda _, t: t,
+        "skipped: 1, the largest of -99.95 s",
+    ),
+    "stamps are set back and later forward": (
+        lambda n, t: t + (0, -10_000 * MS, HOUR_NS)[n // 4],
+        lambda _, t: t,
+        "skipped: 2, the largest of 3610.05 s",
+    ),
+    "some stamps are zero": (lambda n, t: 0 if n in (0, 4, 5, 11) else t, lambda _, t: t + MS, ""),
+    "all stamps are zero": (lambda _, __: 0, lambda _, t: t + MS, ""),
+}
+
+
+@pytest.mark.parametrize("clocks", CLOCKS.values(), ids=CLOCKS.keys())
+def test_time_goes_on_from_frame_to_frame_whatever_the_clocks_did(tmp_path, bags, frames, clocks):
+    stamp, receipt, said = clocks
+    times = list(enumerate(bags.stamps(len(frames))))
+    rows = [
+        (receipt(*time), bags.image(frame, stamp(*time)))
+        for frame, time in zip(frames, times, strict=True)
+    ]
     reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
-    _check_whole(reader, bags, frames)
-    assert "gap of 1.7e+09 s between the times of receipt" in reader.gaps
-
-
-@pytest.mark.parametrize("offset_ns", [-HOUR_NS, HOUR_NS])
-def test_stamps_of_another_clock_give_the_time(tmp_path, bags, frames, offset_ns):
-    rows = [(time_ns + offset_ns, message) for time_ns, message in _rows(bags, frames)]
-    reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
-    _check_whole(reader, bags, frames)
-    assert reader.gaps == ""
-
-
-def _times_of(path: Path) -> tuple[list[int], list[float], str]:
-    reader = BagReader(path)
     found = list(reader.frames())
-    return [item.stamp_ns for item in found], [item.time_s for item in found], reader.gaps
-
-
-def test_a_jump_of_the_stamps_is_skipped_and_said_once(tmp_path, bags, frames):
-    stamps = [t + (n > 5) * HOUR_NS for n, t in enumerate(bags.stamps(len(frames)))]
-    rows = [(t, bags.image(f, t)) for f, t in zip(frames, stamps, strict=True)]
-    found, times, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
-    assert found == stamps
-    assert times == pytest.approx([0.05 * number for number in range(len(frames))])
-    assert "skipped: 1" in gaps
-    assert "3600.05 s" in gaps
-
-
-@pytest.mark.parametrize("back_s", [0.3, 100.0])
-def test_a_clock_that_was_set_back_begins_anew_after_what_was_before(
-    tmp_path, bags, frames, back_s
-):
-    times = bags.stamps(len(frames))
-    stamps = [t - (n > 5) * round(back_s * 10**9) for n, t in enumerate(times)]
-    rows = [(t, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
-    found, seconds, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
-    assert found == stamps
-    assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
-    assert gaps
-
-
-def test_a_clock_that_was_set_back_and_later_forward(tmp_path, bags, frames):
-    times = bags.stamps(len(frames))
-    moved = (0,) * 4 + (-10 * 10**9,) * 4 + (HOUR_NS,) * 4
-    stamps = [t + move for t, move in zip(times, moved, strict=True)]
-    rows = [(t, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
-    found, seconds, gaps = _times_of(write_mcap(tmp_path / "bag.mcap", rows))
-    assert found == stamps
-    assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
-    assert "skipped: 2" in gaps
-
-
-def test_stamps_that_are_zero_leave_a_frame_where_it_was_received(tmp_path, bags, frames):
-    times = bags.stamps(len(frames))
-    for zeros in ((0, 4, 5, 11), range(len(frames))):
-        stamps = [0 if number in zeros else t for number, t in enumerate(times)]
-        rows = [(t + MS, bags.image(f, s)) for f, t, s in zip(frames, times, stamps, strict=True)]
-        found, seconds, _ = _times_of(write_mcap(tmp_path / f"{len(zeros)}.mcap", rows))
-        assert found == stamps
-        assert seconds == pytest.approx([0.05 * number for number in range(len(frames))])
+    assert [item.stamp_ns for item in found] == [stamp(*time) for time in times]
+    expected = [0.05 * number for number in range(len(frames))]
+    assert [item.time_s for item in found] == pytest.approx(expected)
+    assert reader.duration == pytest.approx(expected[-1])
+    assert (said in reader.gaps) if said else reader.gaps == ""
 
 
 def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path, bags, frames):

@@ -261,4 +261,4 @@ def test_what_comes_next_is_read_while_it_is_paused():
     assert len(read) <= PREFETCH_DEPTH + 1
     assert sent == []
     player.stop()
-    assert not [thread for thread in threading.enumerate() if thread.name == "prefetch"]
+    assert not [item for item in threading.enumerate() if item.name.startswith("read_ahead")]

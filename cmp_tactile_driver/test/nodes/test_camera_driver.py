@@ -140,14 +140,6 @@ def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
     ros.wait(lambda: images, "a frame")
 
 
-def test_no_frame_of_the_right_size_is_an_error(ros, image_folder):
-    reports = _Reports(ros)
-    _start(ros, image_folder)
-    ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
-    assert "none of the first 2 of 12 images is good" in reports.last.message
-    assert "found 64 x 48 px, expected 1024 x 768 px" in reports.last.message
-
-
 def test_destroyed_node_leaves_the_graph_without_garbage_collection(ros, sensor_folder):
     gc.disable()
     try:
@@ -223,34 +215,6 @@ def test_a_source_may_extend_the_node(ros, tape_log):
         "close",
         "close",
     ]
-
-
-def test_wrong_choice_is_refused(ros, image_folder):
-    with pytest.raises(ParameterError, match="source: found 'tape', expected one of bag, images, "):
-        _start(ros, image_folder, source="tape")
-
-
-def test_a_bag_is_published_as_a_camera_would(ros, tmp_path, bags):
-    frames = bags.frames(4, 768, 1024)
-    times = bags.stamps(len(frames))
-    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
-    bag = bags.write(tmp_path / "bag", {"/rig/image_raw": messages})
-    images = ros.listen(Image, "image_raw", depth=100)
-    reports = _Reports(ros)
-    begin = ros.node.get_clock().now().nanoseconds
-    _start(ros, bag, source="bag", frame_rate=0.0, loop=True)
-    ros.wait(lambda: len(images) > len(frames), "a second pass")
-    first = next(k for k in range(4) if _pixels(images[0], frames[k]))
-    for number, image in enumerate(images):
-        assert _pixels(image, frames[(first + number) % 4])
-        assert image.header.stamp.sec * 10**9 + image.header.stamp.nanosec > begin
-        assert image.header.frame_id == "sample_rig_camera_optical_frame"
-    ros.wait(lambda: reports.values.get("source") == str(bag), "the diagnostics")
-    assert reports.last.level == DiagnosticStatus.OK
-
-
-def _pixels(image, frame):
-    return np.array_equal(np.frombuffer(image.data, np.uint8).reshape(frame.shape), frame)
 
 
 def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeypatch, capfd):

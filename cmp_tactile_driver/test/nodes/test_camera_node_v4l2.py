@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 
@@ -15,15 +14,12 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from linuxpy.video import raw
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
 from rclpy.parameter import Parameter as ParameterOfNode
 from sensor_msgs.msg import Image
 
-from cmp_tactile_driver.nodes import camera_driver as camera_driver_node
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 
 SIZE = (1024, 768)
 
@@ -154,17 +150,10 @@ def test_controls_are_parameters_while_the_node_is_configured(ros, camera):
     assert driver.controls() == []
     assert driver.change(Transition.TRANSITION_CONFIGURE)
     assert len(driver.controls()) == 10
-    exposure, menu, text, button, switch = driver.describe(
-        "exposure_time_absolute", "auto_exposure", "firmware", "calibrate_sensor",
-        "white_balance_automatic",
-    )  # fmt: skip
+    exposure, switch = driver.describe("exposure_time_absolute", "white_balance_automatic")
     assert exposure.description == "Exposure Time, Absolute, integer"
     (bounds,) = exposure.integer_range
     assert (bounds.from_value, bounds.to_value, bounds.step) == (1, 5000, 1)
-    choices = "one of 0: Auto Mode, 1: Manual Mode, 3: Aperture Priority Mode"
-    assert menu.additional_constraints == choices
-    assert text.description == "Firmware, text (set by the camera)"
-    assert button.additional_constraints == "true pushes the button"
     assert switch.type == ParameterType.PARAMETER_BOOL
     assert (driver.get("gain"), driver.get("exposure_time_absolute")) == (20, 157)
     assert driver.change(Transition.TRANSITION_CLEANUP)
@@ -181,31 +170,10 @@ def test_setting_controls_and_refusals(ros, camera):
     assert (camera.named("Exposure Time, Absolute").value, driver.get("auto_exposure")) == (157, 3)
     assert driver.set(exposure_time_absolute=40, auto_exposure=1) == ""
     assert camera.named("Exposure Time, Absolute").value == 40
-    assert driver.set(gain=101) == "controls.gain: found 101, expected 0 to 100"
-    assert "not a valid step" in driver.set(white_balance_temperature=2805)
-    assert "found 2, expected one of 0: Auto Mode" in driver.set(auto_exposure=2)
-    assert "the camera sets it by itself" in driver.set(firmware="2")
     assert driver.set(gain=True) == "controls.gain: found True, expected an integer, 0 to 100"
     assert driver.set(calibrate_sensor=True) == ""
     assert (camera.pushed, driver.get("calibrate_sensor")) == (1, False)
     assert (driver.get("gain"), driver.get("auto_exposure")) == (20, 1)
-
-
-def test_parameters_show_what_the_camera_makes_of_them(ros, camera):
-    driver = _Driver(ros)
-    gain = camera.named("Gain")
-    # A camera that has fewer steps than it says.
-    gain.high = 50
-    assert driver.set(gain=90) == ""
-    assert (gain.value, driver.get("gain")) == (50, 50)
-
-
-def test_controls_given_at_start_are_set(ros, camera):
-    given = {"controls.exposure_time_absolute": 12, "controls.auto_exposure": 1}
-    driver = _Driver(ros, **given)
-    assert driver.state == "active"
-    assert camera.named("Exposure Time, Absolute").value == 12
-    assert driver.get("exposure_time_absolute") == 12
 
 
 def test_wrong_controls_at_start_leave_the_node_unconfigured(ros, camera):
@@ -303,16 +271,6 @@ def test_what_a_camera_insists_on_is_shown_with_a_warning(ros, kernel, exposing,
     ros.wait(lambda: driver.values["refused controls"] == "none", "the diagnostics")
 
 
-def test_controls_that_streaming_changes_by_itself_are_shown(ros, exposing):
-    exposing.named("Brightness").value = 30
-    exposing.resets = 1
-    driver = _Driver(ros, autostart=False)
-    assert driver.change(Transition.TRANSITION_CONFIGURE)
-    assert driver.get("brightness") == 30
-    assert driver.change(Transition.TRANSITION_ACTIVATE)
-    ros.wait(lambda: driver.get("brightness") == 8, "what the camera has now")
-
-
 def test_unplug_and_replug_without_a_restart(ros, kernel, exposing):
     images = ros.listen(Image, "image_raw")
     driver = _Driver(ros, **{"controls.gain": 7})
@@ -332,22 +290,6 @@ def test_unplug_and_replug_without_a_restart(ros, kernel, exposing):
     assert (driver.values["reconnects"], driver.state) == ("1", "active")
     assert driver.set(gain=9) == ""
     assert exposing.named("Gain").value == 9
-
-
-def test_a_camera_that_comes_back_with_other_controls_keeps_the_parameters(
-    ros, fake, kernel, exposing
-):
-    driver = _Driver(ros)
-    kernel.unplug(exposing)
-    ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the loss in the diagnostics")
-    level = fake.FakeControl(0x980950, "Level", raw.CtrlType.INTEGER)
-    exposing.controls = [item for item in exposing.controls if item.name != "Gain"] + [level]
-    kernel.plug(exposing)
-    ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the return in the diagnostics")
-    assert "gain: found no such control" in driver.set(gain=9)
-    assert driver.set(brightness=3) == ""
-    assert (exposing.named("Brightness").value, driver.get("brightness")) == (3, 3)
-    assert "controls.level" not in driver.controls()
 
 
 def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
@@ -375,39 +317,11 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     assert len(reported) <= 3, "one line for each reason, and that of the attempt by hand"
 
 
-def test_attempts_come_less_and_less_often_and_end_with_a_change_by_hand(
-    ros, camera, kernel, monkeypatch
-):
-    times = []
-    opened = camera_driver_node.CameraDriver._open_source
-
-    def note(node):
-        times.append(time.monotonic())
-        return opened(node)
-
-    monkeypatch.setattr(camera_driver_node.CameraDriver, "_open_source", note)
-    kernel.unplug(camera)
-    driver = _Driver(ros, reconnect_delay=0.02, reconnect_delay_max=0.16)
-    ros.wait(lambda: len(times) == 6, "six attempts")
-    waits = [after - before for before, after in itertools.pairwise(times)]
-    for waited, least in zip(waits, (0.02, 0.04, 0.08, 0.16, 0.16), strict=True):
-        assert waited > 0.95 * least
-    kernel.plug(camera)
-    ros.wait(lambda: driver.node._capture is not None, "the camera")
-    assert driver.change(Transition.TRANSITION_DEACTIVATE)
-    assert driver.change(Transition.TRANSITION_CLEANUP)
-    count = len(times)
-    ros.run(0.4)
-    assert (len(times), driver.state) == (count, "unconfigured")
-
-
 @pytest.mark.parametrize(
     ("modes", "given", "reason"),
     [
         ({"GREY": {(640, 480): (30,)}}, {}, "image size of the sensor description"),
         ({"GREY": {SIZE: (30,)}}, {"frame_rate": 120.0}, "frame_rate: found 120 Hz"),
-        ({"MJPG": {SIZE: (30,)}}, {"pixel_format": "GREY"}, "pixel_format: found GREY"),
-        ({"GREY": {SIZE: (30,)}}, {"device": ""}, "device: found nothing"),
         ({"GREY": {SIZE: (30,)}}, {"controls.gain": 500}, "found 500, expected 0 to 100"),
     ],
 )
@@ -419,14 +333,6 @@ def test_what_is_wrong_with_a_camera_that_is_there_is_not_tried_again(
     ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the diagnostics")
     assert reason in driver.report.message
     assert "looked for" not in driver.report.message
-    assert not driver.node._attempts.pending
-
-
-def test_a_node_that_is_shut_down_looks_no_more(ros, kernel):
-    driver = _Driver(ros)
-    assert driver.node._attempts.pending
-    assert driver.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
-    assert (driver.state, driver.node._attempts.pending) == ("finalized", False)
 
 
 def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
@@ -443,9 +349,6 @@ def test_figures_are_checked_by_thresholds_as_those_of_a_stage(ros, exposing):
     ros.wait(lambda: driver.report.level == DiagnosticStatus.WARN, "the diagnostics")
     ros.wait(lambda: "results a second, expected 500" in driver.report.message, "the rate")
     assert float(driver.values["rate (Hz)"]) < 500
-    same = {"rate (Hz)", "latency median (ms)", "latency p99 (ms)", "late frames"}
-    same |= {"dropped frames", "frames out", "bad frames"}
-    assert same <= StageDiagnostics().report().values.keys() & driver.values.keys()
     changed = ParameterOfNode("diagnostics.rate_warn", value=1.0)
     assert driver.node.set_parameters([changed])[0].successful
     ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the new threshold")
@@ -456,21 +359,6 @@ def test_a_camera_without_frames_is_an_error(ros, camera):
     ros.wait(lambda: "found no frame for 0.2 s" in driver.report.message, "the diagnostics")
     assert driver.report.level == DiagnosticStatus.ERROR
     assert driver.change(Transition.TRANSITION_DEACTIVATE)
-
-
-def test_a_second_driver_says_that_the_camera_is_in_use(ros, camera):
-    # One that gives up waiting for frames gives the camera back for a moment.
-    first = _Driver(ros, frame_timeout=60.0)
-    ros.start(CameraDriver, name="other", source="v4l2", device="CAM1")
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
-
-    def reported():
-        return [s.message for r in reports for s in r.status if s.name.endswith("/other")]
-
-    ros.wait(reported, "the other's diagnostics")
-    assert "found it in use by another driver or program" in reported()[-1]
-    states = ros.call(GetState, "other/get_state", GetState.Request()).current_state.label
-    assert (first.state, states) == ("active", "unconfigured")
 
 
 def test_an_inactive_camera_is_free_for_others_and_cannot_start_while_they_have_it(ros, camera):

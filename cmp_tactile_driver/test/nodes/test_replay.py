@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from typing import Any
 
 import cv2
@@ -76,37 +74,6 @@ def test_sixty_frames_at_20_hz(ros, tmp_path, bags):
     assert len(ticks) > 30
     assert _values(statuses.last)["frames out"] == "60"
     assert statuses.last.level == DiagnosticStatus.OK
-
-
-LISTENER = """
-import sys, rclpy
-from sensor_msgs.msg import Image
-rclpy.init()
-node = rclpy.create_node("other_process")
-stamps = []
-node.create_subscription(Image, sys.argv[1] + "/image_raw",
-    lambda m: stamps.append(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec), 10)
-while len(stamps) < int(sys.argv[2]):
-    rclpy.spin_once(node, timeout_sec=0.1)
-print(*stamps)
-"""
-
-
-@pytest.mark.alone
-def test_every_frame_reaches_another_process(ros, tmp_path, bags):
-    frames = bags.frames(40, 768, 1024)
-    times = bags.stamps(40)
-    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
-    bag = bags.write(tmp_path / "bag", {"/rig/image_raw": messages})
-    command = [sys.executable, "-c", LISTENER, ros.namespace, "40"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            ros.start(Replay, input=str(bag), wait_for_subscribers=1)
-            ros.wait(lambda: process.poll() is not None, "all frames in the other process", 60.0)
-        finally:
-            process.kill()
-        assert process.stdout is not None
-        assert [int(word) for word in process.stdout.read().split()] == times
 
 
 def test_recorded_camera_infos_are_kept_whole(ros, frame_bag, frames, bags):
@@ -184,31 +151,6 @@ def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
     answer = ros.call(Trigger, "replay/step", Trigger.Request())
     assert not answer.success
     assert answer.message == "finished, not paused"
-
-
-def test_a_set_of_parameters_that_is_refused_changes_nothing(ros, frame_bag):
-    """Also where it is refused after the node's own parameters were found good."""
-    from rcl_interfaces.msg import SetParametersResult
-    from rclpy.parameter import Parameter
-
-    refusals = []
-
-    class Refused(Replay):
-        def _set_up(self) -> None:
-            # What is added first is asked last.
-            self.add_on_set_parameters_callback(
-                lambda _: SetParametersResult(successful=not refusals, reason="another says no")
-            )
-            super()._set_up()
-
-    node = ros.start(Refused, input=str(frame_bag), paused=True)
-    refusals.append("all")
-    wanted = [Parameter("rate", value=3.0), Parameter("start", value=0.35)]
-    assert not node.set_parameters_atomically(wanted).successful
-    assert (node._player.rate, node._player._jump_to) == (1.0, None)
-    refusals.clear()
-    assert node.set_parameters_atomically(wanted).successful
-    assert node._player.rate == 3.0
 
 
 def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, frames, bags):

@@ -11,17 +11,12 @@ from cmp_tactile_driver.sources.files import ImageFolder, VideoFile
 
 
 def _read_all(source):
-    found = []
-    while (frame := source.read()) is not None:
-        found.append(frame)
-    return found
+    return [image for _, image in source.images()]
 
 
 def test_natural_order_and_pixels(image_folder, frames):
-    found = _read_all(ImageFolder(image_folder, 30.0))
-    assert [frame.origin for frame in found] == [f"{n}.png" for n in range(len(frames))]
-    assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
-    assert {frame.encoding for frame in found} == {"mono8"}
+    found = _read_all(ImageFolder(image_folder))
+    assert all(np.array_equal(a, b) for a, b in zip(found, frames, strict=True))
 
 
 def test_hidden_files_are_no_images(image_folder, frames):
@@ -31,67 +26,50 @@ def test_hidden_files_are_no_images(image_folder, frames):
     """
     for number in range(3):
         (image_folder / f"._{number}.png").write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X")
-    source = ImageFolder(image_folder, 10.0)
-    found = list(iter(source.read, None))
-    assert len(found) == len(frames)
+    source = ImageFolder(image_folder)
+    assert len(_read_all(source)) == len(frames)
     assert source.health.bad_frames == 0
 
 
 def test_colour_stays_colour(tmp_path):
     bgr = np.random.default_rng(1).integers(0, 256, (6, 8, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "a.PNG"), bgr)
-    frame = ImageFolder(tmp_path, 30.0).read()
-    assert frame is not None
-    assert frame.encoding == "bgr8"
-    assert np.array_equal(frame.image, bgr)
-
-
-def test_loop_begins_again(image_folder, frames):
-    source = ImageFolder(image_folder, 30.0, loop=True)
-    found = [source.read() for _ in range(2 * len(frames))]
-    assert [f.origin for f in found[: len(frames)]] == [f.origin for f in found[len(frames) :]]
+    assert np.array_equal(_read_all(ImageFolder(tmp_path)), [bgr])
 
 
 def test_missing_and_empty_folders(tmp_path):
     with pytest.raises(FrameSourceError, match="nowhere: found no such folder"):
-        ImageFolder(tmp_path / "nowhere", 30.0)
+        ImageFolder(tmp_path / "nowhere")
     (tmp_path / "notes.txt").write_text("no image")
     with pytest.raises(FrameSourceError, match=r"found no image among 1 entries, expected \.bmp"):
-        ImageFolder(tmp_path, 30.0)
+        ImageFolder(tmp_path)
 
 
 @pytest.mark.parametrize("keep", [0, 100])
 def test_bad_image_in_the_middle_is_skipped_and_named(image_folder, frames, keep):
     path = image_folder / "5.png"
     path.write_bytes(path.read_bytes()[:keep])
-    source = ImageFolder(image_folder, 30.0)
+    source = ImageFolder(image_folder)
     assert len(_read_all(source)) == len(frames) - 1
     assert source.health.bad_frames == 1
     assert f"{path}: found {keep} bytes that are no readable image" in source.health.problem
 
 
-def test_changing_size_is_skipped_and_named(image_folder, frames):
-    cv2.imwrite(str(image_folder / "5.png"), np.zeros((10, 20), np.uint8))
-    source = ImageFolder(image_folder, 30.0)
-    assert len(_read_all(source)) == len(frames) - 1
-    assert "5.png: found 20 x 10 px, expected 64 x 48 px" in source.health.problem
-
-
-def test_one_image_of_another_size_ends_no_loop(image_folder, frames):
-    cv2.imwrite(str(image_folder / "0.png"), np.zeros((10, 20), np.uint8))
-    source = ImageFolder(image_folder, 30.0, loop=True, expected_size=(64, 48))
-    found = [source.read().origin for _ in range(4 * (len(frames) - 1))]
-    assert found == 4 * [f"{n}.png" for n in range(1, len(frames))]
-    assert source.health.bad_frames == 4
+@pytest.mark.parametrize("number", [0, 5])
+def test_one_of_another_size_is_skipped_and_named(image_folder, frames, number):
+    cv2.imwrite(str(image_folder / f"{number}.png"), np.zeros((10, 20), np.uint8))
+    source = ImageFolder(image_folder, expected_size=(64, 48))
+    assert [n for n, _ in source.images()] == [n for n in range(len(frames)) if n != number]
+    assert f"{number}.png: found 20 x 10 px, expected 64 x 48 px" in source.health.problem
 
 
 def test_nothing_of_the_expected_size(image_folder):
-    source = ImageFolder(image_folder, 30.0, loop=True, expected_size=(1024, 768))
+    source = ImageFolder(image_folder, expected_size=(1024, 768))
     with pytest.raises(
         FrameSourceError,
         match=r"none of the first 2 of 12 images is good.*found 64 x 48 px, expected 1024 x 768",
     ):
-        source.read()
+        _read_all(source)
 
 
 FRAMES = 10
@@ -119,22 +97,12 @@ def _ramp(number):
 def test_frames_and_rate(video):
     source = VideoFile(video)
     assert source.frame_rate == 25.0
-    found = _read_all(source)
-    assert len(found) == FRAMES
-    assert source.read() is None
-    assert source.health.bad_frames == 0
-    for number, frame in enumerate(found):
-        assert frame.encoding == "bgr8"
-        assert np.abs(frame.image.astype(int) - _ramp(number)).max() <= JPEG_TOLERANCE
-    source.close()
-
-
-def test_given_rate_and_loop(video):
-    source = VideoFile(video, 60.0, loop=True)
-    assert source.frame_rate == 60.0
-    images = [source.read().image for _ in range(2 * FRAMES)]
-    assert all(np.array_equal(a, b) for a, b in zip(images[:FRAMES], images[FRAMES:], strict=True))
-    source.close()
+    for _ in range(2):
+        found = _read_all(source)
+        assert len(found) == source.declared_frames == FRAMES
+        assert source.health.bad_frames == 0
+        for number, image in enumerate(found):
+            assert np.abs(image.astype(int) - _ramp(number)).max() <= JPEG_TOLERANCE
 
 
 def test_missing_and_undecodable_file(tmp_path):
@@ -163,7 +131,7 @@ def test_truncated_end_is_counted(tmp_path):
 
 def test_wrong_size_is_named(video):
     with pytest.raises(FrameSourceError, match="found 64 x 48 px, expected 1024 x 768 px"):
-        VideoFile(video, expected_size=(1024, 768)).read()
+        _read_all(VideoFile(video, expected_size=(1024, 768)))
 
 
 def test_a_folder_of_16_bits_has_one_scale_from_its_dark_beginning(tmp_path, frames, caplog):
@@ -172,9 +140,9 @@ def test_a_folder_of_16_bits_has_one_scale_from_its_dark_beginning(tmp_path, fra
     ]
     for number, frame in enumerate(deep):
         cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
-    found = _read_all(ImageFolder(tmp_path, 30.0))
+    found = _read_all(ImageFolder(tmp_path))
     for frame, expected in zip(found, deep, strict=True):
-        assert np.abs(frame.image - expected * (255 / 4095)).max() <= 0.51
+        assert np.abs(frame - expected * (255 / 4095)).max() <= 0.51
     assert caplog.text.count("12 of 16 bits") == 1
 
 
@@ -184,7 +152,7 @@ def test_a_jpeg_with_a_part_missing_is_no_frame(image_folder, frames):
     content = cv2.imencode(".jpg", smooth)[1].tobytes()
     middle = len(content) - 300
     (image_folder / "0.jpg").write_bytes(content[:middle] + content[middle + 150 :])
-    source = ImageFolder(image_folder, 30.0)
+    source = ImageFolder(image_folder)
     assert len(_read_all(source)) == len(frames)
     assert source.health.bad_frames == 1
     assert "0.jpg: found a damaged JPEG" in source.health.problem

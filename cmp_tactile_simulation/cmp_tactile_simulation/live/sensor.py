@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.capture import Pacer, Worker
+from cmp_tactile_driver.sources.capture import Worker
+from cmp_tactile_driver.sources.timing import Pacer
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cmp_tactile_bringup.report.evaluation import TableRow, TruthErrors
+    from cmp_tactile_bringup.report.results import TableRow
+    from cmp_tactile_bringup.report.truth import TruthErrors
     from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
 
 SPREAD = "95 % below {}, median {}, most {}"
@@ -45,7 +46,7 @@ class Check(FrameInput):
         )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.recordings.library import required_sensor
-        from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
+        from cmp_tactile_bringup.report.truth import truth_errors, truth_of
         from cmp_tactile_bringup.terminal import output
         from cmp_tactile_processing.calibration.check import check_grids
         from cmp_tactile_processing.calibration.observation import track_frames
@@ -87,7 +88,7 @@ class Check(FrameInput):
 def _row(figure: CheckFigure) -> TableRow:
     from math import isfinite
 
-    from cmp_tactile_bringup.report.evaluation import TableRow
+    from cmp_tactile_bringup.report.results import TableRow
     from cmp_tactile_processing.calibration.outcome import value_text
 
     value = value_text(figure.value, figure.unit)

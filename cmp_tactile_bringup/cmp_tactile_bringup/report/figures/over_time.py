@@ -1,8 +1,7 @@
-"""Figures over time: the resultant force and moment; the contacts, slip, friction and flags."""
+"""Figures over time: the resultant force and moment; the contacts, slip and friction."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -14,9 +13,10 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import BAND, DemoResults
-from cmp_tactile_processing.force.advice import ADVICE, SLIP_WORDS, flag_names, single_flags
-from cmp_tactile_processing.measured import ForceFlag, SlipState
+from cmp_tactile_bringup.report.evaluation import BAND
+from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_processing.force.advice import SLIP_WORDS
+from cmp_tactile_processing.measured import SlipState
 
 AXES = ("x", "y", "z")
 SHORT_PHASE_FRAMES = 2
@@ -32,10 +32,8 @@ NOT_KNOWN: dict[str, Any] = {
     "hatch": "////",
     "lw": 0,
 }
-# Letters to a line of the legend.
-LEGEND_WIDTH = 34
 MEASURED, TRUE = style.SERIES[0], style.MUTED
-Panel = Callable[[Axes], None]
+Panel = Callable[[Axes, DemoResults], None]
 
 
 def wrench_figure(results: DemoResults) -> Figure:
@@ -138,41 +136,23 @@ def _draw_line(axes: Axes, time_s: np.ndarray, values: np.ndarray, colour: str, 
 
 
 def contact_figure(results: DemoResults) -> Figure:
-    """Number and area of the contacts, slip and friction, flags; panels only of what is known."""
-    panels: list[tuple[float, Panel]] = [
-        (0.7, lambda axes: _draw_number(axes, results)),
-        (1.0, lambda axes: _draw_area(axes, results)),
-    ]
-    left_out = []
-    slip, friction = _slip(results, "slip_ratio"), _slip(results, "traction_ratio")
-    if np.isfinite(slip).any() or _states(results).any():
-        panels += [
-            (0.6, lambda axes: _draw_states(axes, results)),
-            (0.9, lambda axes: _draw_slip(axes, results)),
-        ]
-    else:
-        left_out.append("slip (no frame shows whether the contact slips)")
-    if np.isfinite(friction).any():
-        panels.append((1.2, lambda axes: _draw_friction(axes, results)))
-    else:
-        left_out.append("friction (no frame has a ratio of tangential to normal force)")
-    if _flags(results):
-        panels.append((0.15 + 0.4 * len(_flags(results)), lambda axes: _draw_flags(axes, results)))
-    else:
-        left_out.append("flags (none was set)")
+    """Number and area of the contacts, slip and friction; panels only of what is known."""
+    panels: list[tuple[float, Panel]] = [(0.7, _draw_number), (1.0, _draw_area)]
+    if np.isfinite(_slip(results, "slip_ratio")).any() or _states(results).any():
+        panels += [(0.6, _draw_states), (0.9, _draw_slip)]
+    if np.isfinite(_slip(results, "traction_ratio")).any():
+        panels.append((1.2, _draw_friction))
     heights = [height for height, _ in panels]
     figure = style.new_figure(13.4, 1.2 + 2.2 * sum(heights))
     rows = figure.subplots(len(panels), 1, sharex=True, height_ratios=heights)
     for axes, (_, draw) in zip(rows, panels, strict=True):
-        draw(axes)
+        draw(axes, results)
         _draw_phases(axes, results, names=axes is rows[0])
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
     rows[0].set_title("The contacts over time", pad=30)
     rows[-1].set_xlabel("time of the recording, s")
     rows[-1].set_xlim(results.time_s[0] - 0.01, results.time_s[-1] + 0.01)
-    if left_out:
-        figure.supxlabel("Not drawn: " + ", ".join(left_out), x=0.01, ha="left", fontsize=10)
     figure.align_ylabels()
     return figure
 
@@ -266,27 +246,6 @@ def _draw_friction(axes: Axes, results: DemoResults) -> None:
     axes.set_ylim(0, min(1.1 * highest, 2.5))
 
 
-def _draw_flags(axes: Axes, results: DemoResults) -> None:
-    """A row of marks for each flag, where it was set."""
-    flags = _flags(results)
-    for row, flag in enumerate(flags):
-        time_s = [
-            time
-            for time, frame in zip(results.time_s, results.frames, strict=True)
-            if frame.force.flags & flag
-        ]
-        words = textwrap.fill(f"{flag_names(flag)}: {_words(flag)}", LEGEND_WIDTH)
-        row_s = [row] * len(time_s)
-        axes.plot(time_s, row_s, marker="s", ls="none", color=style.MARKER, ms=6, label=words)
-    axes.set_yticks(range(len(flags)), [flag_names(flag).replace("_", " ") for flag in flags])
-    axes.set_ylim(-0.7, len(flags) - 0.3)
-
-
-def _words(flag: ForceFlag) -> str:
-    """What is the matter, without what helps."""
-    return ADVICE[flag].partition(":")[0]
-
-
 def _draw_true(
     axes: Axes,
     results: DemoResults,
@@ -319,11 +278,3 @@ def _states(results: DemoResults) -> NDArray[np.int64]:
     states = np.array([frame.force.slip_state for frame in results.frames], np.int64)
     known = np.isin(states, (SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)).any()
     return states if known else np.zeros_like(states)
-
-
-def _flags(results: DemoResults) -> list[ForceFlag]:
-    """The flags that were set in any frame."""
-    every = ForceFlag.NONE
-    for frame in results.frames:
-        every |= frame.force.flags
-    return list(single_flags(every))

@@ -16,7 +16,7 @@ from PIL import Image
 from scipy.interpolate import RegularGridInterpolator
 
 from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.evaluation import DemoResults, FrameResult
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 
 WIDTH, HEIGHT = 9.0, 3.1

@@ -1,0 +1,139 @@
+"""Which topics are to be recorded, once somebody publishes them, and with which QoS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosbags import interfaces
+
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE
+from cmp_tactile_processing.image.compressed import COMPRESSED
+
+SUBSCRIPTION_DEPTH = 100
+# Publishers of one image in two transports come one after the other.
+TRANSPORT_PATIENCE_S = 1.0
+
+
+@dataclass(frozen=True)
+class FoundTopic:
+    """A topic that is published.  kind: its type's name.
+
+    qos: for a subscription that all publishers match.  offered: profiles of the publishers.
+    instead_of: the wanted topic whose image this has, where nobody publishes that.
+    """
+
+    name: str
+    kind: str
+    qos: QoSProfile
+    offered: tuple[interfaces.Qos, ...]
+    instead_of: str = ""
+
+
+class TopicWatch:
+    """The topics that fit a list of names and patterns.
+
+    Of an image that comes as TOPIC/compressed alone, that is taken for TOPIC.
+    """
+
+    def __init__(self, node: Node, wanted: Sequence[str]) -> None:
+        """wanted: relative to the node's namespace or absolute; `*` stands for anything."""
+        self._node = node
+        self._wanted = [
+            _below(node.get_namespace(), item) if "*" in item else node.resolve_topic_name(item)
+            for item in wanted
+        ]
+        self._own = node.get_fully_qualified_name() + "/"
+        self._found: dict[str, QoSProfile] = {}
+        self._compressed_since: dict[str, float] = {}
+
+    @property
+    def missing(self) -> list[str]:
+        """Names, without patterns, that nobody has published yet."""
+        names = [item for item in self._wanted if "*" not in item]
+        return [item for item in names if not self._found.keys() & {item, item + COMPRESSED}]
+
+    def forget(self) -> None:
+        """Find all of them again."""
+        self._found.clear()
+
+    def new_topics(self) -> list[FoundTopic]:
+        """Those that were not found before, or have got a first publisher that is best effort.
+
+        A reliable subscription gets nothing of that, one with the new `qos` hears all.
+        """
+        found = []
+        kinds_of = dict(self._node.get_topic_names_and_types())
+        in_place = self._compressed_alone(kinds_of)
+        for name, kinds in kinds_of.items():
+            if name.startswith(self._own):
+                continue
+            if not any(fnmatchcase(name, item) for item in (*self._wanted, *in_place)):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(name)
+            if not publishers:
+                continue
+            profiles = [item.qos_profile for item in publishers]
+            known = self._found.get(name)
+            qos = _matching_qos([*profiles, known] if known else profiles)
+            if known is None or qos.reliability != known.reliability:
+                self._found[name] = qos
+                offered = tuple(_recorded_qos(item) for item in profiles)
+                instead_of = in_place.get(name, "")
+                found.append(FoundTopic(name, kinds[0], qos, offered, instead_of))
+        return found
+
+    def _compressed_alone(self, kinds_of: dict[str, list[str]]) -> dict[str, str]:
+        """Topics of compressed images, with the wanted one that is not there for a while."""
+        now, since = time.monotonic(), self._compressed_since
+        alone = [
+            item
+            for item in self.missing
+            if kinds_of.get(item + COMPRESSED) == [COMPRESSED_IMAGE]
+            and self._node.count_publishers(item + COMPRESSED)
+            and not self._node.count_publishers(item)
+        ]
+        self._compressed_since = {item: since.get(item, now) for item in alone}
+        return {
+            item + COMPRESSED: item
+            for item, first in self._compressed_since.items()
+            if now - first >= TRANSPORT_PATIENCE_S
+        }
+
+
+def _below(namespace: str, name: str) -> str:
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
+
+
+def _matching_qos(offered: Sequence[QoSProfile]) -> QoSProfile:
+    """Reliable and latched where every publisher is so: less is what all of them match."""
+    reliable = all(item.reliability == ReliabilityPolicy.RELIABLE for item in offered)
+    latched = all(item.durability == DurabilityPolicy.TRANSIENT_LOCAL for item in offered)
+    return QoSProfile(
+        depth=SUBSCRIPTION_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def _recorded_qos(qos: QoSProfile) -> interfaces.Qos:
+    return interfaces.Qos(
+        history=interfaces.QosHistory[qos.history.name],
+        depth=qos.depth,
+        reliability=interfaces.QosReliability[qos.reliability.name],
+        durability=interfaces.QosDurability[qos.durability.name],
+        deadline=_time(qos.deadline),
+        lifespan=_time(qos.lifespan),
+        liveliness=interfaces.QosLiveliness[qos.liveliness.name],
+        liveliness_lease_duration=_time(qos.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=qos.avoid_ros_namespace_conventions,
+    )
+
+
+def _time(duration: Any) -> interfaces.QosTime:
+    return interfaces.QosTime(*divmod(duration.nanoseconds, 10**9))
