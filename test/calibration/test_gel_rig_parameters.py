@@ -8,17 +8,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.practice_rig import changed_rig
-from cmp_tactile_processing.calibration.gel.parameters import (
-    GelCalibrationParameters,
-    RigParameters,
-)
+from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
+from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_simulation.errors import SimulationError
 
-EVERYTHING = GelCalibrationParameters(aspect=1e-3, distortion=1e-3, layer_z=1e-5, layer_index=1e-3)
+EVERYTHING = RigPrior(aspect=1e-3, distortion=1e-3, layer_z=1e-5, layer_index=1e-3)
 
 
 def with_layers(sensor):
@@ -53,9 +51,10 @@ def test_every_optical_value_is_varied_and_moves_the_pattern(gel_rig, two_view_r
 
 
 def test_what_has_no_prior_is_held(gel_rig):
-    parameters = RigParameters(gel_rig, GelCalibrationParameters(focal=0.0))
+    parameters = RigParameters(gel_rig, RigPrior(focal=0.0), held=("gel",))
     assert "camera.fx" not in parameters.names
     assert "camera.fx" in [item.name for item in parameters.all]
+    assert not any(name.startswith("gel") for name in parameters.names)
     assert not any("distortion" in name or "fy" in name for name in parameters.names)
 
 
