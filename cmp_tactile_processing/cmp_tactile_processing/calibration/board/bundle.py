@@ -154,9 +154,9 @@ class _Boards:
         left = np.add.reduceat(used.astype(int), self._first)
         self.used = used & (left >= FEWEST_CORNERS)[self._image]
 
-    def residuals(self, changes: Array) -> Array:
-        """Measured minus modelled (N, 2) px with the poses as they are; NaN where not seen."""
-        return self._misfit(self._views(changes), self._poses)
+    def residuals(self, changes: Array, poses: Array | None = None) -> Array:
+        """Measured minus modelled (N, 2) px, by default with the poses as they are; may be NaN."""
+        return self._misfit(self._views(changes), self._poses if poses is None else poses)
 
     def fit(self, changes: Array, noise: float, robust: float | None) -> MapFit:
         """Fit the rig to the corners used, of that noise, and settle the boards with it."""
@@ -168,11 +168,17 @@ class _Boards:
             jacobian=search.jacobian,
             robust_scale=robust,
         )
-        search.residuals(fit.values)
+        self.settle(fit.values, noise, robust)
         return fit
 
-    def settle(self, changes: Array, noise: float, robust: float | None) -> bool:
-        """Move all boards to where they fit best; False where one cannot be seen.
+    def settle(self, changes: Array, noise: float, robust: float | None) -> None:
+        """Move all boards to where they fit best, if they can be seen there."""
+        poses = self.best_poses(changes, noise, robust)
+        if poses is not None:
+            self._poses = poses
+
+    def best_poses(self, changes: Array, noise: float, robust: float | None) -> Array | None:
+        """Poses (n, 4, 4) that fit best, looked for from those that there are; None if not seen.
 
         By the method of Levenberg and Marquardt, for each board by itself.
         """
@@ -180,7 +186,7 @@ class _Boards:
         damping = np.full(len(poses), FIRST_DAMPING)
         costs = self._costs(self._misfit(views, poses) / noise, robust)
         if not np.isfinite(costs).all():
-            return False
+            return None
         for _ in range(POSE_STEPS):
             residuals, by_pose = self._linear(views, poses)
             weights = self._loss(residuals / noise, robust)[1] / noise**2
@@ -197,8 +203,7 @@ class _Boards:
             # In standard deviations.
             if np.einsum("ni,nij,nj->n", step, H, step).max() < POSE_TOLERANCE**2:
                 break
-        self._poses = poses
-        return True
+        return np.asarray(poses)
 
     def reduced_jacobian(self, changes: Array, noise: float, robust: float | None) -> Array:
         """Derivatives (N, 2, S) of the residuals, px, by the rig, while the boards follow it."""
@@ -270,15 +275,18 @@ class _Search:
         """(2 N,), 0 for those that do not count; NaN where a board cannot be placed."""
         used = self.boards.used[:, None]
         try:
-            settled = self.boards.settle(changes, self.noise, self.robust)
+            poses = self.boards.best_poses(changes, self.noise, self.robust)
         except DescriptionError:
-            settled = False
-        if not settled:
+            poses = None
+        if poses is None:
             return np.full(2 * len(used), np.nan)
-        return np.where(used, self.boards.residuals(changes), 0.0).ravel() / self.noise
+        return np.where(used, self.boards.residuals(changes, poses), 0.0).ravel() / self.noise
 
     def jacobian(self, changes: Array) -> Array:
-        """(2 N, S) of `residuals`."""
+        """(2 N, S) of `residuals`; the next poses are looked for from those of here.
+
+        It is asked for where a step was taken: a step that is refused moves no board.
+        """
         self.boards.settle(changes, self.noise, self.robust)
         slope = self.boards.reduced_jacobian(changes, self.noise, self.robust)
         return np.asarray(slope.reshape(-1, len(changes)) / self.noise)
