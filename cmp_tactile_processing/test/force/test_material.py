@@ -128,7 +128,7 @@ def test_the_doubt_is_the_error_of_a_gel_of_another_ratio(sample_rig, model, oth
     assert poisson_doubt(sample_rig, model, pressure, 0.0) == PoissonDoubt(0.0, 0.0)
 
 
-@pytest.mark.parametrize("young", [2.5e5, 5e5, 1.2e6])
+@pytest.mark.parametrize("young", [2.5e5, 1.2e6])
 def test_young_alone(sample_rig, cache_dir, described, young):
     """The others held: nothing is built, and the old modulus does not matter."""
     gel = replace(sample_rig.elastomer, young=young)
