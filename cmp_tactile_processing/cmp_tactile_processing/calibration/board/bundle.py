@@ -209,11 +209,9 @@ class _Boards:
         """Derivatives (N, 2, S) of the residuals, px, by the rig, while the boards follow it."""
         residuals, by_pose = self._linear(self._views(changes), self._poses)
         placed, columns = self._placed(self._poses), []
-        for k, std in enumerate(self._rig.prior_std):
-            off = np.zeros(len(changes))
-            off[k] = STEP * std
-            ends = [self._project(self._views(changes + way), placed) for way in (off, -off)]
-            columns.append((ends[1] - ends[0]) / (2 * off[k]))
+        for off in np.diag(STEP * self._rig.prior_std):
+            moved = self._q - self._project(self._views(changes + off), placed)
+            columns.append((moved - residuals) / off.sum())
         by_rig = np.where(self.used[:, None, None], np.stack(columns, axis=-1), 0.0)
         weights = self._loss(residuals / noise, robust)[1]
         H = self._summed(by_pose, weights, by_pose) + UNSEEN * noise**2
