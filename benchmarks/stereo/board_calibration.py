@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_processing.calibration.board.bundle import CameraPair
-from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
-from cmp_tactile_processing.calibration.board.start import Corners, fit_rig, start_of_cameras
+from cmp_tactile_processing.calibration.board.calibrate import (
+    calibrate_cameras,
+    fit_cameras,
+)
+from cmp_tactile_processing.calibration.board.start import Corners
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 
 PHOTOGRAPHED = BoardTarget("chessboard", 9, 6, 0.025)
@@ -97,17 +99,20 @@ def opencv_camera(found: Found) -> Fitted:
 
 def our_camera(found: Found) -> Fitted:
     """Our fit of one camera."""
-    model, numbers = CameraPair("pinhole", ("left",)), np.arange(PHOTOGRAPHED.count)
+    numbers = np.arange(PHOTOGRAPHED.count)
     images = {number: {"left": Corners(numbers, q)} for number, q in found.items()}
-    start = start_of_cameras(model, PHOTOGRAPHED, images, {"left": (640, 480)})
-    fit = fit_rig(model, start, PHOTOGRAPHED, images)
-    if fit is None:
+    fitted = fit_cameras("pinhole", PHOTOGRAPHED, images, {"left": (640, 480)})
+    if fitted is None:
         raise SystemExit("the corners fit no camera")
+    rig, fit = fitted
     residuals = fit.bundle.residuals
     used = np.concatenate([r[ok] for r, ok in zip(residuals, fit.bundle.used, strict=True)])
     lengths, of_all = np.linalg.norm(used, axis=1), 2**0.5 * np.concatenate(residuals)
     rms, rms_of_all = (float(np.sqrt((r**2).mean())) for r in (lengths, of_all))
-    return Fitted(rms, len(lengths), rms_of_all, fit.bundle.shared[:9])
+    (view,) = rig.views(fit.bundle.fit.values).values()
+    lens = view.lens
+    values = np.array([*lens.matrix[[0, 1], [0, 1]], *lens.matrix[:2, 2], *lens.distortion])
+    return Fitted(rms, len(lengths), rms_of_all, values)
 
 
 def photographs(folder: Path, console: Console) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.map_fit import central_jacobian, map_fit
+from cmp_tactile_processing.calibration.map_fit import map_fit
 from cmp_tactile_processing.errors import CalibrationError
 
 A = np.random.default_rng(1).normal(size=(40, 3))
@@ -59,17 +59,3 @@ def test_a_step_where_nothing_can_be_computed_is_refused():
 def test_a_start_without_residuals_is_refused():
     with pytest.raises(CalibrationError, match="found 1 of 2 residuals that are not finite"):
         map_fit(lambda x: np.array([x[0], np.nan]), np.ones(1))
-
-
-def test_central_jacobian_converges_with_the_square_of_the_step():
-    x = np.array([0.3, -0.7])
-
-    def function(v):
-        return np.array([np.sin(v[0]) * v[1], np.exp(v[1])])
-
-    exact = np.array([[np.cos(0.3) * -0.7, np.sin(0.3)], [0.0, np.exp(-0.7)]])
-    errors = [
-        np.abs(central_jacobian(function, x, np.full(2, step)) - exact).max()
-        for step in (1e-2, 1e-3)
-    ]
-    assert np.log10(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)

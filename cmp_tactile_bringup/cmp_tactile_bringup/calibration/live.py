@@ -197,13 +197,13 @@ class LiveReference(LiveFrames):
             )
             raise RecordingError(msg)
         stamps = sorted(rows)
-        wrench = np.array([rows[stamp] for stamp in stamps])
-        return WrenchSeries(self._wrench_topic, np.array(stamps, np.int64), wrench)
+        force = np.array([rows[stamp] for stamp in stamps])
+        return WrenchSeries(self._wrench_topic, np.array(stamps, np.int64), force)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         stamp = message.header.stamp
-        force, torque = message.wrench.force, message.wrench.torque
-        row = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+        force = message.wrench.force
+        row = [force.x, force.y, force.z]
         self._wrenches[stamp.sec * NS_PER_S + stamp.nanosec] = row
 
 

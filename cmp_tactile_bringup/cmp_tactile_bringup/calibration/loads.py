@@ -30,73 +30,44 @@ TF_STATIC = "/tf_static"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 NS_PER_S = 10**9
-# Clocks of one recording differ by less, s: further away, another press would be taken for it.
-LARGEST_OFFSET_S = 0.5
-OFFSET_STEPS_PER_FRAME = 4
-# Below this likeness of force and motion over time, the offset is not known.
-LEAST_CORRELATION = 0.9
-# Force that must come and go for the offset to be found, standard deviation in N.
-LEAST_CHANGE_N = 0.05
-LEAST_FRAMES = 8
 
 Edges = dict[str, dict[str, NDArray[np.float64]]]
 
 
 @dataclass(frozen=True)
 class WrenchFrame:
-    """How a wrench is turned into the force on the gel, in the gel frame.
+    """How the force of a reference sensor is turned into the one on the gel, in the gel frame.
 
-    rotation (3, 3): of the reference sensor's axes into the gel frame's.  position (3,) m: its
-    origin in the gel frame, NaN where not known; then torque is not used.
+    rotation (3, 3): of the reference sensor's axes into the gel frame's.
     reaction: the sensor reads the force of the gel on the object, the opposite of what is wanted.
     """
 
     rotation: NDArray[np.float64]
-    position: NDArray[np.float64]
     reaction: bool = False
 
     @classmethod
     def turned(
-        cls,
-        rotation_deg: Sequence[float] = (0.0, 0.0, 0.0),
-        position: Sequence[float] | None = None,
-        *,
-        reaction: bool = False,
+        cls, rotation_deg: Sequence[float] = (0.0, 0.0, 0.0), *, reaction: bool = False
     ) -> WrenchFrame:
         """From turns about the gel's x, then y, then z direction, degrees."""
-        rotation = Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix()
-        place = np.full(3, np.nan) if position is None else np.array(position, np.float64)
-        return cls(rotation, place, reaction)
+        return cls(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix(), reaction)
 
-    def on_gel(self, wrench: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Wrenches (n, 6) N and N m as forces on the gel and moments about the gel's origin."""
-        force, torque = wrench[:, :3] @ self.rotation.T, wrench[:, 3:] @ self.rotation.T
-        torque = torque + np.cross(self.position, force)
-        return np.hstack([force, torque]) * (-1.0 if self.reaction else 1.0)
+    def on_gel(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Forces (n, 3) N of the sensor as forces on the gel."""
+        return force @ self.rotation.T * (-1.0 if self.reaction else 1.0)
 
 
 @dataclass(frozen=True)
 class WrenchSeries:
-    """source: bag and topic.  stamp_ns (n,), rising; wrench (n, 6) N and N m as recorded.
+    """source: bag and topic.  stamp_ns (n,), rising; force (n, 3) N as recorded.
 
     frame_id: of the first message, empty where it names none.
     """
 
     source: str
     stamp_ns: NDArray[np.int64]
-    wrench: NDArray[np.float64]
+    force: NDArray[np.float64]
     frame_id: str = ""
-
-
-@dataclass(frozen=True)
-class ClockOffset:
-    """seconds: what the reference sensor's clock is ahead of the camera's.
-
-    correlation: of force and motion with it, NaN where it was not estimated.
-    """
-
-    seconds: float
-    correlation: float = math.nan
 
 
 def read_wrench(bag: Path, topic: str) -> WrenchSeries:
@@ -125,32 +96,37 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         stamp = message.header.stamp
         stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or stored.time_ns
         frame_id = frame_id or message.header.frame_id
-        f, t = message.wrench.force, message.wrench.torque
-        rows[stamp_ns] = [f.x, f.y, f.z, t.x, t.y, t.z]
+        vector = message.wrench.force
+        rows[stamp_ns] = [vector.x, vector.y, vector.z]
     stamps = sorted(rows)
-    wrench = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 6)
-    known = int(np.isfinite(wrench[:, :3]).all(axis=1).sum())
+    force = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 3)
+    known = int(np.isfinite(force).all(axis=1).sum())
     if known < 2:
         nan = f" and {len(rows) - known} without a number" if known < len(rows) else ""
         msg = f"{bag}: {topic}: found {known} messages{nan}, expected two or more"
         raise RecordingError(msg)
-    return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), wrench, frame_id)
+    return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), force, frame_id)
 
 
 def at_frames(
-    series: WrenchSeries, stamp_ns: NDArray[np.int64], offset_s: float
+    series: WrenchSeries, stamp_ns: NDArray[np.int64], ahead_s: float
 ) -> NDArray[np.float64]:
-    """The wrench at camera frames (n,), (n, 6), interpolated linearly; NaN before and after it.
+    """The force at camera frames (n,), (n, 3), interpolated linearly; NaN before and after it.
 
-    Raises RecordingError where no frame lies within its time.
+    ahead_s: what the reference sensor's clock is ahead of the camera's.  Raises RecordingError
+    where no frame lies within its time.
     """
-    time_s = _seconds(stamp_ns, series.stamp_ns[0]) + offset_s
-    known_s = _seconds(series.stamp_ns, series.stamp_ns[0])
-    columns = [
-        np.interp(time_s, known_s, column, left=np.nan, right=np.nan) for column in series.wrench.T
-    ]
-    wrench = np.stack(columns, axis=1)
-    if np.isnan(wrench[:, 0]).all():
+    time_s, known_s = (
+        (stamps - series.stamp_ns[0]) / NS_PER_S for stamps in (stamp_ns, series.stamp_ns)
+    )
+    force = np.stack(
+        [
+            np.interp(time_s + ahead_s, known_s, column, left=np.nan, right=np.nan)
+            for column in series.force.T
+        ],
+        axis=1,
+    )
+    if np.isnan(force[:, 0]).all():
         frames = f"{stamp_ns[0] / NS_PER_S:.3f} to {stamp_ns[-1] / NS_PER_S:.3f} s"
         msg = (
             f"{series.source}: found stamps from {series.stamp_ns[0] / NS_PER_S:.3f} to "
@@ -158,61 +134,7 @@ def at_frames(
             f"{frames}; --time-offset says how far the clocks are apart"
         )
         raise RecordingError(msg)
-    return wrench
-
-
-def estimated_offset(
-    series: WrenchSeries, stamp_ns: NDArray[np.int64], displacement: NDArray[np.float64]
-) -> ClockOffset:
-    """The offset at which force and motion of the gel are most alike; 0 where that shows nothing.
-
-    displacement (n, rows, cols, 3) m of the frames.  Within half a second either way.
-    """
-    motion = np.sqrt(np.nanmean(displacement**2, axis=(1, 2, 3)))
-    step_s = float(np.median(np.diff(stamp_ns))) / NS_PER_S if len(stamp_ns) > 1 else 0.0
-    if len(stamp_ns) < LEAST_FRAMES or not step_s > 0:
-        return ClockOffset(0.0)
-    step_s /= OFFSET_STEPS_PER_FRAME
-    count = math.floor(LARGEST_OFFSET_S / step_s)
-    offsets = np.arange(-count, count + 1) * step_s
-    likeness = np.array([_likeness(series, stamp_ns, motion, item) for item in offsets])
-    if np.isnan(likeness).all() or np.nanmax(likeness) < LEAST_CORRELATION:
-        return ClockOffset(0.0)
-    best = int(np.nanargmax(likeness))
-    return ClockOffset(
-        float(offsets[best] + _vertex(likeness, best) * step_s), float(likeness[best])
-    )
-
-
-def _likeness(
-    series: WrenchSeries, stamp_ns: NDArray[np.int64], motion: NDArray[np.float64], offset_s: float
-) -> float:
-    """Correlation of the force's size with the motion's; NaN where too little is known."""
-    try:
-        wrench = at_frames(series, stamp_ns, offset_s)
-    except RecordingError:
-        return math.nan
-    # The zero of a reference sensor is arbitrary: change counts, from its first reading on.
-    force = np.linalg.norm(wrench[:, :3] - series.wrench[0, :3], axis=1)
-    known = np.isfinite(force) & np.isfinite(motion)
-    if known.sum() < max(LEAST_FRAMES, len(force) // 2) or force[known].std() < LEAST_CHANGE_N:
-        return math.nan
-    if not motion[known].std() > 0:
-        return math.nan
-    return float(np.corrcoef(force[known], motion[known])[0, 1])
-
-
-def _vertex(values: NDArray[np.float64], best: int) -> float:
-    """Where between its neighbours the largest value lies, in steps from -0.5 to 0.5."""
-    if not 0 < best < len(values) - 1:
-        return 0.0
-    before, at, after = values[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    return float(0.5 * (before - after) / bend) if bend < 0 else 0.0
-
-
-def _seconds(stamp_ns: NDArray[np.int64], origin_ns: int) -> NDArray[np.float64]:
-    return np.asarray((stamp_ns - origin_ns) * 1e-9)
+    return force
 
 
 def fixed_transform(bag: Path, to: str, from_: str) -> NDArray[np.float64] | None:
@@ -400,16 +322,13 @@ class SensorSampling:
 
     steady: mean of each stretch in which gel and force stand still, or else single frames.
     least_frames: of a stretch.  most: samples, evenly over the recording.
-    std: of the reference sensor's force, N; torque_std: of its torque, N m; arm_std: of where its
-    origin is, m.
+    std: of the reference sensor's force, N.
     """
 
     steady: bool = True
     least_frames: int = 4
     most: int = 60
     std: float = 0.01
-    torque_std: float = 2e-4
-    arm_std: float = 5e-4
 
 
 def averaged(
@@ -492,25 +411,25 @@ def _loaded(motion: GelMotion, stretches: Sequence[range]) -> list[range]:
     return [item for item in stretches if largest_motion(rest, averaged(motion, item)[0]) > limit]
 
 
-def zeroed(wrench: NDArray[np.float64], rest: Sequence[int]) -> NDArray[np.float64]:
-    """The wrench (n, 6) less what it reads in the frames at rest, where that is known."""
-    known = [frame for frame in rest if np.isfinite(wrench[frame, :3]).all()]
-    return wrench - wrench[known].mean(axis=0) if known else wrench
+def zeroed(force: NDArray[np.float64], rest: Sequence[int]) -> NDArray[np.float64]:
+    """The force (n, 3) less what is read in the frames at rest, where that is known."""
+    known = [frame for frame in rest if np.isfinite(force[frame]).all()]
+    return force - force[known].mean(axis=0) if known else force
 
 
 def samples_of_sensor(
-    motion: GelMotion, wrench: NDArray[np.float64], sampling: SensorSampling
+    motion: GelMotion, force: NDArray[np.float64], sampling: SensorSampling
 ) -> list[LoadSample]:
-    """Samples beside a reference sensor's wrench at the frames, (n, 6) N and N m on the gel.
+    """Samples beside a reference sensor's force on the gel at the frames, (n, 3) N.
 
     NaN where it is not known: such frames are left out.  What it reads in the frames at rest, from
     which the gel's motion is counted, is its zero.  Raises RecordingError where no frame is left.
     """
-    wrench = zeroed(wrench, motion.rest)
-    known = np.asarray(np.isfinite(wrench[:, :3]).all(axis=1))
+    force = zeroed(force, motion.rest)
+    known = np.asarray(np.isfinite(force).all(axis=1))
     shown = np.where(known[:, None, None, None], motion.displacement, np.nan)
     if sampling.steady:
-        stretches = steady_stretches(shown, sampling.least_frames, wrench[:, :3])
+        stretches = steady_stretches(shown, sampling.least_frames, force)
     else:
         stretches = [range(int(k), int(k) + 1) for k in np.flatnonzero(known)]
     loaded = _loaded(motion, [item for item in stretches if known[item.start]])
@@ -522,25 +441,14 @@ def samples_of_sensor(
         )
         raise RecordingError(msg)
     every = max(1, -(-len(loaded) // sampling.most))
-    return [_sensor_sample(motion, wrench, item, sampling) for item in loaded[::every]]
+    return [_sensor_sample(motion, force, item, sampling) for item in loaded[::every]]
 
 
 def _sensor_sample(
-    motion: GelMotion, wrench: NDArray[np.float64], frames: range, sampling: SensorSampling
+    motion: GelMotion, force: NDArray[np.float64], frames: range, sampling: SensorSampling
 ) -> LoadSample:
     displacement, status = averaged(motion, frames)
-    part = wrench[frames.start : frames.stop]
-    mean, scatter = part.mean(axis=0), part.var(axis=0) / len(part)
-    arm = sampling.arm_std * float(np.linalg.norm(mean[:3]))
-    std = np.sqrt(scatter[:3] + sampling.std**2)
-    torque_std = np.sqrt(scatter[3:] + sampling.torque_std**2 + arm**2)
-    begin = float(motion.time_s[frames.start])
-    return LoadSample(
-        displacement,
-        status,
-        mean[:3],
-        std,
-        mean[3:],
-        torque_std,
-        name=f"{begin:.2f} s",
-    )
+    part = force[frames.start : frames.stop]
+    std = np.sqrt(part.var(axis=0) / len(part) + sampling.std**2)
+    name = f"{motion.time_s[frames.start]:.2f} s"
+    return LoadSample(displacement, status, part.mean(axis=0), std, name)

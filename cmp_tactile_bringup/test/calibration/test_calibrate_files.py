@@ -1,7 +1,5 @@
 """Files and texts of a calibration: names, what is kept, units that people read."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,6 @@ from cmp_tactile_bringup.report.calibration import estimate_rows
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
-    Finding,
-    Severity,
 )
 from cmp_tactile_processing.geometry.rectification import Rectification, read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
@@ -26,10 +22,6 @@ def outcome():
     return CalibrationOutcome("gel", sensor, cameras, (), ())
 
 
-def refused(outcome):
-    return replace(outcome, findings=(Finding(Severity.ERROR, "wrong", "mend it"),))
-
-
 def test_an_accepted_calibration_is_written_as_description_and_camera_infos(outcome, tmp_path):
     files = CalibrationFiles.of_sensor(tmp_path / "new" / "my.yaml")
     files.write(outcome, "my rig")
@@ -39,13 +31,6 @@ def test_an_accepted_calibration_is_written_as_description_and_camera_infos(outc
     name, info = read_camera_info(tmp_path / "new" / "my_right.yaml")
     assert name == "my rig_right"
     np.testing.assert_array_equal(info.P, outcome.cameras["right"].P)
-
-
-def test_a_refused_calibration_is_never_written(outcome, tmp_path):
-    files = CalibrationFiles.of_sensor(tmp_path / "my.yaml")
-    with pytest.raises(ValueError, match="refused"):
-        files.write(refused(outcome), "rig")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("there", ["my.yaml", "my_left.yaml", "my_right.yaml"])

@@ -88,14 +88,14 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be giv
     *,
     start: NDArray[np.float64] | None = None,
     jacobian: Residuals | None = None,
-    robust_scale: float = 3.0,
+    robust_scale: float | None = 3.0,
     max_steps: int = 100,
 ) -> MapFit:
     """Fit parameters x (n,) to whitened residuals(x) (m,), each with the prior N(0, prior_std^2).
 
-    The data's loss is soft (from `robust_scale` standard deviations on it grows linearly), the
-    priors' is not.  jacobian(x): (m, n); without it, differences: one-sided on the way, central
-    ones for the covariance.  start: default zero.
+    The data's loss is soft (from `robust_scale` standard deviations on it grows linearly, of None
+    never), the priors' is not.  jacobian(x): (m, n); without it, differences: one-sided on the way,
+    central ones for the covariance.  start: default zero.
     Residuals may be NaN away from the start: such steps are refused.  A prior_std of 0 is no
     prior: leave the parameter out instead.  Raises CalibrationError where residuals at the start
     are not finite.
@@ -113,8 +113,8 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be giv
         return np.concatenate([on_the_way(y * scale) * scale, np.eye(len(y))])
 
     def loss(z: NDArray[np.float64]) -> NDArray[np.float64]:
-        rho = np.stack([z, np.ones_like(z), np.zeros_like(z)])
-        rho[:, :count] = _soft_loss(z[:count], robust_scale)
+        rho = soft_loss(z, None)
+        rho[:, :count] = soft_loss(z[:count], robust_scale)
         return rho
 
     found = least_squares(
@@ -128,7 +128,7 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be giv
         xtol=1e-9,
     )
     data = residuals(found.x * scale)
-    weights = _soft_loss(data**2, robust_scale)[1]
+    weights = soft_loss(data**2, robust_scale)[1]
     weighted = at_the_end(found.x * scale) * scale * np.sqrt(weights)[:, None]
     information = weighted.T @ weighted + np.eye(len(scale))
     covariance = np.linalg.inv(information) * np.outer(scale, scale)
@@ -155,8 +155,14 @@ def _forward_jacobian(
     return np.asarray((np.stack(moved, axis=1) - at[:, None]) / step)
 
 
-def _soft_loss(z: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
-    """Loss of squared residuals z and its two derivatives, (3, m): z itself where z is small."""
+def soft_loss(z: NDArray[np.float64], scale: float | None) -> NDArray[np.float64]:
+    """Loss of squared whitened residuals z (m,) and its two derivatives, (3, m).
+
+    z itself where z is small, or everywhere for None; the first derivative is the weight that it
+    leaves, 0 to 1.
+    """
+    if scale is None:
+        return np.stack([z, np.ones_like(z), np.zeros_like(z)])
     root = np.sqrt(1 + z / scale**2)
     return np.stack([2 * scale**2 * (root - 1), 1 / root, -0.5 / (scale**2 * root**3)])
 

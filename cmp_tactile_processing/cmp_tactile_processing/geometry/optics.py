@@ -173,8 +173,12 @@ def _build_view(sensor: SensorDescription, name: str, corners: NDArray[np.float6
     raise DescriptionError(msg)
 
 
-def _readings(sensor: SensorDescription, name: str, view: ViewDescription) -> list[ViewGeometry]:
-    """What the description of a view may mean, the more likely first."""
+def described_view(sensor: SensorDescription, name: str) -> ViewGeometry:
+    """A view as it is described, without the checks of `build_views`.
+
+    Raises DescriptionError for a view without a camera or a pose.
+    """
+    view = sensor.views[name]
     T_view_gel = view.T_view_gel if view.T_view_gel is not None else sensor.optics.T_camera_gel
     camera = view.camera or sensor.camera
     if T_view_gel is None or camera is None:
@@ -182,14 +186,19 @@ def _readings(sensor: SensorDescription, name: str, view: ViewDescription) -> li
         raise DescriptionError(msg)
     if view.mirror is not None:
         T_view_gel = virtual_camera_pose(view.mirror, T_view_gel)
-    roi, flipped, layers = view.roi, view.mirror is not None, sensor.optics.layers
+    roi, flipped = view.roi, view.mirror is not None
     placement = ViewPlacement(roi.x, roi.y, roi.width, roi.height, flipped)
-    geometry = view_geometry(name, camera, placement, T_view_gel, layers)
-    if view.camera is None or (roi.x, roi.y) == (0, 0):
+    return view_geometry(name, camera, placement, T_view_gel, sensor.optics.layers)
+
+
+def _readings(sensor: SensorDescription, name: str, view: ViewDescription) -> list[ViewGeometry]:
+    """What the description of a view may mean, the more likely first."""
+    geometry = described_view(sensor, name)
+    if view.camera is None or (view.roi.x, view.roi.y) == (0, 0):
         return [geometry]
     # The principal point of a view's own camera may be counted from the corner of its part of the
     # frame instead: that reading holds where it shows more of the pattern.
-    own = Lens.of_view(camera, 0, 0, roi.width, flipped)
+    own = Lens.of_view(view.camera, 0, 0, view.roi.width, view.mirror is not None)
     return [geometry, replace(geometry, lens=own)]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.outcome import number_text, value_text
+from cmp_tactile_processing.calibration.outcome import value_text
 
 
 @pytest.mark.parametrize(
@@ -28,11 +28,3 @@ def test_a_figure_is_one_text_wherever_it_stands(value, unit, text):
     13 (0.2E2 for 20): no power of ten in any text of a calibration's figures.
     """
     assert value_text(value, unit) == text
-
-
-def test_a_number_has_no_power_of_ten():
-    for power in range(-6, 7):
-        assert float(number_text(1.2345 * 10.0**power, 4)) == pytest.approx(
-            1.2345 * 10.0**power, rel=1e-3
-        )
-        assert "e" not in number_text(1.2345 * 10.0**power)

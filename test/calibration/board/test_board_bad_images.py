@@ -145,7 +145,7 @@ def test_a_board_seen_from_one_direction(photograph, chessboard, built, cut, sai
     outcome = calibrate_cameras(images, None, chessboard)
     assert not outcome.accepted
     text = said(outcome, ERROR)
-    assert "left.fx is known to" in text
+    assert "views.left.camera.fx is known to" in text
     assert "seen from about one direction" in text
 
 

@@ -96,7 +96,11 @@ def test_the_cameras_of_a_two_view_description(  # noqa: PLR0917
     pose = found.views["left"].T_view_gel
     np.testing.assert_allclose(pose, sensor.views["left"].T_view_gel, atol=1e-15)
     before = {item.name: item.before for item in outcome.estimates}
-    assert before["left.fx"] == pytest.approx(described.camera.fx)
+    assert before["views.left.camera.fx"] == pytest.approx(described.camera.fx)
+    baseline = next(item for item in outcome.estimates if item.name == "baseline")
+    centres = [view.centre for view in build_views(true).values()]
+    apart = np.linalg.norm(centres[0] - centres[1])
+    assert abs(baseline.after - apart) < 5 * baseline.std < 5e-3 * apart
 
 
 @pytest.mark.parametrize("size", [(8, 4), (5, 5)])

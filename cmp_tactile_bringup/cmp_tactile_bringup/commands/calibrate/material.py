@@ -6,10 +6,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cmp_tactile_bringup.commands.calibrate import sources
-from cmp_tactile_bringup.commands.options import Choice, Number, argument, misuse, option
+from cmp_tactile_bringup.commands.options import Number, argument, misuse, option
+from cmp_tactile_processing.calibration.material.options import MaterialOptions
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.calibration.loads import WrenchSeries
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
     from cmp_tactile_bringup.terminal.output import OnStage
-    from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
     from cmp_tactile_processing.calibration.material.loads import (
         LoadResult,
         LoadSample,
@@ -32,32 +32,23 @@ OWN_SENSOR = f"{sources.SENSOR}; simulated recordings know their own"
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
-WRENCH, KNOWN = (
-    "Reference force sensor",
-    "What is known before (0, or a factor of 1, holds a value)",
-)
+WRENCH, KNOWN = "Reference force sensor", "What is known before"
 WORDY_COLUMNS = 2
-# What --fit takes beside Young's modulus and Poisson's ratio; for each, the option that says what
-# is known of it before, and the value of that which holds it.
-DIMENSIONS = {
-    "thickness": ("thickness_std", 0.0),
-    "layer-thickness": ("layer_thickness_std", 0.0),
-    "layer-young": ("layer_factor", 1.0),
-}
 
 
-def _known(text: str, low: float, high: float, unit: str = "") -> object:
-    """An option of the same name as the field of MaterialOptions, which takes time to load."""
-    return option(text, Number(low, high, unit), group=KNOWN)
+def _known(name: str) -> Any:
+    """An option of this field of MaterialOptions."""
+    meta = MaterialOptions.__dataclass_fields__[name].metadata
+    limits = Number(meta["low"], meta["high"], meta["unit"])
+    return option(meta["description"], limits, group=KNOWN)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
-    """Find how stiff the gel is, Young's modulus and Poisson's ratio, from weights that are put on
-    it or from a reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it.
-    Thickness and shading layer are as the description has them, unless --fit names them. What was
-    to be fitted and the loads do not determine is held, its doubt stays in the error bar of every
-    force, and it is named.
+    """Find how stiff the gel is, its Young's modulus, from weights that are put on it or from a
+    reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it. Poisson's
+    ratio, thickness and shading layer are as the description has them; what the loads leave open
+    is in the error bar of every force.
 
     Writes NEW.yaml (description of the sensor) only where the result is accepted;
     NEW_calibration/index.html shows reference against reading either way.
@@ -124,15 +115,6 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
             metavar="KG...",
         ),
     ] = None
-    wrench_position: Annotated[
-        tuple[float, float, float] | None,
-        option(
-            "its origin in the gel frame, m: with it, its torque is used, too",
-            Number(-10, 10, "m"),
-            metavar="X Y Z",
-            group=WRENCH,
-        ),
-    ] = None
     # What a good six-axis sensor resolves.
     wrench_std: Annotated[
         float,
@@ -147,73 +129,11 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     samples: Annotated[
         int, option("take at most so many", Number(1, 10_000, kind=int), group=WRENCH)
     ] = 60
-    fit: Annotated[
-        list[str] | None,
-        option(
-            "fit this, too, beside Young's modulus and Poisson's ratio: "
-            f"{', '.join(DIMENSIONS)} (default: the description is taken for right)",
-            Choice(tuple(DIMENSIONS)),
-            metavar="VALUE...",
-        ),
-    ] = None
-    young_factor: Annotated[
-        float,
-        _known(
-            "factor within which Young's modulus is right, for two standard deviations", 1.001, 100
-        ),
-    ] = 3.0
-    poisson_std: Annotated[float, _known("standard deviation of Poisson's ratio", 0, 0.1)] = 0.015
-    thickness_std: Annotated[
-        float, _known("standard deviation of the gel's thickness, relative to it", 0, 0.15)
-    ] = 0.03
-    layer_thickness_std: Annotated[
-        float,
-        _known("standard deviation of the shading layer's thickness, relative to it", 0, 0.5),
-    ] = 0.2
-    layer_factor: Annotated[
-        float,
-        _known(
-            "factor within which the ratio of the shading layer's modulus to the gel's is right, "
-            "for two standard deviations",
-            1,
-            10,
-        ),
-    ] = 3.0
-    offset_std: Annotated[
-        float,
-        _known(
-            "standard deviation of the zero offset of a reference force sensor, each component",
-            0,
-            100,
-            "N",
-        ),
-    ] = 0.2
-    model_error: Annotated[
-        float,
-        _known(
-            "standard deviation of a load's force as the model shows it, relative to the force; "
-            "all loads have it in common",
-            0,
-            0.5,
-        ),
-    ] = 0.005
-    shape_error: Annotated[
-        float,
-        _known(
-            "standard deviation of how the model spreads the gel's movement, relative to it; all "
-            "loads have it in common",
-            0,
-            0.5,
-        ),
-    ] = 0.004
-    strain_error: Annotated[
-        float,
-        _known(
-            "share of the force by which large strain may change it before a linear gel is doubted",
-            1e-3,
-            1,
-        ),
-    ] = 0.03
+    young_factor: Annotated[float, _known("young_factor")] = MaterialOptions.young_factor
+    poisson_std: Annotated[float, _known("poisson")] = MaterialOptions.poisson
+    offset_std: Annotated[float, _known("offset")] = MaterialOptions.offset
+    model_error: Annotated[float, _known("model_error")] = MaterialOptions.model_error
+    strain_error: Annotated[float, _known("strain_error")] = MaterialOptions.strain_error
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
@@ -223,7 +143,13 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
 
         self._check_usage()
         sensor = _sensor(self)
-        options = self._material_options()
+        options = MaterialOptions(
+            young_factor=self.young_factor,
+            poisson=self.poisson_std,
+            offset=self.offset_std,
+            model_error=self.model_error,
+            strain_error=self.strain_error,
+        )
         files = CalibrationFiles.of_sensor(self.output, ())
         files.check_free(overwrite=self.overwrite)
         samples = _samples(self, sensor)
@@ -247,35 +173,8 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
             misuse("--wrench-topic needs INPUT, or the --topic of a running sensor")
         if self.input is None and not self.sensor:
             misuse("--sensor is required without INPUT")
-        self._check_gel_knowledge()
         if self.rest and not self.rest[0] < self.rest[1]:
             misuse("--rest: FROM must be below TO")
-
-    def _check_gel_knowledge(self) -> None:
-        """End with the usage where something is known of a value that is not to be fitted."""
-        for value, (name, holds) in DIMENSIONS.items():
-            given = getattr(self, name) not in {holds, getattr(Force, name)}
-            if given and value not in (self.fit or []):
-                misuse(f"--{name.replace('_', '-')} needs --fit {value}")
-
-    def _material_options(self) -> MaterialOptions:
-        from cmp_tactile_processing.calibration.material.compliance import MaterialOptions
-
-        fit = self.fit or []
-        return MaterialOptions(
-            fit_thickness="thickness" in fit,
-            fit_layer_thickness="layer-thickness" in fit,
-            fit_layer_young="layer-young" in fit,
-            young_factor=self.young_factor,
-            poisson=self.poisson_std,
-            thickness=self.thickness_std,
-            layer_thickness=self.layer_thickness_std,
-            layer_factor=self.layer_factor,
-            offset=self.offset_std,
-            model_error=self.model_error,
-            shape_error=self.shape_error,
-            strain_error=self.strain_error,
-        )
 
 
 def _sensor(arguments: Force) -> SensorDescription:
@@ -331,7 +230,7 @@ def _sensor_samples(
     motion, series = _motion_and_wrench(arguments, sensor, on_stage)
     for doubt in motion.doubts:
         warn(doubt)
-    on_gel = sources.wrench_at_frames(arguments, sensor, motion, series)
+    on_gel = sources.force_at_frames(arguments, sensor, motion, series)
     sampling = SensorSampling(
         steady=not arguments.every_frame,
         least_frames=arguments.frames,
@@ -386,10 +285,10 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> i
     page = write_material_report(outcome, files.report, name)
     console = output_console()
     console.print(_loads_table(outcome.loads))
-    if np.isfinite(outcome.offset[:3]).all():
+    if np.isfinite(outcome.offset).all():
         zero = ", ".join(
             f"{value:+.3f} +- {std:.3f}"
-            for value, std in zip(outcome.offset[:3], outcome.offset_std[:3], strict=True)
+            for value, std in zip(outcome.offset, outcome.offset_std, strict=True)
         )
         print_line(
             console, f"The reference sensor reads too much by {zero} N (x, y, z of the gel frame)"
@@ -502,7 +401,7 @@ def _record(arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage)
     if arguments.mass:
         reference = arguments.mass * STANDARD_GRAVITY
     elif series is not None:
-        on_gel = sources.wrench_at_frames(arguments, sensor, motion, series)
+        on_gel = sources.force_at_frames(arguments, sensor, motion, series)
         reference = -zeroed(on_gel, motion.rest)[:, 2]
     return _Record(motion.time_s, _reading(motion, sensor, on_stage), reference)
 

@@ -95,13 +95,11 @@ class WrenchSensor(Command):
         ),
     ] = False
     time_offset: Annotated[
-        float | None,
+        float,
         option(
-            "what its clock is ahead of the camera's (default: found from what both measure)",
-            Number(-1e10, 1e10, "s"),
-            group=FORCE_SENSOR,
+            "what its clock is ahead of the camera's", Number(-1e10, 1e10, "s"), group=FORCE_SENSOR
         ),
-    ] = None
+    ] = 0.0
 
 
 def frames_of(
@@ -150,45 +148,29 @@ def _wrench_frame(
     from cmp_tactile_bringup.recordings.library import recorded_source
 
     reaction = arguments.wrench_reaction
-    position = getattr(arguments, "wrench_position", None)
     if arguments.wrench_rotation is not None:
-        return WrenchFrame.turned(arguments.wrench_rotation, position, reaction=reaction)
+        return WrenchFrame.turned(arguments.wrench_rotation, reaction=reaction)
     gel_frame = f"{sensor.ros_name}_gel_frame"
     if arguments.input is not None and series.frame_id:
         T = fixed_transform(recorded_source(arguments.input), gel_frame, series.frame_id)
         if T is not None:
             print(f"Force sensor: its frame {series.frame_id} is placed by /tf_static.")
-            return WrenchFrame(T[:3, :3], T[:3, 3], reaction)
+            return WrenchFrame(T[:3, :3], reaction)
     print("Force sensor: its axes are taken for the gel's; --wrench-rotation names others.")
-    return WrenchFrame.turned(position=position, reaction=reaction)
+    return WrenchFrame.turned(reaction=reaction)
 
 
-def wrench_at_frames(
+def force_at_frames(
     arguments: WrenchSensor,
     sensor: SensorDescription,
     motion: GelMotion,
     series: WrenchSeries,
 ) -> NDArray[np.float64]:
-    """Force and moment on the gel at the frames, (n, 6) N and N m, gel frame; NaN if unknown.
+    """Force on the gel at the frames, (n, 3) N, gel frame; NaN if unknown.
 
-    The clocks' offset is as given, or as estimated, which is printed.  Raises RecordingError where
-    force and frames have no time in common.
+    Raises RecordingError where force and frames have no time in common.
     """
-    from math import isnan
+    from cmp_tactile_bringup.calibration.loads import at_frames
 
-    from cmp_tactile_bringup.calibration.loads import ClockOffset, at_frames, estimated_offset
-
-    if arguments.time_offset is not None:
-        offset = ClockOffset(arguments.time_offset)
-    else:
-        offset = estimated_offset(series, motion.stamp_ns, motion.displacement)
-        if isnan(offset.correlation):
-            print("Clocks: force and motion do not show how far they are apart; taken as one.")
-        else:
-            ahead = "ahead of" if offset.seconds >= 0 else "behind"
-            print(
-                f"Clocks: the force's is {abs(offset.seconds) * 1e3:.1f} ms {ahead} the camera's "
-                f"(likeness of force and motion {offset.correlation:.4f})."
-            )
-    wrench = at_frames(series, motion.stamp_ns, offset.seconds)
-    return _wrench_frame(arguments, sensor, series).on_gel(wrench)
+    force = at_frames(series, motion.stamp_ns, arguments.time_offset)
+    return _wrench_frame(arguments, sensor, series).on_gel(force)

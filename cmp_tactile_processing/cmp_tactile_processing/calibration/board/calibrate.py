@@ -11,12 +11,11 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import outcome
-from cmp_tactile_processing.calibration.board import bundle, result
+from cmp_tactile_processing.calibration.board import result
 from cmp_tactile_processing.calibration.board.start import (
     Corners,
     RigFit,
@@ -30,14 +29,15 @@ from cmp_tactile_processing.calibration.board.target import (
     chessboard_size,
     find_board,
 )
-from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity
+from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Progress, Severity
+from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured import ViewPlacement
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parts import Camera, Mirror
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
+from cmp_tactile_processing.sensor.parts import Camera, Optics, Roi, ViewDescription
 
 Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]
 
@@ -58,10 +58,15 @@ PROBED = 3
 MODELS = ("pinhole", "equidistant")
 # Points that an image is to be covered with, per side, without its outermost tenth.
 COVERAGE_POINTS = 9
-# How far a mirror rig may be from its description: standard deviations, relative, px of the frame's
-# width, radial and tangential distortion, rad, relative.
-FOCAL, CENTRE, RADIAL, TANGENTIAL = 0.1, 0.1, 0.5, 0.05
-TILT, DISTANCE = np.radians(5.0), 0.2
+# How far a mirror rig may be from its description: standard deviations, relative, of the frame's
+# width, of each coefficient of distortion, rad, relative.
+FOCAL, CENTRE, BEND = 0.1, 0.1, 0.5
+TILT, DISTANCE = float(np.radians(5.0)), 0.2
+# How far plain cameras may be from what OpenCV makes of their images, each by itself: so far that
+# the images alone count.
+UNKNOWN_CAMERAS = RigPrior(
+    turn=0.5, shift=0.1, focal=0.5, aspect=0.1, principal_point=200.0, distortion=1.0
+)
 GAUGE = "views: joint turn of the mirrors about the line where their planes meet"
 # Corners this far from where the description has them, in widths of a view, call for another
 # reading of it; one that brings them this much nearer is right.
@@ -70,6 +75,8 @@ FAR_OFF, MUCH_NEARER = 0.15, 0.4
 SCALES = (1.0, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0)
 # Images that a start is judged by.
 START_IMAGES = 8
+# The way over which a derivative is taken, in deviations of a prior.
+STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -103,17 +110,10 @@ class BoardImages:
         return dict(sorted(found.items()))
 
 
-def corners_of(
-    images: BoardImages, placements: Mapping[str, ViewPlacement] | None = None
-) -> dict[int, dict[str, Corners]]:
-    """Corners by image and view; in pixels of the frame where a view is a part of one."""
+def corners_of(images: BoardImages) -> dict[int, dict[str, Corners]]:
+    """Corners by image and view."""
     return {
-        image: {
-            view: Corners(
-                item.number, placements[view].to_frame(item.pixels) if placements else item.pixels
-            )
-            for view, item in views.items()
-        }
+        image: {view: Corners(item.number, item.pixels) for view, item in views.items()}
         for image, views in images.seen.items()
     }
 
@@ -330,10 +330,8 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     """
     given = {"left": left_images} | ({} if right_images is None else {"right": right_images})
     _check_lists(given)
-    views = tuple(given)
-    before = None if sensor is None else _known(sensor, views)
     if sensor is not None:
-        model = next(view.camera.model for view in sensor.views.values() if view.camera is not None)
+        model = _check_two_view(sensor, len(given))
     if model not in MODELS:
         msg = f"camera model: found {model}, expected {' or '.join(MODELS)}"
         raise CalibrationError(msg)
@@ -344,34 +342,51 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     if outcome.errors_in(found):
         return result.refused(found)
     on_progress("fitting the cameras", 0, 1)
-    cameras, seen = bundle.CameraPair(model, views), corners_of(images)
-    fit = fit_rig(cameras, start_of_cameras(cameras, target, seen, images.sizes), target, seen)
-    if fit is None:
+    fitted_rig = fit_cameras(model, target, corners_of(images), images.sizes, sensor)
+    if fitted_rig is None:
         return result.refused([*found, result.of_no_fit()])
+    rig, fit = fitted_rig
     on_progress("fitting the cameras", 1, 1)
     residuals = result.residuals_of(fit)
-    unknown = np.full(len(cameras.names), np.nan)
-    estimates = result.estimates_of(
-        cameras.names, unknown if before is None else before, fit.bundle, None
-    )
+    calibrated = rig.sensor(fit.bundle.fit.values)
+    estimates = _pair_estimates(rig, fit.bundle.fit, sensor)
     found += result.of_residuals(residuals)
     if not result.residuals_are_bad(residuals):
-        found += _findings_of_fit(cameras, fit, residuals, (images, before))
+        found += result.of_directions(fit.bundle.poses, estimates)
+        lattices = {view: _lattice(size) for view, size in images.sizes.items()}
+        found += result.of_coverage(residuals, lattices)
+        found += _findings_of_pair(sensor, calibrated, target)
     fitted = estimates, residuals, len(fit.bundle.poses)
-    shared = fit.bundle.shared
     if sensor is None:
-        models = {view: cameras.camera(shared, view) for view in views}
-        T_right_left = cameras.view_pose(shared, views[-1])
-        infos = result.plain_camera_infos(models, images.sizes, T_right_left)
+        infos = result.plain_camera_infos(calibrated, images.sizes)
         return result.outcome_of(None, infos, fitted, found)
     record = result.record_of(fit, residuals, estimates)
-    calibrated = replace(_calibrated(sensor, cameras, shared), calibration=record)
+    calibrated = replace(sensor, views=calibrated.views, calibration=record)
     try:
         rectified = Rectification(calibrated)
         infos = {view: rectified.info(view) for view in calibrated.views}
     except CmpTactileError as error:
         return result.outcome_of(None, {}, fitted, [*found, result.of_unusable(str(error))])
     return result.outcome_of(calibrated, infos, fitted, found)
+
+
+def fit_cameras(
+    model: str,
+    target: BoardTarget,
+    seen: Mapping[int, Mapping[str, Corners]],
+    sizes: Mapping[str, tuple[int, int]],
+    sensor: SensorDescription | None = None,
+) -> tuple[RigParameters, RigFit] | None:
+    """One or two plain cameras as a rig, and its fit; None where no image fits at all.
+
+    seen: corners by image and view.  sizes: of each view's images, px.  sensor: see
+    `calibrate_cameras`.
+    """
+    cameras, T_right_left = start_of_cameras(model, target, seen, sizes)
+    start = _start_of_pair(sensor, cameras, T_right_left, sizes)
+    rig = RigParameters(start, UNKNOWN_CAMERAS, held=("views.left: gel",))
+    fit = fit_rig(rig, np.zeros(len(rig.free)), target, seen)
+    return None if fit is None else (rig, fit)
 
 
 def _check_lists(given: Mapping[str, Sequence[NDArray[np.uint8]]]) -> None:
@@ -385,25 +400,17 @@ def _check_lists(given: Mapping[str, Sequence[NDArray[np.uint8]]]) -> None:
         raise CalibrationError(msg)
 
 
-def _known(sensor: SensorDescription, views: tuple[str, ...]) -> NDArray[np.float64]:
-    """The parameters that a two_view description has now."""
-    cameras = [sensor.views[view].camera for view in views if view in sensor.views]
-    poses = [sensor.views[view].T_view_gel for view in views if view in sensor.views]
-    values, shown = [], [camera for camera in cameras if camera is not None]
-    left, right = (*poses, None)[:2]
-    if len(shown) != 2 or left is None or right is None or len({c.model for c in shown}) > 1:
+def _check_two_view(sensor: SensorDescription, count: int) -> str:
+    """The camera model of a two_view description; CalibrationError for another one."""
+    views = sensor.views.values()
+    models = {view.camera.model for view in views if view.camera and view.T_view_gel is not None}
+    if count != 2 or len(sensor.views) != 2 or len(models) != 1 or sensor.optics.type != "two_view":
         msg = (
-            f"{sensor.name}: optics.type: found {sensor.optics.type} for {len(views)} lists of "
+            f"{sensor.name}: optics.type: found {sensor.optics.type} for {count} lists of "
             f"images, expected two_view with cameras of one model and images of both"
         )
         raise CalibrationError(msg)
-    for view, camera in zip(views, shown, strict=True):
-        roi = sensor.views[view].roi
-        values.append(
-            bundle.camera_vector(replace(camera, cx=camera.cx - roi.x, cy=camera.cy - roi.y))
-        )
-    T = right @ np.linalg.inv(left)
-    return np.concatenate([*values, cv2.Rodrigues(T[:3, :3])[0].ravel(), T[:3, 3]])
+    return models.pop()
 
 
 def _check_sizes(sensor: SensorDescription, sizes: Mapping[str, tuple[int, int]]) -> None:
@@ -417,49 +424,78 @@ def _check_sizes(sensor: SensorDescription, sizes: Mapping[str, tuple[int, int]]
             raise CalibrationError(msg)
 
 
-def _calibrated(
-    sensor: SensorDescription, model: bundle.CameraPair, shared: NDArray[np.float64]
+def _start_of_pair(
+    sensor: SensorDescription | None,
+    cameras: Mapping[str, Camera],
+    T_right_left: NDArray[np.float64],
+    sizes: Mapping[str, tuple[int, int]],
 ) -> SensorDescription:
-    """The description with both cameras, and the right one where it is to the left one."""
-    views, T_left_gel = {}, np.asarray(sensor.views["left"].T_view_gel)
-    for view in model.views:
-        roi, camera = sensor.views[view].roi, model.camera(shared, view)
+    """A two_view description with these cameras, of which nothing but its optics is used.
+
+    The gel frame is that of the description or, without one, the left camera's.
+    """
+    if sensor is None:
+        views = {
+            name: ViewDescription(Roi(0, 0, *size), T_view_gel=np.eye(4))
+            for name, size in sizes.items()
+        }
+        sensor = replace(load_sensor("prototype"), views=views)
+    T_left_gel, views = np.asarray(sensor.views["left"].T_view_gel), {}
+    for name, camera in cameras.items():
+        roi = sensor.views[name].roi
         in_frame = replace(camera, cx=camera.cx + roi.x, cy=camera.cy + roi.y)
-        T_view_gel = model.view_pose(shared, view) @ T_left_gel
-        views[view] = replace(sensor.views[view], camera=in_frame, T_view_gel=T_view_gel)
-    return replace(sensor, views=views)
+        pose = T_left_gel if name == "left" else T_right_left @ T_left_gel
+        views[name] = replace(sensor.views[name], camera=in_frame, T_view_gel=pose)
+    return replace(sensor, camera=None, optics=Optics("two_view", None, ()), views=views)
 
 
-def _findings_of_fit(
-    model: bundle.CameraPair,
-    fit: RigFit,
-    residuals: Sequence[outcome.ViewResiduals],
-    context: tuple[BoardImages, NDArray[np.float64] | None],
-) -> list[outcome.Finding]:
-    images, before = context
-    shared, names = fit.bundle.shared, model.names
-    focal = {name: names.index(name) for name in names if name.endswith((".fx", ".fy"))}
-    found = result.of_directions(fit.bundle, focal)
-    found += result.of_coverage(residuals, {v: _lattice(images.sizes[v]) for v in model.views})
-    if len(model.views) < 2:
-        return found
-    T = model.view_pose(shared, "right")
-    expected = np.eye(4) if before is None else model.view_pose(before, "right")
-    way, known = _centre(T), _centre(expected)
-    if before is None:
+def _pair_estimates(
+    rig: RigParameters, fit: MapFit, sensor: SensorDescription | None
+) -> tuple[Estimate, ...]:
+    """The cameras' values, before as described, and how far two cameras are apart."""
+    known = {} if sensor is None else {item.name: item.before for item in RigParameters(sensor).all}
+    found = [
+        replace(item, before=known.get(item.name, np.nan))
+        for item in rig.estimates(fit)
+        if ".camera." in item.name
+    ]
+    views = rig.sensor(fit.values).views
+    if len(views) == 2:
+
+        def baseline(changes: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.array([np.linalg.norm(_way(rig.sensor(changes)))])
+
+        slope = central_jacobian(baseline, fit.values, STEP * rig.prior_std)
+        std = float(np.sqrt(slope @ fit.covariance @ slope.T)[0, 0])
+        before = np.nan if sensor is None else float(np.linalg.norm(_way(sensor)))
+        after = float(baseline(fit.values)[0])
+        found.append(Estimate("baseline", "m", before, after, std, determined=True))
+    return tuple(found)
+
+
+def _way(sensor: SensorDescription) -> NDArray[np.float64]:
+    """From the left camera of a two_view description to the right one (3,), left frame, m."""
+    T_left_gel, T_right_gel = (np.asarray(sensor.views[v].T_view_gel) for v in ("left", "right"))
+    return np.asarray((T_left_gel @ np.linalg.inv(T_right_gel))[:3, 3])
+
+
+def _findings_of_pair(
+    sensor: SensorDescription | None, calibrated: SensorDescription, target: BoardTarget
+) -> list[Finding]:
+    """Are views exchanged, or squares of another size?"""
+    if len(calibrated.views) < 2:
+        return []
+    way = _way(calibrated)
+    if sensor is not None:
+        known = _way(sensor)
+    else:
         # A right camera is to the right, unless the cameras stand one above the other.
         known = np.array([abs(way[0]) if abs(way[0]) > abs(way[1]) else 0.0, 0.0, 0.0])
     if way @ known < 0:
-        return [*found, result.of_swapped_views()]
-    if before is not None:
-        ratio = float(np.linalg.norm(way) / np.linalg.norm(known))
-        found += result.of_square(images.target, [ratio])
-    return found
-
-
-def _centre(T_view_reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where a camera is (3,), reference frame, m."""
-    return np.asarray(-T_view_reference[:3, :3].T @ T_view_reference[:3, 3])
+        return [result.of_swapped_views()]
+    if sensor is None:
+        return []
+    return result.of_square(target, [float(np.linalg.norm(way) / np.linalg.norm(known))])
 
 
 def _lattice(size: tuple[int, int]) -> NDArray[np.float64]:
@@ -486,36 +522,36 @@ def calibrate_mirror_rig(
     Raises CalibrationError for no frames or a sensor without two mirrors, FrameError for frames of
     another type.
     """
-    model, camera, placements = _mirror_model(sensor)
+    rig = _mirror_rig(sensor)
     if not len(frames):
         msg = "board: found no frames, expected some"
         raise CalibrationError(msg)
+    described = rig.views(np.zeros(len(rig.free)))
     images = look_for_board(
-        dict.fromkeys(placements, frames),
+        dict.fromkeys(described, frames),
         target,
         on_progress,
-        cut=lambda view, frame: split_frame(frame, placements[view]),
+        cut=lambda view, frame: split_frame(frame, described[view].placement),
         size=(sensor.image.width, sensor.image.height),
     )
     found = findings_of_images(images)
     if outcome.errors_in(found):
         return result.refused(found)
     on_progress("fitting camera and mirrors", 0, 1)
-    seen = corners_of(images, placements)
-    prior = _prior(model, camera, sensor)
-    start, error = _start(model, camera, target, seen)
-    far = FAR_OFF * next(iter(placements.values())).width
-    if error > far and _start(_exchanged(model), camera, target, seen)[1] < MUCH_NEARER * error:
+    seen = corners_of(images)
+    start, error = _start(rig, target, seen)
+    far = FAR_OFF * next(iter(described.values())).placement.width
+    if error > far and _start(_exchanged(sensor), target, seen)[1] < MUCH_NEARER * error:
         return result.refused([*found, result.of_swapped_views()])
-    fit = fit_rig(model, start, target, seen, prior)
+    fit = fit_rig(rig, start, target, seen)
     if fit is None:
         return result.refused([*found, result.of_no_fit()])
     on_progress("fitting camera and mirrors", 1, 1)
-    residuals = result.residuals_of(fit, placements)
-    estimates = result.estimates_of(model.names, prior.mean, fit.bundle, prior)
-    calibrated = _calibrated_rig(sensor, model, fit.bundle.shared)
+    residuals = result.residuals_of(fit)
+    estimates = [item for item in rig.estimates(fit.bundle.fit) if not item.name.startswith("gel")]
+    optics = rig.sensor(fit.bundle.fit.values)
     record = result.record_of(fit, residuals, estimates, (GAUGE,))
-    calibrated = replace(calibrated, calibration=record)
+    calibrated = replace(sensor, camera=optics.camera, views=optics.views, calibration=record)
     found += result.of_residuals(residuals)
     infos, shown = {}, {}
     try:
@@ -525,86 +561,68 @@ def calibrate_mirror_rig(
     except CmpTactileError as error:
         found.append(result.of_unusable(str(error)))
     if not result.residuals_are_bad(residuals):
-        found += result.of_directions(fit.bundle, {"camera.fx": 0, "camera.fy": 1})
-        found += result.of_square(target, _changes_of_lengths(model, prior.mean, fit))
+        found += result.of_directions(fit.bundle.poses, estimates)
+        ratios = [b / a for a, b in zip(_lengths(sensor), _lengths(calibrated), strict=True)]
+        found += result.of_square(target, ratios)
         found += result.of_coverage(residuals, shown) if shown else []
     fitted = estimates, residuals, len(fit.bundle.poses)
     return result.outcome_of(calibrated if infos else None, infos, fitted, found)
 
 
-def _mirror_model(
-    sensor: SensorDescription,
-) -> tuple[bundle.MirrorRig, Camera, dict[str, ViewPlacement]]:
-    mirrors: dict[str, Mirror] = {}
-    placements = {}
-    for view, description in sensor.views.items():
-        roi = description.roi
-        placements[view] = ViewPlacement(roi.x, roi.y, roi.width, roi.height, flipped=True)
-        if description.mirror is not None:
-            mirrors[view] = description.mirror
+def _mirror_rig(sensor: SensorDescription) -> RigParameters:
+    """Camera and mirrors, of a rig without its gel; CalibrationError for one of another kind."""
+    mirrors = [view.mirror for view in sensor.views.values() if view.mirror is not None]
     if sensor.camera is None or len(mirrors) != 2:
         msg = (
             f"{sensor.name}: optics.type: found {sensor.optics.type} with {len(mirrors)} mirrors, "
             f"expected mirror_stereo with two; plain cameras are calibrated each by its images"
         )
         raise CalibrationError(msg)
-    return bundle.MirrorRig(sensor.camera.model, mirrors), sensor.camera, placements
-
-
-def _prior(model: bundle.MirrorRig, camera: Camera, sensor: SensorDescription) -> bundle.Prior:
-    width = sensor.image.width
-    std = [FOCAL * camera.fx, FOCAL * camera.fy, CENTRE * width, CENTRE * width]
-    bend = (RADIAL, RADIAL, TANGENTIAL, TANGENTIAL, RADIAL)
-    std += bend if camera.model == "pinhole" else (RADIAL,) * 4
-    for mirror in model.mirrors.values():
-        std += [TILT, TILT, DISTANCE * max(abs(mirror.distance), 1e-3)]
-    return bundle.Prior(model.start(camera), np.array(std))
+    prior = RigPrior(
+        turn=TILT,
+        shift=DISTANCE * float(np.mean([abs(mirror.distance) for mirror in mirrors])),
+        focal=FOCAL,
+        aspect=FOCAL,
+        principal_point=CENTRE * sensor.image.width,
+        distortion=BEND,
+    )
+    without_gel = replace(sensor, optics=replace(sensor.optics, layers=()))
+    return RigParameters(without_gel, prior, held=("gel",))
 
 
 def _start(
-    model: bundle.MirrorRig,
-    camera: Camera,
-    target: BoardTarget,
-    seen: Mapping[int, Mapping[str, Corners]],
+    rig: RigParameters, target: BoardTarget, seen: Mapping[int, Mapping[str, Corners]]
 ) -> tuple[NDArray[np.float64], float]:
-    """The description's parameters and how far off they are, px.
+    """Changes of the description to start at, and how far off they are, px.
 
     Scaled to other lengths where that fits far better: from there a fit finds its way even where
     the squares have another size than is said.
     """
     some = dict(list(seen.items())[:START_IMAGES])
-    starts = [model.scaled(model.start(camera), scale) for scale in SCALES]
-    errors = [start_error(model, start, target, some) for start in starts]
+    distances = {
+        item.name: item.before for item in rig.free if item.name.endswith(".mirror.distance")
+    }
+    starts = [
+        np.array([(scale - 1) * distances.get(name, 0.0) for name in rig.names]) for scale in SCALES
+    ]
+    errors = [start_error(rig.views(start), target, some) for start in starts]
     best = int(np.argmin(errors))
     chosen = best if errors[best] < MUCH_NEARER * errors[0] else 0
     return starts[chosen], errors[chosen]
 
 
-def _exchanged(model: bundle.MirrorRig) -> bundle.MirrorRig:
+def _exchanged(sensor: SensorDescription) -> RigParameters:
     """The rig with each mirror in the other's view."""
-    mirrors = reversed(list(model.mirrors.values()))
-    return bundle.MirrorRig(model.model, dict(zip(model.mirrors, mirrors, strict=True)))
-
-
-def _calibrated_rig(
-    sensor: SensorDescription, model: bundle.MirrorRig, shared: NDArray[np.float64]
-) -> SensorDescription:
+    mirrors = [view.mirror for view in sensor.views.values()][::-1]
     views = {
-        view: replace(description, mirror=model.mirror(shared, view))
-        for view, description in sensor.views.items()
+        name: replace(view, mirror=mirror)
+        for (name, view), mirror in zip(sensor.views.items(), mirrors, strict=True)
     }
-    return replace(sensor, camera=model.camera(shared), views=views)
+    return _mirror_rig(replace(sensor, views=views))
 
 
-def _changes_of_lengths(
-    model: bundle.MirrorRig, before: NDArray[np.float64], fit: RigFit
-) -> list[float]:
-    """After over before: baseline and distances of the mirrors."""
-    after = _lengths(model, fit.bundle.shared)
-    return [a / b for a, b in zip(after, _lengths(model, before), strict=True)]
-
-
-def _lengths(model: bundle.MirrorRig, shared: NDArray[np.float64]) -> list[float]:
-    mirrors = [model.mirror(shared, view) for view in model.mirrors]
+def _lengths(sensor: SensorDescription) -> list[float]:
+    """Baseline and distances of the mirrors, m."""
+    mirrors = [view.mirror for view in sensor.views.values() if view.mirror is not None]
     first, second = (2 * mirror.distance * mirror.normal for mirror in mirrors)
     return [float(np.linalg.norm(first - second)), *(abs(item.distance) for item in mirrors)]

@@ -8,10 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.bundle import Bundle, Prior
 from cmp_tactile_processing.calibration.board.start import RigFit
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.map_fit import HELD_SHARE
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -23,7 +21,6 @@ from cmp_tactile_processing.calibration.outcome import (
     reprojection,
 )
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord, Camera
 
@@ -34,21 +31,12 @@ MANY_OUTLIERS, BAD_OUTLIERS = 0.1, 0.3
 MISFIT_SHARE = 0.5
 # Standard deviation of the focal length, relative: beyond this it is not known.
 VAGUE_FOCAL, UNKNOWN_FOCAL = 0.003, 0.01
+FOCAL_NAMES = (".fx", ".fy / fx")
 # Share of what the views are for (the gel's pattern, or the image) that corners surround.
 LOW_COVERAGE, NO_COVERAGE = 0.5, 0.1
 # Common change of all lengths of the rig that no rig is off by: the square is another one.
 WRONG_SQUARE, DOUBTFUL_SQUARE = 0.15, 0.08
 METHOD = "board"
-UNITS = {
-    "fx": "px",
-    "fy": "px",
-    "cx": "px",
-    "cy": "px",
-    "distance": "m",
-    "shift": "m",
-    "tilt": "rad",
-    "turn": "rad",
-}
 
 
 def residuals_are_bad(residuals: Sequence[ViewResiduals]) -> bool:
@@ -95,23 +83,24 @@ def _misfits(residuals: Sequence[ViewResiduals]) -> list[int]:
     return sorted(found)
 
 
-def of_directions(bundle: Bundle, focal: Mapping[str, int]) -> list[Finding]:
-    """Focal lengths that the images do not show; focal: index of each in the shared parameters."""
+def of_directions(
+    poses: Mapping[int, NDArray[np.float64]], estimates: Sequence[Estimate]
+) -> list[Finding]:
+    """Focal lengths that the images do not show.  poses: of the board, (4, 4)."""
     findings = []
-    normals = np.stack([T[:3, 2] for T in bundle.poses.values()])
+    normals = np.stack([T[:3, 2] for T in poses.values()])
     mean = normals.mean(axis=0)
     lean = np.degrees(np.arccos(np.clip(normals @ mean / np.linalg.norm(mean), -1, 1)))
-    for name, index in focal.items():
-        share = float(np.sqrt(bundle.covariance[index, index]) / bundle.shared[index])
+    for item in estimates:
+        share = item.std / abs(item.after) if item.name.endswith(FOCAL_NAMES) else 0.0
         if share <= VAGUE_FOCAL:
             continue
-        unknown = share > UNKNOWN_FOCAL
         text = (
-            f"{name} is known to {100 * share:.2g} % only: the board was seen from about one "
+            f"{item.name} is known to {100 * share:.2g} % only: the board was seen from about one "
             f"direction (it leans by {np.median(lean):.0f} degrees from its mean)."
         )
         advice = "Lean the board by 20 to 40 degrees to all sides, and near and far."
-        findings.append(Finding.graded(text, advice, error=unknown))
+        findings.append(Finding.graded(text, advice, error=share > UNKNOWN_FOCAL))
     return findings
 
 
@@ -183,48 +172,18 @@ def of_unusable(reason: str) -> Finding:
     return Finding(Severity.ERROR, text, advice)
 
 
-def residuals_of(
-    fit: RigFit, placements: Mapping[str, ViewPlacement] | None = None
-) -> tuple[ViewResiduals, ...]:
-    """Residuals by view, px of the view.  placements: where the fit's pixels are of a frame."""
+def residuals_of(fit: RigFit) -> tuple[ViewResiduals, ...]:
+    """Residuals by view."""
     found = []
     bundle, views = fit.bundle, dict.fromkeys(item.view for item in fit.observations)
     for view in views:
         chosen = [k for k, item in enumerate(fit.observations) if item.view == view]
         pixels = np.concatenate([fit.observations[k].q for k in chosen])
         residuals = np.concatenate([bundle.residuals[k] for k in chosen])
-        if placements:
-            pixels = placements[view].from_frame(pixels)
-            if placements[view].flipped:
-                residuals = residuals * (-1.0, 1.0)
         image = [np.full(len(fit.observations[k].q), fit.observations[k].image) for k in chosen]
         used = np.concatenate([bundle.used[k] for k in chosen])
         found.append(ViewResiduals(view, pixels, residuals, np.concatenate(image), used))
     return tuple(found)
-
-
-def estimates_of(
-    names: Sequence[str], before: NDArray[np.float64], bundle: Bundle, prior: Prior | None
-) -> tuple[Estimate, ...]:
-    """What the fit says of each shared parameter.  before (S,): NaN where nothing was known."""
-    std = np.sqrt(np.diag(bundle.covariance).clip(0))
-    known = np.full(len(names), np.inf) if prior is None else prior.std
-    return tuple(
-        Estimate(
-            name,
-            _unit(name),
-            float(before[k]),
-            float(bundle.shared[k]),
-            float(std[k]),
-            bool(std[k] <= HELD_SHARE * known[k]),
-        )
-        for k, name in enumerate(names)
-    )
-
-
-def _unit(name: str) -> str:
-    words = name.replace(".", " ").split()
-    return next((unit for word, unit in UNITS.items() if word in words), "")
 
 
 def record_of(
@@ -243,15 +202,19 @@ def record_of(
 
 
 def plain_camera_infos(
-    cameras: Mapping[str, Camera],
-    sizes: Mapping[str, tuple[int, int]],
-    T_right_left: NDArray[np.float64],
+    sensor: SensorDescription, sizes: Mapping[str, tuple[int, int]]
 ) -> dict[str, ViewCameraInfo]:
-    """Camera models of one or two plain cameras, two of them with OpenCV's stereo rectification."""
+    """Camera models of one or two plain cameras, two of them with OpenCV's stereo rectification.
+
+    sensor: a two_view description with them, whose views are whole images.
+    """
+    cameras = {name: view.camera for name, view in sensor.views.items() if view.camera is not None}
     matrices = {view: _matrix(camera) for view, camera in cameras.items()}
     turns = {view: np.eye(3) for view in cameras}
     projections = {view: np.column_stack([K, np.zeros(3)]) for view, K in matrices.items()}
     if len(cameras) == 2:
+        T_left_gel, T_right_gel = (np.asarray(view.T_view_gel) for view in sensor.views.values())
+        T_right_left = T_right_gel @ np.linalg.inv(T_left_gel)
         parts = _rectified(cameras["left"], cameras["right"], sizes["left"], T_right_left)
         turns = dict(zip(cameras, parts[:2], strict=True))
         projections = dict(zip(cameras, parts[2:], strict=True))

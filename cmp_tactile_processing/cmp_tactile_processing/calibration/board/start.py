@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.bundle import (
-    Bundle,
-    CameraPair,
-    Observation,
-    Prior,
-    RigModel,
-    adjust,
-)
+from cmp_tactile_processing.calibration.board.bundle import Bundle, Observation, adjust
 from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.rig import RigParameters
+from cmp_tactile_processing.geometry.optics import ViewGeometry, view_geometry
+from cmp_tactile_processing.measured import ViewPlacement
+from cmp_tactile_processing.sensor.parts import Camera
 
 # Rounds of choosing poses and fitting: poses chosen with a rough rig may turn out wrong.
 ROUNDS = 3
@@ -27,7 +24,7 @@ FIRST_IMAGES = 30
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of a board in an image: number (n,) and place q (n, 2), px of the model."""
+    """Corners of a board in an image: number (n,) and place q (n, 2), px of the view."""
 
     number: NDArray[np.intp]
     q: NDArray[np.float64]
@@ -51,20 +48,20 @@ class _Choice:
 
 
 def fit_rig(
-    model: RigModel,
-    shared: NDArray[np.float64],
+    rig: RigParameters,
+    changes: NDArray[np.float64],
     target: BoardTarget,
     images: Mapping[int, Mapping[str, Corners]],
-    prior: Prior | None = None,
 ) -> RigFit | None:
     """Fit a rig to images, each with corners by view; None where no image fits the start at all.
 
-    Poses of the board, and how a board that looks the same turned round is numbered in the second
-    view, are chosen again with each rig until they stay.
+    changes: where to start.  Poses of the board, and how a board that looks the same turned round
+    is numbered in the second view, are chosen again with each rig until they stay.
     """
     fit, before = None, None
     for _ in range(ROUNDS):
-        found = {image: _choose(model, shared, target, seen) for image, seen in images.items()}
+        views = rig.views(changes)
+        found = {image: _choose(views, target, seen) for image, seen in images.items()}
         choices = {image: choice for image, choice in found.items() if choice is not None}
         if not choices:
             return None
@@ -77,19 +74,18 @@ def fit_rig(
             for image, choice in choices.items()
             for (view, seen), turn in zip(images[image].items(), choice.symmetry, strict=True)
         ]
-        bundle = adjust(model, observations, (shared, poses), prior)
-        fit, shared, before = RigFit(bundle, observations), bundle.shared, symmetries
+        bundle = adjust(rig, observations, (changes, poses))
+        fit, changes, before = RigFit(bundle, observations), bundle.fit.values, symmetries
     return fit
 
 
 def start_error(
-    model: RigModel,
-    shared: NDArray[np.float64],
+    views: Mapping[str, ViewGeometry],
     target: BoardTarget,
     images: Mapping[int, Mapping[str, Corners]],
 ) -> float:
-    """Median RMS distance, px, of corners from where a rig has them; infinite for none."""
-    found = [_choose(model, shared, target, seen) for seen in images.values()]
+    """Median RMS distance, px, of corners from where views have them; infinite for none."""
+    found = [_choose(views, target, seen) for seen in images.values()]
     errors = [choice.error for choice in found if choice is not None]
     return float(np.median(errors)) if errors else float("inf")
 
@@ -102,41 +98,37 @@ def _alike(a: Mapping[int, NDArray[np.float64]], b: Mapping[int, NDArray[np.floa
 
 
 def _choose(
-    model: RigModel,
-    shared: NDArray[np.float64],
-    target: BoardTarget,
-    seen: Mapping[str, Corners],
+    views: Mapping[str, ViewGeometry], target: BoardTarget, seen: Mapping[str, Corners]
 ) -> _Choice | None:
     """The pose, of those that each view suggests, that fits all views best."""
     symmetries, points = target.symmetries, target.points
     best: _Choice | None = None
     for view, corners in seen.items():
-        T_reference_view = np.linalg.inv(model.view_pose(shared, view))
+        T_gel_view = np.linalg.inv(views[view].T_view_gel)
         # The first view is numbered as it is: turning the board changes nothing.
         own = range(1 if view == next(iter(seen)) else len(symmetries))
         for turn in own:
             p = points[symmetries[turn][corners.number]]
-            for T_view_board in _plane_poses(p, model.directions(shared, view, corners.q)):
-                pose = T_reference_view @ T_view_board
-                choice = _judged(model, shared, target, seen, pose)
+            for T_view_board in _plane_poses(p, views[view].lens.directions(corners.q)):
+                choice = _judged(views, target, seen, T_gel_view @ T_view_board)
                 if choice is not None and (best is None or choice.error < best.error):
                     best = choice
     return best
 
 
 def _judged(
-    model: RigModel,
-    shared: NDArray[np.float64],
+    views: Mapping[str, ViewGeometry],
     target: BoardTarget,
     seen: Mapping[str, Corners],
     pose: NDArray[np.float64],
 ) -> _Choice | None:
     """A pose with the symmetry that suits it best in each view; None where one does not see it."""
-    q_all = [model.project(shared, view, _moved(pose, target.points)).q for view in seen]
+    placed = _moved(pose, target.points)
     errors2, turns = [], []
-    for index, corners in enumerate(seen.values()):
+    for index, (view, corners) in enumerate(seen.items()):
+        q = views[view].project(placed)
         options = target.symmetries if index else target.symmetries[:1]
-        off = [q_all[index][order[corners.number]] - corners.q for order in options]
+        off = [q[order[corners.number]] - corners.q for order in options]
         means = [float((residual**2).sum(axis=1).mean()) for residual in off]
         turns.append(int(np.argmin(means)))
         errors2.append(min(means))
@@ -148,7 +140,8 @@ def _plane_poses(
     p: NDArray[np.float64], directions: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
     """The two poses T_view_board of a plane that fit best, from points and their directions."""
-    ahead = directions[:, 2] > 1e-3
+    with np.errstate(invalid="ignore"):
+        ahead = directions[:, 2] > 1e-3
     if np.count_nonzero(ahead) < 4:
         return []
     xy = directions[ahead, :2] / directions[ahead, 2:]
@@ -172,30 +165,30 @@ def _plane_poses(
 
 
 def start_of_cameras(
-    model: CameraPair,
+    model: str,
     target: BoardTarget,
     images: Mapping[int, Mapping[str, Corners]],
     sizes: Mapping[str, tuple[int, int]],
-) -> NDArray[np.float64]:
-    """Parameters of plain cameras from nothing but their images, by OpenCV's calibration.
+) -> tuple[dict[str, Camera], NDArray[np.float64]]:
+    """Plain cameras by view and T_right_left (4, 4), from their images alone, by OpenCV.
 
-    sizes: width and height of each view's images, px.
+    model: pinhole or equidistant.  sizes: width and height of each view's images, px.  The pose is
+    the identity for one camera.
     """
-    parts, poses = [], {}
-    for view in model.views:
+    cameras, poses = {}, {}
+    for view, size in sizes.items():
         seen = {image: views[view] for image, views in images.items() if view in views}
-        camera, poses[view] = _one_camera(target, seen, sizes[view])
-        parts.append(_as_model(model.model, camera))
-    if len(model.views) == 2:
-        T = _most_agreed(target, *(poses[view] for view in model.views))
-        parts.append(np.concatenate([cv2.Rodrigues(T[:3, :3])[0].ravel(), T[:3, 3]]))
-    return np.concatenate(parts)
+        camera, poses[view] = _one_camera(target, seen, size)
+        cameras[view] = _as_model(model, camera)
+    if len(cameras) < 2:
+        return cameras, np.eye(4)
+    return cameras, _most_agreed(target, *poses.values())
 
 
 def _one_camera(
     target: BoardTarget, seen: Mapping[int, Corners], size: tuple[int, int]
-) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]]]:
-    """Pinhole vector of one camera, and T_view_board of its images."""
+) -> tuple[Camera, dict[int, NDArray[np.float64]]]:
+    """One pinhole camera, and T_view_board of its images."""
     chosen = list(seen)[:: max(1, -(-len(seen) // FIRST_IMAGES))]
     _, K, distortion, _, _ = cv2.calibrateCamera(
         [target.points[seen[image].number].astype(np.float32) for image in chosen],
@@ -204,22 +197,24 @@ def _one_camera(
         np.eye(3),
         np.zeros(5),
     )
-    vector = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(distortion)[:5]])
-    model = CameraPair("pinhole", ("left",))
+    fx, fy, cx, cy = (float(value) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    camera = Camera("pinhole", fx, fy, cx, cy, tuple(np.ravel(distortion)[:5].tolist()))
+    placement = ViewPlacement(0, 0, *size, flipped=False)
+    view = {"left": view_geometry("left", camera, placement, np.eye(4))}
     poses = {}
     for image, corners in seen.items():
-        choice = _choose(model, vector, target, {"left": corners})
+        choice = _choose(view, target, {"left": corners})
         if choice is not None:
             poses[image] = choice.pose
-    return vector, poses
+    return camera, poses
 
 
-def _as_model(model: str, pinhole: NDArray[np.float64]) -> NDArray[np.float64]:
+def _as_model(model: str, pinhole: Camera) -> Camera:
     """A pinhole camera as one of another model, alike near the image's middle."""
     if model == "pinhole":
         return pinhole
     # tan a = a + a^3 / 3 + ...
-    return np.array([*pinhole[:4], pinhole[4] + 1 / 3, 0.0, 0.0, 0.0])
+    return replace(pinhole, model=model, distortion=(pinhole.distortion[0] + 1 / 3, 0.0, 0.0, 0.0))
 
 
 def _most_agreed(

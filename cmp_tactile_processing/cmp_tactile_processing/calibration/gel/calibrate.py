@@ -28,7 +28,7 @@ from cmp_tactile_processing.calibration.gel.fit import (
     sight_findings,
     view_residuals,
 )
-from cmp_tactile_processing.calibration.gel.parameters import GelCalibrationParameters
+from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
 from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
@@ -256,17 +256,7 @@ def _outcome(evidence: _Evidence, findings: tuple[Finding, ...]) -> CalibrationO
 def _estimates(found: GelFit) -> tuple[Estimate, ...]:
     """All optical values, then the combinations of them that the images leave open."""
     fit, names = found.fit, found.parameters.names
-    free = {name: k for k, name in enumerate(names)}
-    estimates = []
-    for item in found.parameters.all:
-        if item.name in free:
-            k = free[item.name]
-            determined = bool(fit.determined[k])
-            estimates.append(
-                item.estimate(float(fit.values[k]), float(fit.std[k]), determined=determined)
-            )
-        else:
-            estimates.append(item.estimate(0.0, 0.0, determined=False))
+    estimates = list(found.parameters.estimates(fit))
     for combination in fit.combinations:
         if not combination.held:
             continue

@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.gel.parameters import (
-    GelCalibrationParameters,
-    RigParameters,
-)
+from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
 from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals, number_text
+from cmp_tactile_processing.calibration.rig import RigParameters
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
@@ -27,7 +25,7 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 
 # Deviation of a print's corners from the regular pattern, px: the first guess leaves room for all
 # that a wrong start may show, then the residuals show it.
-FIRST_PRINT_PX, REFITS = 1.0, 2
+FIRST_PRINT_PX, FITS = 1.0, 3
 # Median of the absolute values of Gaussian numbers to their standard deviation.
 MEDIAN_TO_STD = 1.4826
 # A corner this many standard deviations off is an outlier.
@@ -70,27 +68,19 @@ def fit_gel(
             f"{sensor.name}: found every optical value held, expected a deviation above 0 for some"
         )
         raise CalibrationError(msg)
-    fit, print_px = _fit(parameters, seen, FIRST_PRINT_PX, None)
-    for _ in range(REFITS):
-        fit, print_px = _fit(parameters, seen, print_px, fit.values)
+    print_px, start = FIRST_PRINT_PX, None
+    for _ in range(FITS):
+        # Each takes the print for as good as the one before found it.
+        spread = np.concatenate([np.hypot(view.std[view.seen], print_px) for view in seen])
+        fit = map_fit(
+            _Residuals(parameters, seen, spread),
+            parameters.prior_std,
+            start=start,
+            robust_scale=options.robust_scale,
+        )
+        start = fit.values
+        print_px = _beyond_noise(fit.residuals.reshape(-1, 2) * spread[:, None], seen)
     return GelFit(parameters.sensor(fit.values), parameters, fit, print_px)
-
-
-def _fit(
-    parameters: RigParameters,
-    seen: Sequence[ViewObservation],
-    print_px: float,
-    start: NDArray[np.float64] | None,
-) -> tuple[MapFit, float]:
-    """The fit that takes the print for as good as that, and how good it turns out to be."""
-    spread = np.concatenate([np.hypot(view.std[view.seen], print_px) for view in seen])
-    fit = map_fit(
-        _Residuals(parameters, seen, spread),
-        parameters.prior_std,
-        start=start,
-        robust_scale=parameters.options.robust_scale,
-    )
-    return fit, _beyond_noise(fit.residuals.reshape(-1, 2) * spread[:, None], seen)
 
 
 def view_residuals(

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.calibration.outcome import Finding, Severity, WithFindings, errors_in
@@ -34,8 +34,9 @@ STARTS_LOADED, STARTS_TOUCHED = 0.1, 0.03
 HELD_WANTED = 3.0
 # Relative standard deviations above which a value is of no use.
 USELESS_SHARE, USELESS_TIME = 0.3, 0.5
-# Errors of the force, as shares of the highest, that a second term is worth a word for.
-SECOND_MATTERS = 0.003
+# Residuals that are correlated over more samples than those of noise, and larger than this share of
+# the highest reading, are not those of one time constant.
+HANGS_TOGETHER, MISFIT_SHARE = 3.0, 0.001
 BELIEVED_SHARE = 0.95
 # Samples within a time constant that it takes to see it.
 SAMPLES_WANTED = 3.0
@@ -45,148 +46,18 @@ FEWEST_SAMPLES = 30
 LOADED_SHARE, SETTLE_S = 0.5, 0.3
 # Below this share of the highest reading the gel counts as untouched.
 UNTOUCHED_SHARE = 0.03
-Array = NDArray[np.float64]
 
 # Time constants are looked for from so many samples' distances to so many lengths of the record,
-# from so many starts.
-SHORTEST_STEPS, LONGEST_RECORDS, STARTS = 1.0, 5.0, 5
+# from so many starts; beyond AT_LONGEST of the longest it is not known.
+SHORTEST_STEPS, LONGEST_RECORDS, STARTS, AT_LONGEST = 1.0, 5.0, 5, 0.98
 # The share is looked for in these limits, from here; below 0 is what nothing that relaxes does.
 LEAST_SHARE, MOST_SHARE, FIRST_SHARE = -1.0, 0.97, 0.1
-# Of a relaxation that is not seen: the length of the hold over the time constant to name.
-USUAL_HOLD = 5.0
-# Two terms are looked for from the one, split, at these ratios of its time constant.
-SPLITS = ((0.3, 3.0), (0.1, 1.5), (0.7, 10.0))
-# Residuals of noise alone are correlated over so few samples.
-HANGS_TOGETHER = 1.2
+# Of a relaxation that is not seen: the length of the hold over the time constant to name, and
+# standard deviations of the share that would have been seen.
+USUAL_HOLD, SEEN = 5.0, 3.0
 # Of one search.
 MOST_EVALUATIONS = 60
-# Relative steps of derivatives.
-DERIVATIVE_STEP = 1e-5
-
-
-@dataclass(frozen=True)
-class SecondTerm:
-    """The best fit with two time constants.
-
-    shares, times (s): of the two.  significance: how much better it is, in variances.  differs: the
-    largest difference of force from the fit with one, as a share of the highest force.
-    """
-
-    shares: tuple[float, float]
-    times: tuple[float, float]
-    significance: float
-    differs: float
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """What a fit is judged by.
-
-    least_share: that would have been seen, of a time constant that suits the record.
-    significance: how much better it is than none, in variances.  at_start: reading at the
-    beginning over the highest.  held_s: how long the gel was loaded.  sample_s: distance of
-    samples.  at_longest: the time constant is the longest that was tried.
-    """
-
-    share: float
-    share_std: float
-    least_share: float
-    time: float
-    time_std: float
-    significance: float
-    at_start: float
-    held_s: float
-    sample_s: float
-    at_longest: bool
-    second: SecondTerm | None
-
-
-def relaxation_findings(evidence: Evidence) -> tuple[tuple[Finding, ...], bool]:
-    """What was found, and whether there is a relaxation to be reported."""
-    findings = _start_findings(evidence)
-    if evidence.significance < SIGNIFICANT:
-        text = (
-            f"No relaxation is seen in {evidence.held_s:.3g} s of load: its share is below "
-            f"{evidence.least_share:.2g}."
-        )
-        advice = (
-            "If force drifts nevertheless, hold a larger load for longer and record it from before "
-            "it comes."
-        )
-        findings.append(Finding(Severity.WARNING, text, advice))
-        return tuple(findings), False
-    if not 0 < evidence.share < BELIEVED_SHARE:
-        text = (
-            f"The record asks for a share of {evidence.share:.2g}: the force read rises where the "
-            "true one does, or falls, the other way than that of a gel that yields."
-        )
-        advice = (
-            "Are reading and reference of the same sign and clock, and not exchanged? Does the "
-            "reference drift?"
-        )
-        return (*findings, Finding(Severity.ERROR, text, advice)), False
-    findings += _time_findings(evidence)
-    findings += _second_findings(evidence)
-    return tuple(findings), True
-
-
-def _start_findings(evidence: Evidence) -> list[Finding]:
-    if evidence.at_start < STARTS_TOUCHED:
-        return []
-    loaded = evidence.at_start > STARTS_LOADED
-    text = f"The record begins with {evidence.at_start:.0%} of the highest reading on the gel"
-    text += ": what came before is not known." if loaded else "."
-    advice = "Begin while nothing touches the gel and it has recovered from the last contact."
-    return [Finding.graded(text, advice, error=loaded)]
-
-
-def _time_findings(evidence: Evidence) -> list[Finding]:
-    useless = (
-        evidence.share_std > USELESS_SHARE * evidence.share
-        or evidence.time_std > USELESS_TIME * evidence.time
-        or evidence.at_longest
-    )
-    if useless:
-        text = (
-            f"Loaded for {evidence.held_s:.3g} s the gel does not show how far it yields: a share "
-            f"of {evidence.share:.2g} (std {evidence.share_std:.1g}) with {evidence.time:.3g} s "
-            f"(std {evidence.time_std:.1g} s)."
-        )
-        return [Finding(Severity.ERROR, text, _LONGER)]
-    findings = []
-    if evidence.held_s < HELD_WANTED * evidence.time:
-        text = (
-            f"The load was held for {evidence.held_s:.3g} s, {evidence.held_s / evidence.time:.2g} "
-            "time constants: what fades later is not seen."
-        )
-        findings.append(Finding(Severity.WARNING, text, _LONGER))
-    if evidence.time < SAMPLES_WANTED * evidence.sample_s:
-        text = (
-            f"Samples come every {evidence.sample_s:.2g} s, too seldom for a time constant of "
-            f"{evidence.time:.2g} s."
-        )
-        advice = "Record at a higher rate."
-        findings.append(Finding(Severity.WARNING, text, advice))
-    return findings
-
-
-_LONGER = f"Hold the load for {HELD_WANTED:g} time constants or more."
-
-
-def _second_findings(evidence: Evidence) -> list[Finding]:
-    second = evidence.second
-    if second is None or second.significance < SIGNIFICANT or second.differs < SECOND_MATTERS:
-        return []
-    both = " and ".join(
-        f"{share:.2g} with {time:.2g} s"
-        for share, time in zip(second.shares, second.times, strict=True)
-    )
-    text = (
-        f"The gel has more than one time constant, about {both}; the one that is fitted misses the "
-        f"force of this record by up to {second.differs:.1%} of the highest."
-    )
-    advice = "Fit a record that is as long as the contacts that matter."
-    return [Finding(Severity.WARNING, text, advice)]
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -206,15 +77,6 @@ class LoadRecord:
     held_s: float
     sample_s: float
     has_offset: bool
-
-    def predicted(self, stiffness: float, offset: float, terms: Array) -> Array:
-        """What would be read where the reference counts, of a gel that relaxes, (known,) N.
-
-        stiffness: read over true force of a quick press.  offset: of the reference, N.
-        terms (2, k): shares and time constants, s.
-        """
-        read = _predicted(self.time, self.force - offset, self.reading, stiffness, terms)
-        return np.asarray(read[self.known])
 
     @classmethod
     def from_readings(
@@ -286,36 +148,30 @@ def _resting(time: Array, loaded: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 @kernel
-def _predicted(time: Array, force: Array, reading: Array, stiffness: float, terms: Array) -> Array:
+def _predicted(time: Array, force: Array, reading: Array, stiffness: float, term: Array) -> Array:
     """Readings (n,) N: from the force alone, and as they are where that is NaN.
 
     What the gel remembers follows from what is predicted, not from what is read: noise that was
     read would seem to be remembered.  Readings are straight lines between samples.
+    term: share, and time constant, s.
     """
-    count = terms.shape[1]
-    lag = np.zeros(count)
+    share, tau = term
+    lag = 0.0
     read = np.empty(len(time))
     for n in range(len(time)):
-        held, own = 0.0, 0.0
-        for k in range(count):
-            share, now = terms[0, k], 0.0
-            if n > 0:
-                step = (time[n] - time[n - 1]) / terms[1, k]
-                kept = np.exp(-step)
-                mean = -np.expm1(-step) / step
-                now = 1.0 - mean
-                lag[k] = kept * lag[k] + (mean - kept) * read[n - 1]
-            held += share * lag[k]
-            own += share * now
-        # read = stiffness force + sum of share lag, and a part of the lag is of that reading.
+        of_now = 0.0
+        if n > 0:
+            step = (time[n] - time[n - 1]) / tau
+            kept = np.exp(-step)
+            mean = -np.expm1(-step) / step
+            of_now = 1.0 - mean
+            lag = kept * lag + (mean - kept) * read[n - 1]
+        # read = stiffness force + share lag, and a part of the lag is of that reading.
         if np.isnan(force[n]):
             read[n] = reading[n]
         else:
-            read[n] = (stiffness * force[n] + held) / (1.0 - own)
-        if n > 0:
-            for k in range(count):
-                step = (time[n] - time[n - 1]) / terms[1, k]
-                lag[k] += (1.0 + np.expm1(-step) / step) * read[n]
+            read[n] = (stiffness * force[n] + share * lag) / (1.0 - share * of_now)
+        lag += of_now * read[n]
     return read
 
 
@@ -325,22 +181,19 @@ class RelaxationOutcome(WithFindings):
 
     relaxation: None where there is none to be seen, or the record cannot show it.
     share_std, time_std (s): standard deviations, with the noise as correlated in time as the
-    residuals are; correlation: of the two.
+    residuals are.
     scale, scale_std: true over read force of a quick press, so that `young` times it is the
     instantaneous modulus; NaN where the load is not known.
     residual: RMS of what is left of the force, as a share of the highest.
-    held_s: how long the gel was loaded.
     verdict: a sentence or two for people.
     """
 
     relaxation: GelRelaxation | None
     share_std: float
     time_std: float
-    correlation: float
     scale: float
     scale_std: float
     residual: float
-    held_s: float
     findings: tuple[Finding, ...]
     verdict: str
 
@@ -358,83 +211,89 @@ def fit_relaxation(
     Raises CalibrationError for records that are not of this form.
     """
     record = LoadRecord.from_readings(time_s, reading, reference)
-    elastic, fit = _fit(record, 0, []), _best(record)
-    deviations = _Deviations.from_fit(record, fit)
+    elastic, fit = _elastic(record), _best(record)
     # Where there is nothing to be seen the time constant is anything: what would have been seen.
-    usual = replace(elastic, terms=np.array([[0.0], [record.held_s / USUAL_HOLD]]))
-    least = _Deviations.from_fit(record, usual)
-    evidence = Evidence(
-        share=fit.share,
-        share_std=deviations.share,
-        least_share=3 * least.share,
-        time=fit.time,
-        time_std=deviations.time,
-        significance=fit.better_than(elastic),
-        at_start=abs(float(record.reading[0])) / record.highest,
-        held_s=record.held_s,
-        sample_s=record.sample_s,
-        at_longest=fit.time >= 0.98 * _time_limits(record)[1],
-        second=_second_term(record, fit),
-    )
-    findings, seen = relaxation_findings(evidence)
-    chosen, spread = (fit, deviations) if seen else (elastic, least)
-    known = reference is not None
-    return RelaxationOutcome(
+    least = elastic.std(record)
+    significance = fit.better_than(elastic)
+    seen = significance >= SIGNIFICANT and 0 < fit.share < BELIEVED_SHARE
+    findings = _start_findings(record)
+    if significance < SIGNIFICANT:
+        findings.append(_unseen_finding(record, SEEN * least.share))
+    elif not seen:
+        findings.append(_unbelieved_finding(fit))
+    else:
+        findings += _time_findings(record, fit)
+        findings += _misfit_findings(record, fit)
+    chosen, spread = (fit, fit.std(record)) if seen else (elastic, least)
+    scale = 1 / chosen.stiffness if reference is not None else math.nan
+    found = RelaxationOutcome(
         relaxation=GelRelaxation(fit.share, fit.time) if seen else None,
         share_std=spread.share,
         time_std=spread.time if seen else math.nan,
-        correlation=spread.correlation if seen else math.nan,
-        scale=1 / chosen.stiffness if known else math.nan,
-        scale_std=spread.stiffness / chosen.stiffness**2 if known else math.nan,
-        residual=float(np.sqrt((chosen.residuals**2).mean())) / record.highest,
-        held_s=record.held_s,
-        findings=findings,
-        verdict=_verdict(evidence, seen, findings),
+        scale=scale,
+        scale_std=spread.stiffness * scale**2,
+        residual=chosen.rms / record.highest,
+        findings=tuple(findings),
+        verdict="",
     )
+    return replace(found, verdict=_verdict(found, SEEN * least.share))
+
+
+@dataclass(frozen=True)
+class _Deviations:
+    """Standard deviations of a fit."""
+
+    stiffness: float
+    share: float
+    time: float
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """Parameters of `LoadRecord.predicted`, and read minus predicted where the load is known."""
+    """Parameters of the prediction, and read minus predicted (known,) N."""
 
     stiffness: float
+    share: float
+    time: float
     offset: float
-    terms: Array
     residuals: Array
-    has_offset: bool
+
+    @classmethod
+    def at(cls, values: Array, record: LoadRecord) -> _Fit:
+        """From stiffness, share, logarithm of the time and, where the record shows it, offset."""
+        stiffness, share, log = (float(value) for value in values[:3])
+        offset = float(values[3]) if record.has_offset else 0.0
+        term = np.array([share, math.exp(log)])
+        read = _predicted(record.time, record.force - offset, record.reading, stiffness, term)
+        residuals = (record.reading - read)[record.known]
+        return cls(stiffness, share, math.exp(log), offset, residuals)
 
     @property
-    def share(self) -> float:
-        return float(self.terms[0, 0])
-
-    @property
-    def time(self) -> float:
-        return float(self.terms[1, 0])
-
-    @property
-    def values(self) -> Array:
-        """stiffness, shares, logarithms of times, and the offset where there is one."""
-        values = [self.stiffness, *self.terms[0], *np.log(self.terms[1])]
-        return np.array([*values, self.offset] if self.has_offset else values)
+    def rms(self) -> float:
+        """Root mean square of the residuals, N."""
+        return float(np.sqrt((self.residuals**2).mean()))
 
     @property
     def variance(self) -> float:
         """Of a residual, times how many of them say as much as one that is independent."""
-        freedom = max(len(self.residuals) - len(self.values), 1)
-        together = _correlated_samples(self.residuals)
-        return float(self.residuals @ self.residuals) / freedom * together
+        return self.rms**2 * _correlated_samples(self.residuals)
 
     def better_than(self, other: _Fit) -> float:
         """By how many variances the squares are less than those of another fit."""
         gained = float(other.residuals @ other.residuals - self.residuals @ self.residuals)
         return gained / self.variance if self.variance > 0 else math.inf
 
-
-def _residuals(values: Array, record: LoadRecord, count: int) -> Array:
-    """Read minus predicted for `_Fit.values` of so many terms."""
-    terms = np.stack([values[1 : 1 + count], np.exp(values[1 + count : 1 + 2 * count])])
-    offset = float(values[-1]) if record.has_offset else 0.0
-    return record.reading[record.known] - record.predicted(float(values[0]), offset, terms)
+    def std(self, record: LoadRecord) -> _Deviations:
+        """Standard deviations, of noise that is correlated as the residuals are."""
+        values = np.array([self.stiffness, self.share, math.log(self.time), self.offset])
+        values = values[: 4 if record.has_offset else 3]
+        jacobian = approx_fprime(values, lambda v: _Fit.at(v, record).residuals)
+        if self.share == 0:
+            # Without a share nothing shows the time constant: it is taken as known.
+            jacobian[:, 2] = 0.0
+        covariance = self.variance * np.linalg.pinv(jacobian.T @ jacobian)
+        stiffness, share, log = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)).tolist()
+        return _Deviations(stiffness, share, self.time * log)
 
 
 def _time_limits(record: LoadRecord) -> tuple[float, float]:
@@ -442,96 +301,36 @@ def _time_limits(record: LoadRecord) -> tuple[float, float]:
     return SHORTEST_STEPS * record.sample_s, LONGEST_RECORDS * whole
 
 
-def _fit(record: LoadRecord, count: int, starts: list[Array]) -> _Fit:
-    """The best fit with so many terms; starts: of these, (2, count) each."""
-    known = record.force[record.known]
-    stiffness = float(record.reading[record.known] @ known) / float(known @ known)
-    low, high = np.log(_time_limits(record))
-    offsets = [0.0] if record.has_offset else []
-    bounds = [[-np.inf] + [LEAST_SHARE] * count + [low] * count + [-np.inf] * len(offsets)]
-    bounds += [[np.inf] + [MOST_SHARE] * count + [high] * count + [np.inf] * len(offsets)]
-    scale = [abs(stiffness)] + [0.1] * count + [1.0] * count + [0.1 * record.highest] * len(offsets)
-    found = []
-    for terms in starts or [np.zeros((2, 0))]:
-        times = np.clip(np.log(terms[1]), low + 1e-6, high - 1e-6)
-        first = [stiffness, *terms[0], *times, *offsets]
-        found.append(
-            least_squares(
-                _residuals,
-                first,
-                bounds=bounds,
-                x_scale=scale,
-                args=(record, count),
-                max_nfev=MOST_EVALUATIONS,
-            )
-        )
-    best = min(found, key=lambda item: float(item.cost))
-    values = np.asarray(best.x, dtype=np.float64)
-    return _Fit(
-        stiffness=float(values[0]),
-        offset=float(values[-1]) if record.has_offset else 0.0,
-        terms=np.stack([values[1 : 1 + count], np.exp(values[1 + count : 1 + 2 * count])]),
-        residuals=np.asarray(best.fun, dtype=np.float64),
-        has_offset=record.has_offset,
-    )
+def _elastic(record: LoadRecord) -> _Fit:
+    """The best fit of a gel that does not relax, by linear least squares."""
+    force, read = record.force[record.known], record.reading[record.known]
+    columns = [force, np.ones_like(force)] if record.has_offset else [force]
+    line = np.linalg.lstsq(np.stack(columns, axis=1), read, rcond=None)[0]
+    usual = math.log(record.held_s / USUAL_HOLD)
+    return _Fit.at(np.array([line[0], 0.0, usual, *(-line[1:] / line[0])]), record)
 
 
 def _best(record: LoadRecord) -> _Fit:
-    low, high = _time_limits(record)
-    times = np.geomspace(low, high, STARTS + 2)[1:-1]
-    return _fit(record, 1, [np.array([[FIRST_SHARE], [time]]) for time in times])
-
-
-def _split(fit: _Fit, quicker: float, slower: float) -> Array:
-    share = float(np.clip(fit.share, 0.02, 0.9)) / 2
-    return np.array([[share, share], [quicker * fit.time, slower * fit.time]])
-
-
-def _second_term(record: LoadRecord, fit: _Fit) -> SecondTerm | None:
-    """What a second Prony term adds; None where it is none, or where the rest is but noise."""
-    if _correlated_samples(fit.residuals) < HANGS_TOGETHER:
-        return None
-    second = _fit(record, 2, [_split(fit, *ratios) for ratios in SPLITS])
-    if (second.terms[0] <= 0).any():
-        return None
-    order = np.argsort(second.terms[1])
-    shares, times = second.terms[:, order].tolist()
-    differs = float(np.abs(second.residuals - fit.residuals).max()) / record.highest
-    return SecondTerm(
-        shares=(shares[0], shares[1]),
-        times=(times[0], times[1]),
-        significance=second.better_than(fit),
-        differs=differs,
+    """The best fit with one time constant, which is looked for from several starts."""
+    force, read = record.force[record.known], record.reading[record.known]
+    stiffness = float(read @ force) / float(force @ force)
+    low, high = np.log(_time_limits(record))
+    count = 4 if record.has_offset else 3
+    bounds = (
+        [-np.inf, LEAST_SHARE, low, -np.inf][:count],
+        [np.inf, MOST_SHARE, high, np.inf][:count],
     )
-
-
-@dataclass(frozen=True)
-class _Deviations:
-    """Standard deviations of a fit with one term, and the correlation of share and time."""
-
-    share: float
-    time: float
-    stiffness: float
-    correlation: float
-
-    @classmethod
-    def from_fit(cls, record: LoadRecord, fit: _Fit) -> _Deviations:
-        values = fit.values
-        columns = []
-        for k in range(len(values)):
-            step = np.zeros_like(values)
-            step[k] = DERIVATIVE_STEP * max(abs(values[k]), 0.1)
-            ends = [_residuals(values + sign * step, record, 1) for sign in (1, -1)]
-            columns.append((ends[1] - ends[0]) / (2 * step[k]))
-        jacobian = np.stack(columns, axis=1)
-        if fit.share == 0:
-            # Without a share nothing shows the time constant: it is taken as known.
-            jacobian[:, 2] = 0.0
-        covariance = fit.variance * np.linalg.pinv(jacobian.T @ jacobian)
-        stiffness, share, log = np.sqrt(np.maximum(np.diag(covariance)[:3], 0.0)).tolist()
-        size = share * log
-        correlation = float(covariance[1, 2]) / size if size > 0 else 0.0
-        return cls(share, fit.time * log, stiffness, correlation)
+    searches = [
+        least_squares(
+            lambda v: _Fit.at(v, record).residuals,
+            [stiffness, FIRST_SHARE, start, 0.0][:count],
+            bounds=bounds,
+            x_scale=[abs(stiffness), 0.1, 1.0, 0.1 * record.highest][:count],
+            max_nfev=MOST_EVALUATIONS,
+        )
+        for start in np.linspace(low, high, STARTS + 2)[1:-1]
+    ]
+    return _Fit.at(min(searches, key=lambda found: float(found.cost)).x, record)
 
 
 def _correlated_samples(residuals: Array) -> float:
@@ -551,15 +350,97 @@ def _correlated_samples(residuals: Array) -> float:
     return max(1.0, 1.0 + 2.0 * float(correlation[1:end].sum()))
 
 
-def _verdict(evidence: Evidence, seen: bool, findings: tuple[Finding, ...]) -> str:
-    refused = bool(errors_in(findings))
-    if not seen:
+def _start_findings(record: LoadRecord) -> list[Finding]:
+    at_start = abs(float(record.reading[0])) / record.highest
+    if at_start < STARTS_TOUCHED:
+        return []
+    loaded = at_start > STARTS_LOADED
+    text = f"The record begins with {at_start:.0%} of the highest reading on the gel"
+    text += ": what came before is not known." if loaded else "."
+    advice = "Begin while nothing touches the gel and it has recovered from the last contact."
+    return [Finding.graded(text, advice, error=loaded)]
+
+
+def _unseen_finding(record: LoadRecord, least_share: float) -> Finding:
+    text = (
+        f"No relaxation is seen in {record.held_s:.3g} s of load: its share is below "
+        f"{least_share:.2g}."
+    )
+    advice = (
+        "If force drifts nevertheless, hold a larger load for longer and record it from before "
+        "it comes."
+    )
+    return Finding(Severity.WARNING, text, advice)
+
+
+def _unbelieved_finding(fit: _Fit) -> Finding:
+    text = (
+        f"The record asks for a share of {fit.share:.2g}: the force read rises where the "
+        "true one does, or falls, the other way than that of a gel that yields."
+    )
+    advice = (
+        "Are reading and reference of the same sign and clock, and not exchanged? Does the "
+        "reference drift?"
+    )
+    return Finding(Severity.ERROR, text, advice)
+
+
+_LONGER = f"Hold the load for {HELD_WANTED:g} time constants or more."
+
+
+def _time_findings(record: LoadRecord, fit: _Fit) -> list[Finding]:
+    """Is the record long and dense enough for its time constant?"""
+    std, held_s = fit.std(record), record.held_s
+    useless = (
+        std.share > USELESS_SHARE * fit.share
+        or std.time > USELESS_TIME * fit.time
+        or fit.time >= AT_LONGEST * _time_limits(record)[1]
+    )
+    if useless:
+        text = (
+            f"Loaded for {held_s:.3g} s the gel does not show how far it yields: a share "
+            f"of {fit.share:.2g} (std {std.share:.1g}) with {fit.time:.3g} s "
+            f"(std {std.time:.1g} s)."
+        )
+        return [Finding(Severity.ERROR, text, _LONGER)]
+    findings = []
+    if held_s < HELD_WANTED * fit.time:
+        text = (
+            f"The load was held for {held_s:.3g} s, {held_s / fit.time:.2g} "
+            "time constants: what fades later is not seen."
+        )
+        findings.append(Finding(Severity.WARNING, text, _LONGER))
+    if fit.time < SAMPLES_WANTED * record.sample_s:
+        text = (
+            f"Samples come every {record.sample_s:.2g} s, too seldom for a time constant of "
+            f"{fit.time:.2g} s."
+        )
+        findings.append(Finding(Severity.WARNING, text, "Record at a higher rate."))
+    return findings
+
+
+def _misfit_findings(record: LoadRecord, fit: _Fit) -> list[Finding]:
+    """Does one time constant describe the record?"""
+    share = fit.rms / record.highest
+    if _correlated_samples(fit.residuals) < HANGS_TOGETHER or share < MISFIT_SHARE:
+        return []
+    text = (
+        f"One time constant does not describe the gel: it misses the force of this record by "
+        f"{share:.1%} of the highest."
+    )
+    advice = "Fit a record that is as long as the contacts that matter."
+    return [Finding(Severity.WARNING, text, advice)]
+
+
+def _verdict(found: RelaxationOutcome, least_share: float) -> str:
+    refused, relaxation = bool(errors_in(found.findings)), found.relaxation
+    if relaxation is None:
         if refused:
             return "The record does not show how the gel relaxes."
-        return f"The gel relaxes by less than {evidence.least_share:.2g} of its modulus."
+        return f"The gel relaxes by less than {least_share:.2g} of its modulus."
     text = (
-        f"While it is held the gel loses {evidence.share:.1%} "
-        f"(std {100 * evidence.share_std:.2g} %) of its modulus with a time constant of "
-        f"{evidence.time:.3g} s (std {evidence.time_std:.2g} s)."
+        f"While it is held the gel loses {relaxation.share:.1%} "
+        f"(std {100 * found.share_std:.2g} %) of its modulus with a time constant of "
+        f"{relaxation.time:.3g} s (std {found.time_std:.2g} s)."
     )
     return f"{text} Not to be used: see what was found." if refused else text

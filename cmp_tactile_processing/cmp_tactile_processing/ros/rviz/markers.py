@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,9 +165,9 @@ def _contact_texts(
     markers: list[drawing.DrawnMarker] = []
     free = texts.clear_places(places, lines, size, page)
     for number, (item, place, own) in enumerate(zip(contacts, free, lines, strict=True)):
-        colour = SLIP_COLOURS[item.slip.state]
-        middle = texts.text("contact_text", MOST_LINES * number, place, size, colour)
-        markers += texts.stacked(middle, own, page)
+        coloured = [(line, SLIP_COLOURS[item.slip.state]) for line in own]
+        first = MOST_LINES * number
+        markers += texts.stacked("contact_text", first, place, coloured, size, page)
     return markers
 
 
@@ -196,9 +196,14 @@ def _mesh(surface: Surface, depth_range: float) -> drawing.DrawnMarker:
     vertices = shapes.mesh_vertices(known)
     colours = depth_colours(depth.ravel()[vertices] / depth_range)
     points = surface.position.reshape(-1, 3)[vertices]
-    return drawing.DrawnMarker(
-        "surface", Marker.TRIANGLE_LIST, points=points, colours=colours, scale=(1.0, 1.0, 1.0)
-    )
+    return _triangles("surface", points, colours)
+
+
+def _triangles(
+    namespace: str, points: NDArray[np.float64], colours: NDArray[np.float32]
+) -> drawing.DrawnMarker:
+    kind, scale = Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)
+    return drawing.DrawnMarker(namespace, kind, points=points, colours=colours, scale=scale)
 
 
 def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
@@ -214,35 +219,25 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarke
     x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
     grid = page.place(x, y, z).reshape(-1, 3)
     vertices = shapes.mesh_vertices(np.ones(x.shape, bool))
-    bar = drawing.DrawnMarker(
-        "legend",
-        Marker.TRIANGLE_LIST,
-        points=grid[vertices],
-        colours=depth_colours((vertices // 2) / BAR_STEPS),
-        scale=(1.0, 1.0, 1.0),
-    )
+    bar = _triangles("legend", grid[vertices], depth_colours((vertices // 2) / BAR_STEPS))
     middle = left + BAR_WIDTH * size / 2
     ends = (("0", low - size), (f"{look.depth_range * 1e3:g} mm deep", high + size))
     markers = [bar]
     for word, top in ends:
-        end = texts.text("legend", len(markers), page.place(middle, top, z), size, LEGEND_COLOUR)
-        markers += texts.stacked(end, [word], page)
+        place, line = page.place(middle, top, z), [(word, LEGEND_COLOUR)]
+        markers += texts.stacked("legend", len(markers), place, line, size, page)
     below = page.place((far_left + right) / 2, low - SCALES_BELOW * size, z)
-    first = texts.text("legend", len(markers), below, size, LEGEND_COLOUR)
-    scales = _scales(look)
-    lines = texts.stacked(first, list(scales), page)
-    markers += [replace(line, colour=scales[line.text]) for line in lines]
-    return markers
+    return markers + texts.stacked("legend", len(markers), below, _scales(look), size, page)
 
 
-def _scales(look: MarkerParameters) -> dict[str, drawing.RGBA]:
+def _scales(look: MarkerParameters) -> list[tuple[str, drawing.RGBA]]:
     """What each kind of arrow is and how long it is drawn, with the colour to write it in."""
-    return {
-        f"white: displacement x {look.displacement_gain:g}": DISPLACEMENT_COLOUR,
-        f"red: force at a node, 0.1 N = {look.force_gain * 100:g} mm": FORCE_COLOUR,
-        f"thick: force of a contact, 1 N = {look.resultant_gain * 1e3:g} mm": LEGEND_COLOUR,
-        f"with an arc: its moment, 10 N mm = {look.moment_gain * 10:g} mm": LEGEND_COLOUR,
-    }
+    return [
+        (f"white: displacement x {look.displacement_gain:g}", DISPLACEMENT_COLOUR),
+        (f"red: force at a node, 0.1 N = {look.force_gain * 100:g} mm", FORCE_COLOUR),
+        (f"thick: force of a contact, 1 N = {look.resultant_gain * 1e3:g} mm", LEGEND_COLOUR),
+        (f"with an arc: its moment, 10 N mm = {look.moment_gain * 10:g} mm", LEGEND_COLOUR),
+    ]
 
 
 def _lines(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,31 +75,31 @@ class Page:
         return flat + z * OUTWARDS
 
 
-def text(
-    namespace: str, number: int, place: NDArray[np.float64], size: float, colour: drawing.RGBA
-) -> drawing.DrawnMarker:
-    """RViz takes half of scale.x for the width of a space, and some 0.7 m where that is 0."""
-    return drawing.DrawnMarker(
-        namespace,
-        Marker.TEXT_VIEW_FACING,
-        number,
-        colour=colour,
-        scale=(size, 0.0, size),
-        position=(float(place[0]), float(place[1]), float(place[2])),
-    )
-
-
-def stacked(
-    middle: drawing.DrawnMarker, lines: Sequence[str], page: Page
+def stacked(  # noqa: PLR0913, PLR0917 - what is written, where, how large
+    namespace: str,
+    first: int,
+    place: NDArray[np.float64],
+    lines: Sequence[tuple[str, drawing.RGBA]],
+    size: float,
+    page: Page,
 ) -> list[drawing.DrawnMarker]:
-    """A marker for each line, the first at the top, numbered on from the one in the middle."""
-    below = LINE_STEP * middle.scale[2] * (np.arange(len(lines)) - (len(lines) - 1) / 2)
-    places = np.array(middle.position) - below[:, None] * page.stack
+    """A marker for each line and its colour around a place (3,), numbered on from the top one.
+
+    RViz takes half of scale.x for the width of a space, and some 0.7 m where that is 0.
+    """
+    below = LINE_STEP * size * (np.arange(len(lines)) - (len(lines) - 1) / 2)
+    places = (place - below[:, None] * page.stack).tolist()
     return [
-        replace(middle, number=number, position=(x, y, z), text=line)
-        for number, (line, (x, y, z)) in enumerate(
-            zip(lines, places.tolist(), strict=True), middle.number
+        drawing.DrawnMarker(
+            namespace,
+            Marker.TEXT_VIEW_FACING,
+            first + number,
+            colour=colour,
+            scale=(size, 0.0, size),
+            position=(x, y, z),
+            text=line,
         )
+        for number, ((line, colour), (x, y, z)) in enumerate(zip(lines, places, strict=True))
     ]
 
 

@@ -1,4 +1,4 @@
-"""What a calibration by the gel's own pattern may change, as a vector of changes.
+"""The optical values of a sensor as a vector of changes, which every calibration of them fits.
 
 Zero is the description itself.  Turns and shifts are of the gel in its own frame (rotation vector,
 m), so that a turn moves the pattern about its apex instead of far about the camera.
@@ -13,8 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.calibration.outcome import Estimate
-from cmp_tactile_processing.geometry.optics import tilt_axes, tilt_directions
+from cmp_tactile_processing.geometry.optics import (
+    ViewGeometry,
+    described_view,
+    tilt_axes,
+    tilt_directions,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Camera, Mirror, ViewDescription
@@ -23,8 +29,8 @@ AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class GelCalibrationParameters(Parameters, section="gel calibration"):
-    """What may differ from the description by how much, and when the result is good enough.
+class RigPrior(Parameters, section="rig"):
+    """How far the optical values of a sensor may be from its description.
 
     A deviation of 0 holds a value: it is not fitted at all.  Raises ParameterError for a value
     outside its range.
@@ -63,56 +69,6 @@ class GelCalibrationParameters(Parameters, section="gel calibration"):
     layer_index: float = parameter(
         0.0, "standard deviation of a refracting layer's index", within=(0.0, 0.5)
     )
-    largest_deviation: float = parameter(
-        4.0,
-        "standard deviations from the description beyond which it is not that of this sensor",
-        within=(1.0, 100.0),
-    )
-    robust_scale: float = parameter(
-        3.0, "standard deviations from which on a corner counts less", within=(0.5, 100.0)
-    )
-    fewest_frames: int = parameter(
-        3, "frames below which nobody knows whether the gel was still", within=(1, 1000)
-    )
-    wanted_frames: int = parameter(
-        8, "frames below which noise is averaged less than it could be", within=(1, 1000)
-    )
-    least_seen: float = parameter(
-        0.5, "share of the pattern that must be seen in each view", within=(0.1, 1.0)
-    )
-    wanted_seen: float = parameter(
-        0.95, "share of the pattern below which something hides the gel", within=(0.1, 1.0)
-    )
-    still_limit: float = parameter(
-        0.1,
-        "change of the corners between frames, as a whole, above which something moved",
-        unit="px",
-        within=(1e-3, 10.0),
-    )
-    shape_limit: float = parameter(
-        30e-6,
-        "distance of the marker surface from its shape at rest, averaged over 3 x 3 corners, above "
-        "which the gel is touched or the pattern is another one",
-        unit="m",
-        within=(1e-6, 1e-2),
-    )
-    shape_wanted: float = parameter(
-        10e-6,
-        "the same distance above which the description of the pattern could be better",
-        unit="m",
-        within=(1e-6, 1e-2),
-    )
-    reprojection_limit: float = parameter(
-        0.5,
-        "root mean square of the reprojection residuals that a good calibration has",
-        unit="px",
-        within=(1e-3, 10.0),
-    )
-    scale_limit: float = parameter(
-        0.1,
-        "relative change of all distances at once above which the pattern's pitch is doubted",
-        within=(1e-3, 1.0),
-    )
 
 
 @dataclass(frozen=True)
@@ -128,7 +84,7 @@ class RigParameter:
     before: float = 0.0
     scale: float = 1.0
 
-    def estimate(self, change: float, std: float, *, determined: bool) -> Estimate:
+    def estimate(self, change: float, std: float, determined: bool) -> Estimate:
         """The value before and after such a change, for people."""
         after = self.before + self.scale * change
         return Estimate(self.name, self.unit, self.before, after, abs(self.scale) * std, determined)
@@ -142,10 +98,14 @@ class RigParameters:
     """
 
     def __init__(
-        self, sensor: SensorDescription, options: GelCalibrationParameters | None = None
+        self,
+        sensor: SensorDescription,
+        prior: RigPrior | None = None,
+        held: tuple[str, ...] = (),
     ) -> None:
-        self._sensor = sensor
-        self.options = options or GelCalibrationParameters()
+        """held: poses that are, "gel" or "views.left: gel"."""
+        self._sensor, self._held = sensor, held
+        self._prior = prior or RigPrior()
         self.all: tuple[RigParameter, ...] = tuple(self._listed())
         self.free: tuple[RigParameter, ...] = tuple(p for p in self.all if p.prior_std > 0)
 
@@ -163,6 +123,21 @@ class RigParameters:
         """The description with the free parameters changed by (n,)."""
         values = [float(value) for value in changes]
         return self.changed(dict(zip(self.names, values, strict=True)))
+
+    def estimates(self, fit: MapFit) -> tuple[Estimate, ...]:
+        """All values before and after, of a fit of the free ones."""
+        found = {
+            name: (float(value), float(std), bool(determined))
+            for name, value, std, determined in zip(
+                self.names, fit.values, fit.std, fit.determined, strict=True
+            )
+        }
+        return tuple(item.estimate(*found.get(item.name, (0.0, 0.0, False))) for item in self.all)
+
+    def views(self, changes: NDArray[np.float64]) -> dict[str, ViewGeometry]:
+        """The views of the description changed by (n,), unchecked: see `described_view`."""
+        sensor = self.sensor(changes)
+        return {name: described_view(sensor, name) for name in sensor.views}
 
     def changed(self, changes: Mapping[str, float]) -> SensorDescription:
         """The description with the parameters of these names changed."""
@@ -193,7 +168,7 @@ class RigParameters:
         )
 
     def _listed(self) -> list[RigParameter]:
-        sensor, options = self._sensor, self.options
+        sensor, prior = self._sensor, self._prior
         found: list[RigParameter] = []
         if sensor.optics.T_camera_gel is not None:
             found += self._pose("gel")
@@ -208,35 +183,37 @@ class RigParameters:
             found += self._camera("camera", sensor.camera)
         for k, layer in enumerate(sensor.optics.layers):
             name = f"optics.layers[{k}]"
-            found.append(RigParameter(f"{name}.z", "m", options.layer_z, layer.z))
-            found.append(RigParameter(f"{name}.index", "", options.layer_index, layer.index))
+            found.append(RigParameter(f"{name}.z", "m", prior.layer_z, layer.z))
+            found.append(RigParameter(f"{name}.index", "", prior.layer_index, layer.index))
         return found
 
     def _pose(self, name: str) -> list[RigParameter]:
-        turns = [RigParameter(f"{name}: turn about {a}", "rad", self.options.turn) for a in AXES]
-        shifts = [RigParameter(f"{name}: shift along {a}", "m", self.options.shift) for a in AXES]
+        held, prior = name in self._held, self._prior
+        turn, shift = (0.0, 0.0) if held else (prior.turn, prior.shift)
+        turns = [RigParameter(f"{name}: turn about {axis}", "rad", turn) for axis in AXES]
+        shifts = [RigParameter(f"{name}: shift along {axis}", "m", shift) for axis in AXES]
         return turns + shifts
 
     def _mirror(self, name: str, mirror: Mirror) -> list[RigParameter]:
         tilts = [
-            RigParameter(f"{name}: tilt towards {AXES[axis]}", "rad", self.options.turn)
+            RigParameter(f"{name}: tilt towards {AXES[axis]}", "rad", self._prior.turn)
             for axis in tilt_axes(mirror)
         ]
         return [
             *tilts,
-            RigParameter(f"{name}.distance", "m", self.options.shift, mirror.distance),
+            RigParameter(f"{name}.distance", "m", self._prior.shift, mirror.distance),
         ]
 
     def _camera(self, name: str, camera: Camera) -> list[RigParameter]:
-        options, ratio = self.options, camera.fy / camera.fx
-        point = options.principal_point
+        prior, ratio = self._prior, camera.fy / camera.fx
+        point = prior.principal_point
         return [
-            RigParameter(f"{name}.fx", "px", options.focal, camera.fx, camera.fx),
-            RigParameter(f"{name}.fy / fx", "", options.aspect, ratio, ratio),
+            RigParameter(f"{name}.fx", "px", prior.focal, camera.fx, camera.fx),
+            RigParameter(f"{name}.fy / fx", "", prior.aspect, ratio, ratio),
             RigParameter(f"{name}.cx", "px", point, camera.cx),
             RigParameter(f"{name}.cy", "px", point, camera.cy),
             *(
-                RigParameter(f"{name}.distortion[{k}]", "", options.distortion, value)
+                RigParameter(f"{name}.distortion[{k}]", "", prior.distortion, value)
                 for k, value in enumerate(camera.distortion)
             ),
         ]
