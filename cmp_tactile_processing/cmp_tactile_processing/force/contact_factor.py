@@ -263,7 +263,7 @@ def weighted_equations(
     which counts with a weight for each of the two tangential ones, and for the vertical one.
     """
     count = len(nodes)
-    found = np.empty((3 * count, 3 * count))
+    found = np.zeros((3 * count, 3 * count))
     for i in range(count):
         for j in range(i + 1):
             for a in range(3):
