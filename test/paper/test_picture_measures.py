@@ -11,7 +11,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
-from paper.experiments.reliability import DIRECTIONS, GOOD, SWEEPS, lit
+from paper.experiments.reliability import DIRECTIONS, lit
 
 SIDE = 768, 1024
 
@@ -39,18 +39,3 @@ def test_light_spans_the_ratio_across_the_pattern(
     # A pixel along the way is 0.2 % of the light at most.
     assert at_corners.max() == pytest.approx(200, rel=5e-3)
     assert at_corners.min() == pytest.approx(200 * 0.05, abs=200 * 5e-3)
-
-
-def test_a_visibility_is_that_of_the_two_levels() -> None:
-    camera = SWEEPS["contrast"].camera(0.1)
-    light, dark = camera.light_level, camera.dark_level
-    assert (light - dark) / (light + dark) == pytest.approx(0.1)
-
-
-def test_levels_go_from_good_to_bad_and_start_at_the_usual_camera() -> None:
-    for key, sweep in SWEEPS.items():
-        steps = np.diff(sweep.levels)
-        assert (steps > 0).all() or (steps < 0).all(), key
-        assert set(sweep.fast_levels) <= set(sweep.levels), key
-        camera = sweep.camera(sweep.levels[0])
-        assert replace(camera, dark_level=round(camera.dark_level, 9)) == GOOD, key
