@@ -17,8 +17,6 @@ from cmp_tactile_processing.sensor.description import (
     packaged_sensors,
 )
 from cmp_tactile_processing.sensor.parts import RefractingLayer
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
-from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 # A camera's pose with its translation in mm.
 MILLIMETRES = [[1, 0, 0, 0], [0, 1, 0, -14], [0, 0, 1, -7]]
@@ -62,18 +60,6 @@ def changed(content, key_path, value):
     else:
         section[last] = value
     return content
-
-
-def test_sample_loads_as_it_is():
-    sensor = SensorDescription.load(SAMPLE)
-    assert sensor.name == "sample_rig"
-    assert (sensor.image.width, sensor.image.height) == (1024, 768)
-    assert sensor.camera.fx == 733.3859777674537
-    assert sensor.views["right"].roi.x == 512
-    assert sensor.pattern.shape.row_lines == (20, 19, 6)
-    assert sensor.pattern.surface.radius == 0.027
-    assert sensor.elastomer.shading_layer.thickness == 0.0003
-    assert sensor.optics.T_camera_gel.shape == (4, 4)
 
 
 @pytest.mark.parametrize("name", packaged_sensors())
@@ -227,35 +213,9 @@ def test_what_grows_without_bounds_is_refused_where_it_does(load_text, text, whe
     assert len(str(error.value)) < 1000
 
 
-def test_an_alias_within_bounds_is_read(load_text):
-    text = SAMPLE.read_text().replace("roi: [512, 0, 512, 768]", "roi: *half")
-    sensor = load_text(text.replace("roi: [0, 0, 512, 768]", "roi: &half [0, 0, 512, 768]"))
-    assert sensor.views["right"].roi.x == 0
-
-
-def test_a_long_value_is_cut_before_it_is_written(load_text):
-    expected = r"version: found \[\[1, .*\.\.\., expected"
-    with pytest.raises(DescriptionError, match=expected) as error:
-        load_text("version: [" + f"[{'1,' * 50}]," * 500 + "]\n")
-    assert len(str(error.value)) < 300
-
-
 def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(load_text):
     with pytest.raises(DescriptionError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
         load_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
-
-
-def test_errors_of_the_optics_name_the_file(content, load):
-    moved = changed(content, "views.left.mirror.distance", 0.01)
-    with pytest.raises(DescriptionError, match=r"rig\.yaml: views\.left: found"):
-        build_views(load(moved))
-
-
-def test_a_dump_is_read_back_as_it_was(tmp_path):
-    mapping = {"a": ["0512", "1_0", "1e5", "1:30", "on", "<<", "2026-01-01", ""], "b": 1e-300}
-    path = tmp_path / "any.yaml"
-    path.write_text(dump_yaml({**mapping, "c": mapping["a"]}))
-    assert dict(read_yaml(path).items()) == {**mapping, "c": mapping["a"]}
 
 
 def test_exponents_without_a_point_are_numbers(load_sample):
