@@ -94,19 +94,6 @@ def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
 
 
 @pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
-def test_along_the_axis_the_flat_pattern_is_the_regular_grid(surface, rig):
-    """The checkers' corners lie at the description's corners, whatever the surface."""
-    sensor = sensor_of(rig, surface)
-    printed = printed_pattern(sensor, PrintOptions(process="along_axis"))
-    np.testing.assert_allclose(np.abs(printed.gel), 11.0, atol=ATOL_EXACT_MM)
-    ink = printed.ink
-    assert {len(contour) for contour in ink} == {4}
-    found = np.unique(np.round(np.concatenate(ink), 6), axis=0)
-    for corner in sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3:
-        assert np.abs(found - corner).max(axis=1).min() < 1e-6
-
-
-@pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
 @pytest.mark.parametrize("colour", ["dark", "light"])
 @pytest.mark.parametrize("kind", ["cmp", "dmp"])
 def test_print_and_inverted_print_fill_the_sheet_together(kind, colour, surface, rig):
@@ -149,14 +136,6 @@ def test_ink_gain_leaves_gaps_between_checkers_and_is_undone_by_spreading(colour
     assert ink == pytest.approx(outside - 27 * dark_side**2 + overlaps, abs=ATOL_EXACT_MM)
 
 
-@pytest.mark.parametrize(("margin", "gain"), [(0.0, 0.0), (0.1, 0.049)])
-def test_the_frame_of_inverted_ink_lies_around_its_hole(margin, gain, rig):
-    """A hole that reached beyond the frame would be ink there, by the even-odd rule."""
-    options = PrintOptions(invert=True, margin=margin * 1e-3, ink_gain=gain * 1e-3)
-    frame, hole = printed_pattern(sensor_of(rig), options).ink[:2]
-    assert (np.abs(hole).max(axis=0) <= np.abs(frame).max(axis=0) + ATOL_EXACT_MM).all()
-
-
 def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
     gain = 0.04
     sensor = sensor_of(rig, CAP, pitch=0.0015)
@@ -195,17 +174,6 @@ def test_curved_edges_are_polygons_within_the_tolerance(rig):
         worst = max(worst, float(np.abs(across / np.linalg.norm(chord, axis=1)[:, None]).max()))
     assert worst < 2 * CHORD_TOLERANCE
     assert worst > 0.01 * CHORD_TOLERANCE
-
-
-def test_dots_lie_at_the_corners_with_their_diameter(rig):
-    sensor = sensor_of(rig)
-    ink = printed_pattern(sensor, PrintOptions("dmp", dot_diameter=0.4, ink_gain=1e-5)).ink
-    centres = np.array([contour.mean(axis=0) for contour in ink])
-    corners = sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3
-    np.testing.assert_allclose(centres, corners, atol=ATOL_EXACT_MM)
-    radii = np.linalg.norm(ink[0] - centres[0], axis=1)
-    # A polygon's sides, not its corners, are moved in by the gain.
-    assert radii == pytest.approx(0.4 * 1.2 / 2 - 0.01, abs=1e-4)
 
 
 def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
