@@ -32,7 +32,7 @@ from cmp_tactile_simulation.live.motion import (
     TruthWanted,
     check_command,
 )
-from cmp_tactile_simulation.live.sensor import LiveSensor, live_scene
+from cmp_tactile_simulation.live.sensor import LiveSensor
 from cmp_tactile_simulation.live.source import LiveProcess, SimulatedSource
 from cmp_tactile_simulation.scenes.description import Start
 from cmp_tactile_simulation.scenes.file import load_scene
@@ -113,11 +113,6 @@ def test_a_load_is_reached_and_reset_lets_go(sensor):
     frame = wait(sensor, lambda f: normal_force(f) == 0)
     assert frame.force is not None
     assert not frame.force.contact.any()
-
-
-def test_what_is_not_wanted_is_not_made(sensor):
-    frame = wait(sensor, lambda f: f.pose is not None, TruthWanted())
-    assert (frame.force, frame.grids, frame.surface) == (None, None, None)
 
 
 def test_the_gel_is_at_rest_before_the_first_state():
@@ -264,14 +259,3 @@ def test_the_driver_finds_the_source_and_its_scene():
     assert find_source("simulated")(SourceOptions(str(SCENE), description)).frame_rate == 20.0
     with pytest.raises(SceneError, match="nosuch"):
         find_source("simulated")(SourceOptions("nosuch", description))
-
-
-def test_what_takes_too_long_is_left_out_live():
-    scene = load_scene("grasp")
-    live = live_scene(
-        replace(scene, camera=replace(scene.camera, motion_samples=8)), LiveSettings()
-    )
-    assert (live.contact_nodes, live.samples, live.camera.motion_samples) == (24, 1, 1)
-    coarse = load_scene(str(SCENE))
-    assert live_scene(coarse, LiveSettings(samples=4)).contact_nodes == 12
-    assert live_scene(coarse, LiveSettings(samples=4)).samples == coarse.samples

@@ -209,23 +209,3 @@ def test_it_can_be_cleaned_up_and_configured_again(ros):
     assert change(Transition.TRANSITION_ACTIVATE)
     live.poses.clear()
     live.wait(lambda: live.poses, "the first state again")
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"max_speed": 2.0}, "parameter max_speed: found 2.0, expected 1e-05 to 1"),
-        ({"autoplay": "yes"}, "parameter autoplay: found 'yes', expected true or false"),
-    ],
-)
-def test_a_wrong_parameter_is_reported(ros, parameters, message):
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
-    ros.start(CameraDriver, source="simulated", input=str(SCENE), **parameters)
-    ros.wait(lambda: any(message in s.message for r in reports for s in r.status), "the reason")
-
-
-def test_a_scene_that_is_not_there_is_reported(ros):
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
-    ros.start(CameraDriver, source="simulated", input="nosuch")
-    found = "nosuch: found no such scene"
-    ros.wait(lambda: any(found in s.message for r in reports for s in r.status), "the reason")

@@ -248,11 +248,6 @@ def test_a_mistake_is_named_with_file_key_found_and_expected(mistake, write):
         read_scene(path)
 
 
-def test_an_absent_scene_is_named(tmp_path):
-    with pytest.raises(SceneError, match=r"none\.yaml: cannot be read"):
-        read_scene(tmp_path / "none.yaml")
-
-
 def test_groups_of_groups_are_counted_while_they_are_read(write):
     """1000^3 phases would fill the memory before they are counted."""
     motion = [PHASE | {"hold": True}]
@@ -260,27 +255,3 @@ def test_groups_of_groups_are_counted_while_they_are_read(write):
         motion = [{"repeat": 1000, "motion": motion}]
     with pytest.raises(SceneError, match=r"motion: found '100001 frames or more'"):
         read_scene(write({"motion": motion}))
-
-
-def test_groups_in_each_other_have_a_limit_and_phases(write):
-    motion = [PHASE | {"hold": True}]
-    for _ in range(9):
-        motion = [{"repeat": 1, "motion": motion}]
-    with pytest.raises(SceneError, match="at most 8 groups in each other"):
-        read_scene(write({"motion": motion}))
-    with pytest.raises(SceneError, match="found 'no phases', expected at least one"):
-        read_scene(write({"motion": [{"repeat": 1000, "motion": []}]}))
-
-
-def test_the_last_stamp_of_a_longest_scene_fits_a_message(write):
-    """builtin_interfaces/Time has int32 seconds."""
-    scene = read_scene(write({"rate": 0.1, "motion": [PHASE | {"frames": 100_000, "hold": True}]}))
-    assert scene.stamp_ns(scene.frame_count - 1) < 2**31 * 10**9
-    with pytest.raises(SceneError, match=r"rate: found 0\.09"):
-        read_scene(write({"rate": 0.09}))
-
-
-@pytest.mark.parametrize(("key", "most"), [("glare_spots", 200), ("clutter", 2000)])
-def test_no_scene_asks_for_endless_dirt(write, key, most):
-    with pytest.raises(SceneError, match=rf"camera\.{key}: found {most + 1}"):
-        read_scene(write({"camera": {key: most + 1}}))
