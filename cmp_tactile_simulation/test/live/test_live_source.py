@@ -160,12 +160,7 @@ WRONG = {
     "target: header.frame_id: found 'map', expected 'sample_rig_gel_frame'": (
         lambda live: live.go_to(0.005, frame="map")
     ),
-    "target: found a number that is not finite": lambda live: live.go_to(np.nan),
-    "target: position.x: found 0.5 m, expected -0.011 to 0.011 m": (
-        lambda live: live.go_to(0.006, x=0.5)
-    ),
     "target: orientation: found a quaternion of length 0, expected 1": _no_rotation,
-    "load: header.frame_id: found ''": lambda live: live.press(1.0, frame=""),
     "load: force.z: found 1 N, expected less than 0": lambda live: live.press(-1.0),
 }
 
@@ -183,14 +178,6 @@ def test_wrong_commands_are_refused_and_the_target_before_them_stays(ros):
     live.wait(lambda: live.z < start - 0.1e-3, "the way to the target")
     count = len(live.images)
     live.wait(lambda: len(live.images) > count, "frames")
-
-
-def test_it_plays_the_scene_at_the_rate_that_is_asked_for(ros):
-    live = Live(ros, autoplay=True, frame_rate=5.0)
-    # At this rate most frames of the scene are passed over, but not the ends of its phases.
-    live.wait(lambda: len({pose.pose.position.z for pose in live.poses}) > 2, "the motion")
-    live.wait(lambda: 4.0 < float(live.values.get("rate (Hz)", "0")) < 6.0, "the rate")
-    assert live.values["indenter"] == "playing the scene"
 
 
 def test_it_can_be_cleaned_up_and_configured_again(ros):
