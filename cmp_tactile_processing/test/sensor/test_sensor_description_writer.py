@@ -197,39 +197,6 @@ def test_description_that_could_not_be_read_is_not_written(tmp_path, broken, exp
     assert [item.name for item in tmp_path.iterdir()] == ["rig.yaml"]
 
 
-def load_changed(tmp_path, rig, section, key, *value):
-    """Loads a rig with another value of a key of a section, or without that key."""
-    content = yaml.safe_load(sensor_description_text(RIGS[rig]))
-    record = content
-    for name in section.split("."):
-        record = record[name]
-    if value:
-        (record[key],) = value
-    else:
-        del record[key]
-    path = tmp_path / "rig.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    return SensorDescription.load(path)
-
-
-@pytest.mark.parametrize(
-    ("section", "key", "value", "expected"),
-    [
-        ("relaxation", "share", 1.0, r"found 1\.0, expected a number from 0 to 0\.99"),
-        ("relaxation", "time", 0, r"found 0, expected a number above 0"),
-        ("relaxation", "shares", [0.1], r".*no such key; allowed: share, time"),
-        ("calibration", "method", "gel", r"found 'gel', expected one of weights, force_"),
-        ("calibration", "normal_std", -0.1, r"found -0\.1, expected a number of at"),
-        ("calibration", "poisson_std", float("inf"), r"found inf, expected a number"),
-        ("calibration", "held", [1], r"found \[1\], expected a list of texts"),
-    ],
-)
-def test_wrong_relaxation_or_material_record_is_named(tmp_path, section, key, value, expected):
-    place = rf"rig\.yaml: elastomer\.{section}\.{key}"
-    with pytest.raises(DescriptionError, match=f"{place}: {expected}"):
-        load_changed(tmp_path, "weighed", f"elastomer.{section}", key, value)
-
-
 def test_date_without_quotes_is_read(tmp_path):
     """YAML 1.1 would make a date of it."""
     path = tmp_path / "rig.yaml"
