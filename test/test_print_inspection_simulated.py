@@ -175,7 +175,7 @@ def sound(sensor):
 def test_one_ragged_edge_is_named(sound):
     image, grid = photograph(*sound)
     for lines in (grid.row_lines, grid.col_lines):
-        lines += np.random.default_rng(1).normal(0, 0.1, lines.shape)
+        lines[:] += np.random.default_rng(1).normal(0, 0.1, lines.shape)
     grid.row_lines[3, 4, :, 1] += [0.45, -0.4, 0.45, -0.4, 0.4, -0.45]
     found = inspect_frame(image, grid)
     assert [(x.kind, x.row, x.col) for x in found.defects] == [(DefectKind.RAGGED_EDGE, 3, 4.5)]
