@@ -98,10 +98,3 @@ def test_a_difference_that_chance_explains_is_not_clear() -> None:
     assert clearly_less(first, 3 * second)
     assert not clearly_less(3 * first, second)
     assert not clearly_less(np.array([1.0]), np.array([2.0]))
-
-
-def test_noises_of_one_place_are_not_taken_for_as_many_places() -> None:
-    place = np.tile([1.0, -0.7], 6)[:, None]
-    first, second = np.full((12, 20), 5.0), 5.0 + place.repeat(20, axis=1)
-    assert clearly_less(first, second)
-    assert not clearly_less(first, second, 20)
