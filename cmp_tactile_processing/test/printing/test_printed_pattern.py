@@ -10,9 +10,7 @@ import pytest
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.printing.pattern import (
-    CHORD_TOLERANCE,
     PrintOptions,
-    default_process,
     flat_print,
     inset,
     printed_pattern,
@@ -22,13 +20,8 @@ from cmp_tactile_processing.printing.pattern import (
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
-# Integrals over this many steps are exact to 1e-9 m here.
-STEPS = 20_001
-ATOL_INTEGRAL = 1e-9
 # Rounding of lengths of some ten mm.
 ATOL_EXACT_MM = 1e-9
-# Of 5 x 8 corners: all edges of the checkers, once from each side, and a little more.
-TOTAL_EDGE_MM = 2 * 150.0
 PLANE = PatternSurface()
 CAP = PatternSurface("sphere_cap", 0.012)
 CYLINDERS = (PatternSurface("cylinder", 0.009, "x"), PatternSurface("cylinder", 0.009, "y"))
@@ -50,38 +43,6 @@ def area(contour):
     return (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
 
 
-def length_on(surface, begin, end):
-    """Length on the surface of the way above the line between two points of the gel's plane."""
-    shares = np.linspace(0, 1, STEPS)[:, None]
-    xy = np.array(begin) * (1 - shares) + np.array(end) * shares
-    points = np.concatenate([xy, surface.height(xy)[:, None]], axis=1)
-    return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-
-
-@pytest.mark.parametrize("surface", CYLINDERS)
-def test_a_cylinder_unrolls_by_arc_length_and_keeps_its_axis(surface):
-    along, across = (0, 1) if surface.axis == "x" else (1, 0)
-    xy = np.random.default_rng(1).uniform(-0.008, 0.008, (20, 2))
-    flat = flat_print(surface, "unrolled", xy)
-    assert default_process(surface) == "unrolled"
-    assert (flat[:, along] == xy[:, along]).all()
-    feet = xy.copy()
-    feet[:, across] = 0
-    arcs = [length_on(surface, foot, point) for foot, point in zip(feet, xy, strict=True)]
-    expected = np.sign(xy[:, across]) * arcs
-    np.testing.assert_allclose(flat[:, across], expected, atol=ATOL_INTEGRAL, rtol=0)
-
-
-def test_a_cap_keeps_distances_from_the_apex_and_directions():
-    xy = np.random.default_rng(2).uniform(-0.008, 0.008, (20, 2))
-    flat = flat_print(CAP, "unrolled", xy)
-    assert default_process(PLANE) == default_process(CAP) == "along_axis"
-    arcs = [length_on(CAP, (0, 0), point) for point in xy]
-    expected = xy * (arcs / np.hypot(*xy.T))[:, None]
-    np.testing.assert_allclose(flat, expected, atol=ATOL_INTEGRAL, rtol=0)
-    assert (flat_print(CAP, "unrolled", np.zeros((1, 2))) == 0).all()
-
-
 def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
     corners = rectangle(0.006, 0.005)
     distance = np.hypot(0.006, 0.005)
@@ -91,21 +52,6 @@ def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
     assert expected < -0.05
     assert rim_strain(CAP, "along_axis", corners) == 0
     assert rim_strain(CYLINDERS[0], "unrolled", corners) == 0
-
-
-@pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
-@pytest.mark.parametrize("colour", ["dark", "light"])
-@pytest.mark.parametrize("kind", ["cmp", "dmp"])
-def test_print_and_inverted_print_fill_the_sheet_together(kind, colour, surface, rig):
-    sensor = sensor_of(rig, surface, corner_checker=colour)
-    options = PrintOptions(kind, process="unrolled", margin=0.0005, bleed=0.0003)
-    printed = printed_pattern(sensor, options)
-    inverted = printed_pattern(sensor, replace(options, invert=True))
-    both = sum(area(contour) for contour in (*printed.ink, *inverted.ink))
-    atol = 1e3 * CHORD_TOLERANCE * TOTAL_EDGE_MM if surface is CAP else ATOL_EXACT_MM
-    assert both == pytest.approx(area(printed.clear), abs=atol)
-    size = (9 * 1.2 + 1.6) * (6 * 1.2 + 1.6)
-    assert area(printed.clear) > size - 1e-9
 
 
 @pytest.mark.parametrize("colour", ["dark", "light"])
@@ -152,28 +98,6 @@ def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
         share = (away * along[None]).sum(axis=-1) / np.linalg.norm(ends - wide, axis=1)
         distance[(share < -0.01) | (share > 1.01)] = np.inf
         assert distance.min(axis=1) == pytest.approx(gain, abs=2e-3 * gain)
-
-
-def test_curved_edges_are_polygons_within_the_tolerance(rig):
-    """Each chord against many points of the true edge, on the steepest cap that holds it."""
-    surface = PatternSurface("sphere_cap", 0.00845)
-    sensor = sensor_of(rig, surface, pitch=0.0014, rows=7)
-    printed = printed_pattern(sensor, PrintOptions(process="unrolled", margin=0))
-    worst = 0.0
-    for contour in (printed.clear, *printed.ink):
-        flat = contour * 1e-3
-        arc = np.hypot(*flat.T)
-        on_gel = flat * (surface.radius * np.sin(arc / surface.radius) / arc)[:, None]
-        shares = np.linspace(0, 1, 9)[None, 1:-1, None]
-        ends = np.roll(on_gel, -1, axis=0)
-        between = on_gel[:, None] * (1 - shares) + ends[:, None] * shares
-        true = flat_print(surface, "unrolled", between)
-        chord = np.roll(flat, -1, axis=0) - flat
-        away = true - flat[:, None]
-        across = chord[:, None, 0] * away[..., 1] - chord[:, None, 1] * away[..., 0]
-        worst = max(worst, float(np.abs(across / np.linalg.norm(chord, axis=1)[:, None]).max()))
-    assert worst < 2 * CHORD_TOLERANCE
-    assert worst > 0.01 * CHORD_TOLERANCE
 
 
 def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
