@@ -160,3 +160,14 @@ def test_of_two_at_once_one_builds_while_the_other_waits(tmp_path, monkeypatch):
             future.result()
     assert build.calls == 1
     assert only_file(tmp_path).suffix == ".npz"
+
+
+def test_a_file_that_others_can_write_is_built_again(tmp_path, caplog):
+    build = Builder()
+    get(tmp_path, build)
+    only_file(tmp_path).chmod(0o666)
+    get(tmp_path, build)
+    (record,) = caplog.records
+    assert "can be written by others (mode 666)" in record.getMessage()
+    get(tmp_path, build)
+    assert build.calls == 2

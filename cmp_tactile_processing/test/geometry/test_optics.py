@@ -76,3 +76,9 @@ def _rotation_between(a, b):
     v, c = np.cross(a, b), a @ b
     K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + K + K @ K / (1 + c)
+
+
+def test_two_views_from_one_point_are_refused(sensor):
+    rig = replace(sensor, views=dict.fromkeys(("left", "right"), sensor.views["left"]))
+    with pytest.raises(DescriptionError, match=r"views: found camera centres 0 m apart"):
+        build_views(rig)

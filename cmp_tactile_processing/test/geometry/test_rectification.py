@@ -13,7 +13,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.sensor.parts import RefractingLayer
+from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer, Roi, ViewDescription
 
 VIEWS = ("left", "right")
 LENSES = {
@@ -31,6 +31,8 @@ DISPLACEMENTS_M = {
 }
 # Double precision leaves picometres and 1e-9 px.
 ATOL_EXACT_M, ATOL_EXACT_PX = 1e-9, 1e-6
+# A drawn spot is rounded to grey levels, and the map's steps are of 1/32 px.
+ATOL_SPOT_PX = 0.05
 
 
 def rig(lens="pinhole", layers=(), name="sample_rig"):
@@ -199,3 +201,36 @@ def test_monocular_view_is_undistorted_only(layers):
     )
     with pytest.raises(GeometryError, match="found no view 'left', expected one of right"):
         rectification.triangulate(expected, expected)
+
+
+def test_one_camera_behind_the_other_is_reported(sensor):
+    """Along its own line of sight there is no direction for the rows of a pair."""
+    left = build_views(sensor)["left"]
+    poses = [left.T_view_gel, left.T_view_gel + np.eye(4, k=1) @ np.diag([0, 0, 0, 5e-3])]
+    views = {
+        name: ViewDescription(Roi(0, 0, 512, 768), None, sensor.camera, pose)
+        for name, pose in zip(VIEWS, poses, strict=True)
+    }
+    camera = replace(sensor.camera, cx=left.lens.matrix[0, 2])
+    views = {name: replace(view, camera=camera) for name, view in views.items()}
+    behind = replace(sensor, camera=None, optics=Optics("two_view", None, ()), views=views)
+    with pytest.raises(GeometryError, match="views: found the left camera beside or behind"):
+        Rectification(behind)
+
+
+@pytest.mark.parametrize("layers", [(), LAYERS], ids=["straight", "refracted"])
+@pytest.mark.parametrize("lens", LENSES)
+def test_images_and_points_are_rectified_alike(lens, layers):
+    """Behind layers too, where no stock model of the lens holds: refraction is in the image."""
+    sensor = rig(lens, layers)
+    rectification = Rectification(sensor)
+    for name, view in build_views(sensor).items():
+        info = rectification.info(name)
+        y, x = np.mgrid[: info.height, : info.width]
+        for spot in view.project(corners(sensor)[[43, 210, 356]]):
+            distance = np.hypot(x - spot[0], y - spot[1])
+            drawn = np.rint(250 * np.exp(-0.5 * (distance / 3) ** 2)).astype(np.uint8)
+            grey = rectification.rectify(name, drawn).astype(float)
+            found = np.array([(grey * x).sum(), (grey * y).sum()]) / grey.sum()
+            (expected,) = rectification.rectify_points(name, spot[None])
+            assert np.abs(found - expected).max() < ATOL_SPOT_PX

@@ -86,6 +86,8 @@ def test_a_sensor_that_is_not_there_is_named():
         ("pattern.pitch", 0.69, r"pattern\.pitch: found 0\.69, .* m: did you mean 0\.00069\?"),
         ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
         ("camera.fx", 2.6, r"camera\.fx: found 2\.6, expected px, at least 34\.1 .* 2\.6 mm"),
+        ("optics.T_camera_gel", [1, 2], r"optics\.T_camera_gel: .*expected 3 lists of 4"),
+        ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),
         ("trackng", {}, r"trackng: .* no such key; .*; did you mean 'tracking'\?"),
         ("optics.layers", [{"z": 0.1}], r"optics\.layers\[0\]\.index: found nothing"),
         (
@@ -109,6 +111,9 @@ def test_a_sensor_that_is_not_there_is_named():
             {"regularization": float("inf")},
             r"force\.regularization: found inf, expected a",
         ),
+        ("tracking", {"detector": "magic"}, r"tracking\.detector: found 'magic', expected one of"),
+        ("force", {"two_pass": "on"}, r"force\.two_pass: found 'on', expected a value like True"),
+        ("slip", {"full_ratio": 2}, r"slip\.full_ratio: found 2, expected at most 1"),
         ("force", {"regularization": -1}, r"force\.regularization: found -1, expected at least"),
         (
             "slip",

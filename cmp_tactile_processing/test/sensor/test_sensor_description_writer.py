@@ -185,6 +185,10 @@ SAMPLE = RIGS["sample_rig"]
             replace(SAMPLE, calibration=replace(RECORD, date="now")),
             r"calibration\.date: found 'now'",
         ),
+        (
+            replace(SAMPLE, calibration=replace(RECORD, held=(1,))),
+            r"calibration\.held: found \[1",
+        ),
         (with_gel(SAMPLE, relaxation=GelRelaxation(1.0, 2.0)), r"elastomer\.relaxation\.share"),
     ],
 )

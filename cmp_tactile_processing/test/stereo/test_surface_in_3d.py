@@ -92,3 +92,19 @@ def test_split_cuts_and_unmirrors():
     assert flipped.flags.c_contiguous
     with pytest.raises(FrameError, match=r"found 10 x 6 px, expected at least 13 x 3"):
         split_frame(frame, ViewPlacement(9, 0, 4, 3, flipped=False))
+
+
+def test_reference_of_another_size_is_refused(sensor):
+    missing = Grid.missing(sensor.pattern.shape, "")
+    markers = StereoRig(sensor).triangulate(missing, missing)
+    narrow = Reference.nominal(sensor).position[:, 1:]
+    with pytest.raises(GeometryError, match=r"found \(20, 19, 3\), expected \(20, 20, 3\)"):
+        Reference(narrow, np.zeros((*narrow.shape, 3))).surface(markers)
+
+
+def test_grids_that_do_not_belong_are_refused(sensor, stills, plane_rig):
+    grids = exact_grids(sensor, stills["rest"].truth)
+    with pytest.raises(GeometryError, match="right grid: found none"):
+        StereoRig(sensor).triangulate(grids["left"], None)
+    with pytest.raises(GeometryError, match=r"left grid: found GridShape\(rows=20.*expected .*=9"):
+        StereoRig(plane_rig(9, 9)).triangulate(grids["left"], grids["right"])

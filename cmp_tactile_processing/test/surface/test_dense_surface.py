@@ -264,3 +264,14 @@ def test_height_over_space_of_a_surface_in_closed_form():
 def test_lengths_that_make_no_grid_are_errors(spacing, margin):
     with pytest.raises(GeometryError, match=r"dense surface: found .*, expected"):
         interpolate(surface_of(pattern_of(8, 8)), spacing, margin)
+
+
+def test_a_surface_of_another_shape_or_without_reference_is_an_error():
+    pattern, surface = pattern_of(8, 8), surface_of(pattern_of(8, 8))
+    grid = grid_over(pattern.shape, pattern.pitch, 5e-4)
+    interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid)
+    with pytest.raises(GeometryError, match=r"surface: found GridShape\(rows=9"):
+        interpolator.interpolate(surface_of(pattern_of(9, 8)))
+    nowhere = replace(surface, reference=np.full_like(surface.reference, np.nan))
+    with pytest.raises(GeometryError, match="no pitch in the reference"):
+        interpolate(nowhere, 5e-4)

@@ -194,6 +194,17 @@ class TestStillness:
         assert not found.at_rest
         assert said in found.reason
 
+    def test_one_view_shows_stillness_and_a_spread_in_the_plane(self, nominal):
+        flat = nominal.copy()
+        flat[..., 2] = np.nan
+        noise = np.array([1.5, 1.5, np.nan]) * UM
+        found = judge_frames(_frames(flat, noise=noise), nominal, RestParameters())
+        assert found.at_rest, found.reason
+        spread = flat.copy()
+        spread[..., :2] += 0.06 * nominal[..., :2] * _bump(nominal, 1.0, centre=(0, 0))[..., 2:]
+        touched = judge_frames(_frames(spread, noise=noise), nominal, RestParameters())
+        assert not touched.untouched
+
 
 class TestReference:
     def test_mean_and_covariance_are_those_of_the_frames(self, nominal):
@@ -238,6 +249,10 @@ class TestReference:
         for lost in (surface.displacement, surface.covariance):
             assert np.isnan(lost[4, 6]).all()
         assert np.isfinite(surface.position[4, 6]).all()
+
+    def test_no_frames_are_refused(self):
+        with pytest.raises(ReferenceFramesError, match="found no frames"):
+            Reference.average([], 1)
 
 
 def _keeper(sensor, auto="when_still", *, rezero=False, frames=FRAMES) -> ReferenceKeeper:
@@ -341,3 +356,16 @@ class TestKeeping:
         assert said == [TAKEN.format(2)]
         assert np.abs(keeper.reference.position - drifted).max() < 6 * UM
         assert keeper.warning() == ""
+
+    def test_other_parameters_take_no_new_reference_before_they_say_so(self, sensor, nominal):
+        keeper = _keeper(sensor)
+        _feed(keeper, _frames(nominal))
+        keeper.zero(ZeroParameters(auto_rezero=True))
+        assert not keeper.waiting
+        assert _feed(keeper, _frames(nominal, seed=1), 1) == []
+        keeper.zero(ZeroParameters(auto_reference="at_start"))
+        keeper.watch(RestParameters(rest_min_tracked=0.95), DriftParameters())
+        _feed(keeper, _frames(np.full_like(nominal, np.nan)), 2)
+        assert keeper.warning().startswith(
+            "no new reference yet, displacement is against reference 1: found 0% of the markers"
+        )
