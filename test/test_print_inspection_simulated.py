@@ -145,13 +145,16 @@ def test_flaws_stay_at_their_places_when_the_gel_is_dragged(sensor):
     dragged = inspected(sensor, ink, settings, sheared(sensor))
     assert dragged.judged == pytest.approx(rest.judged, abs=0.01)
     assert len(spots(rest)) >= 15
+    bare = sum(spot.kind is DefectKind.MISSING_INK for spot in rest.defects)
+    destroyed = rest.corner_weight == 0
+    assert destroyed.any()
+    for said in (f"{bare} spots without ink", f"{destroyed.sum()} corners are destroyed"):
+        assert said in rest.report
     again = sum(
         any(matched(spot, other.kind, other.row, other.col) for spot in spots(dragged))
         for other in spots(rest)
     )
     assert again >= len(spots(rest)) - 1
-    destroyed = rest.corner_weight == 0
-    assert destroyed.any()
     assert (dragged.corner_weight[destroyed] < 0.5).all()
 
 
@@ -227,3 +230,12 @@ def test_frames_of_another_rest_or_size_are_refused(sound):
     with pytest.raises(GeometryError, match="found an image of"):
         inspection.add(replace(image, grey=image.grey[:40, :50]), grid)
     assert inspection.result().frames == 1
+
+
+@pytest.mark.parametrize("grey", [0, 120])
+def test_an_image_without_the_print_is_not_inspected(sound, grey):
+    image, grid = photograph(*sound)
+    image.grey[:] = image.smooth[:] = grey
+    found = inspect_frame(image, grid)
+    assert (found.judged, found.defects) == (0, ())
+    assert found.corner_weight.min() == 1

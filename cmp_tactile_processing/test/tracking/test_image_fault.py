@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.tracker import image_fault
 
@@ -62,3 +63,8 @@ def test_glare_over_half_of_the_pattern_is_not_overexposure(stills, view_image):
     assert image_fault(grey)[0] is GridFault.NONE
     grey[:, : int(0.95 * grey.shape[1])] = 255
     assert image_fault(grey)[0] is GridFault.OVEREXPOSED
+
+
+def test_no_pixels_are_an_error():
+    with pytest.raises(FrameError, match=r"image: found shape \(0, 7\), expected pixels"):
+        image_fault(np.zeros((0, 7), np.uint8))

@@ -22,6 +22,7 @@ from cmp_tactile_processing.tracking.detector import (
     CornerGraph,
     NominalGrid,
 )
+from cmp_tactile_processing.tracking.numbering.faulty_view import OtherViews
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
@@ -341,3 +342,15 @@ def test_a_second_pattern_over_the_first_is_named(rig):
     assert rig.wrong(found, outline) == 0
     np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
     assert found.fault is GridFault.TWO_PATTERNS
+
+
+def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
+    """A gel so deformed that it lies half way between the view and the view turned."""
+    proper = rig.nominal.corners
+    turned = (2 * proper.mean(axis=(0, 1)) - proper)[::-1, ::-1]
+    half_way, number = (proper + turned).reshape(-1, 2) / 2, np.argwhere(np.ones(rig.size))
+    views = OtherViews(rig.nominal)
+    assert views.seen_in(half_way, number)[0] is GridFault.AMBIGUOUS
+    assert views.seen_in(half_way, number, half_way.reshape(proper.shape))[0] is GridFault.NONE
+    assert views.seen_in(proper.reshape(-1, 2), number)[0] is GridFault.NONE
+    assert views.seen_in(turned.reshape(-1, 2), number, turned)[0] is GridFault.TURNED

@@ -199,3 +199,8 @@ def test_other_rigs(sensor, render_rest, change):
     # 1 um for checkers of 17 px, 2 um for those of 6 px; a wrong number would be 240 um and more.
     assert np.nanmean(error) < 3e-6
     assert np.nanmax(error) < 60e-6
+
+
+def test_a_view_that_the_sensor_lacks_is_named(sensor):
+    with pytest.raises(GeometryError, match="found no view 'top', expected one of left, right"):
+        GridTracker(sensor, "top")

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
@@ -228,3 +229,25 @@ def test_local_correction_is_as_good_as_its_method(plain):
     assert 0.4 < measured.mean() < 0.9
     assert rms(error[measured]) < 0.018
     assert rms(error[measured]) / HONEST < rms(std[measured]) < HONEST * rms(error[measured])
+
+
+@pytest.mark.parametrize("method", ["fused", "local_correction"])
+def test_without_corners_or_picture_nothing_is_invented(plain, method):
+    scene, image = plain
+    locator = VirtualMarkerLocator(SHAPE, method)
+    nothing = np.full_like(scene.corners, np.nan)
+    rows, cols = locator.locate(prepared(image), nothing, nothing[..., 0])
+    assert (rows.status == Status.MISSING).all()
+    assert np.isnan(cols.position).all()
+    flat = prepared(np.full_like(image, 80.0))
+    rows, cols = locator.locate(flat, scene.corners, nothing[..., 0])
+    assert (rows.status == Status.PREDICTED).all()
+    assert np.isfinite(cols.std).all()
+    outside = scene.corners + 1000.0
+    rows, _ = locator.locate(prepared(image), outside, nothing[..., 0])
+    assert (rows.status == Status.PREDICTED).all()
+
+
+def test_an_unknown_method_is_named():
+    with pytest.raises(ParameterError, match="found 'best', expected one of fused, local_corr"):
+        VirtualMarkerLocator(SHAPE, "best")
