@@ -129,3 +129,16 @@ def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_reported_
     assert len(caplog.messages) == 1
     assert "relaxation of the gel is left in" in caplog.messages[0]
     np.testing.assert_array_equal(run(filtered, [2.0], [1.0]), run(other, [2.0], [1.0]))
+
+
+def test_a_marker_seen_for_the_first_time_is_taken_to_have_moved_as_the_others():
+    time_s = np.arange(0, 3, 0.1)
+    shown = np.interp(time_s, [0, 1, 1.2, 3], [0, 0, 1, 1])
+    expected = run(RelaxationFilter(GEL), time_s, shown)
+    filtered = RelaxationFilter(GEL)
+    for t, u, full in zip(time_s, shown, expected, strict=True):
+        status = SEEN.copy()
+        status[3, 3] = t > 2.05
+        moved = np.where(status[..., None] > 0, RESPONSE * u, np.nan)
+        found = filtered.effective(moved, status, round(1e9 * t))
+        np.testing.assert_allclose(found[status > 0], full[status > 0], rtol=0, atol=ATOL_M)

@@ -81,3 +81,15 @@ def test_surface_that_reaches_the_base_is_an_error(sample_rig, surface, found):
     pattern = replace(sample_rig.pattern, surface=surface)
     with pytest.raises(GeometryError, match=rf"sample_rig: elastomer.size .*{found}"):
         ElasticProblem.from_sensor(replace(sample_rig, pattern=pattern))
+
+
+@pytest.mark.parametrize("thickness_mm", [1, 6, 80])
+def test_thickness_chooses_the_elements_over_the_depth(other_rig, thickness_mm):
+    sensor = other_rig(20, 20, PatternSurface())
+    size = (*sensor.elastomer.size[:2], thickness_mm * 1e-3)
+    sensor = replace(sensor, elastomer=replace(sensor.elastomer, size=size))
+    mesh = ElasticProblem.from_sensor(sensor).mesh()
+    width, body = mesh.x_edges[1], size[2] - sensor.elastomer.shading_layer.thickness
+    highest = (mesh.body[-1] - mesh.body[-2]) * body
+    assert highest <= 1.35 * width
+    assert len(mesh.body) == 5 or highest > 0.9 * width

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -110,3 +111,16 @@ def test_what_a_gel_shows_is_plausible(model, truth):
         field = model.reconstruct(moved, MEASURED)
         assert ForceFlag.IMPLAUSIBLE not in field.flags
         assert np.isfinite(field.wrench).all()
+
+
+@pytest.mark.parametrize(
+    ("displacement", "status", "message"),
+    [
+        ((20, 19, 3), (20, 20), r"displacement: found shape \(20, 19, 3\), expected \(20, 20, 3\)"),
+        ((20, 20, 2), (20, 20), r"displacement: found shape \(20, 20, 2\), expected \(20, 20, 3\)"),
+        ((20, 20, 3), (400,), r"status: found shape \(400,\), expected \(20, 20\)"),
+    ],
+)
+def test_wrong_shapes(model, displacement, status, message):
+    with pytest.raises(GeometryError, match=f"sample_rig: {message}"):
+        model.reconstruct(np.zeros(displacement), np.ones(status, dtype=np.uint8))
