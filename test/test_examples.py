@@ -232,32 +232,27 @@ def test_listening_example_reports_the_grip_that_the_tutorial_plays(ros, package
     assert_printed(shown, "".join(said), absolute=0.11)
 
 
-@pytest.mark.ros
-def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
-    """Against `cmp_tactile live`, as the tutorial runs it: with the scene that is packaged."""
-    log = (tmp_path / "live.log").open("w")
-    live = subprocess.Popen(
-        [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp", "--no-autoplay"],
-        stdout=log,
-        stderr=subprocess.STDOUT,
-    )
+@pytest.fixture
+def live(tmp_path):
+    """`cmp_tactile live grasp` as the tutorial runs it; Ctrl-C ends it, without a traceback."""
+    command = [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp"]
+    with (tmp_path / "live.log").open("w") as log:
+        process = subprocess.Popen([*command, "--no-autoplay"], stdout=log, stderr=log)
+    yield process
     try:
-        hand = subprocess.run(
-            [sys.executable, str(EXAMPLES / "move_indenter.py"), "sample_rig"],
-            capture_output=True,
-            text=True,
-            timeout=400,
-            check=False,
-        )
-        live.send_signal(signal.SIGINT)
-        assert live.wait(timeout=60) == 0
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
     finally:
-        live.kill()
-        log.close()
-    printed = (tmp_path / "live.log").read_text()
-    assert hand.returncode == 0, hand.stderr + printed
-    assert "Traceback" not in printed
-    lines = hand.stdout.splitlines()
+        process.kill()
+    assert "Traceback" not in (tmp_path / "live.log").read_text()
+
+
+@pytest.mark.ros
+@pytest.mark.usefixtures("live")
+def test_the_example_that_moves_the_indenter_feels_what_is_true():
+    """With the scene that is packaged."""
+    hand = output_of(EXAMPLES / "move_indenter.py", "sample_rig")
+    lines = hand.splitlines()
     assert [line.split()[0] for line in lines] == ["pressed", "dragged", "released"]
     forces = {}
     for line in lines:
@@ -273,50 +268,37 @@ def test_the_example_that_moves_the_indenter_feels_what_is_true(tmp_path):
     for name in ("first_look.md", "simulate.md"):
         shown = shown_after(TUTORIALS / name, "docs/examples/move_indenter.py sample_rig")
         # The load is reached within 1 %, in steps that depend on the machine.
-        assert_printed(shown, hand.stdout, absolute=0.03)
+        assert_printed(shown, hand, absolute=0.03)
 
 
 @pytest.mark.ros
-@pytest.mark.usefixtures("short_scenes")
-def test_the_example_of_a_controller_zeroes_and_closes_in_proportion(ros, tmp_path):
+@pytest.mark.usefixtures("short_scenes", "live")
+def test_the_example_of_a_controller_zeroes_and_closes_in_proportion(ros):
     """Beside a live sensor that is pressed with 1.5 N after the zero."""
     from geometry_msgs.msg import WrenchStamped
 
-    log = (tmp_path / "live.log").open("w")
-    live = subprocess.Popen(
-        [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp", "--no-autoplay"],
-        stdout=log,
-        stderr=subprocess.STDOUT,
-    )
     # A busy machine is late.
     given = ["--ros-args", "-p", "oldest:=60.0"]
-    controller = subprocess.Popen(
-        [sys.executable, str(EXAMPLES / "controller.py"), *given],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        zeroed = next(line for line in controller.stdout if line.startswith("zero: reference"))
-        assert "but" not in zeroed
-        loads = ros.publisher(WrenchStamped, "/sample_rig/indenter/load")
-        load = WrenchStamped()
-        load.header.frame_id, load.wrench.force.z = "sample_rig_gel_frame", -1.5
-        loads.publish(load)
-        rows = []
-        for line in controller.stdout:
-            if line.startswith("felt"):
-                rows.append([float(item) for item in re.findall(r"-?[\d.]+(?= N| mm)", line)])
-            # What the force stage reaches on another mesh than the simulator's, and noise.
-            if rows and abs(rows[-1][0] - 1.5) < 0.1:
-                break
-        for process in (controller, live):
-            process.send_signal(signal.SIGINT)
-            assert process.wait(timeout=60) == 0
-    finally:
-        controller.kill()
-        live.kill()
-        log.close()
-        controller.stdout.close()
+    command = [sys.executable, str(EXAMPLES / "controller.py"), *given]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as controller:
+        try:
+            zeroed = next(line for line in controller.stdout if line.startswith("zero: reference"))
+            assert "but" not in zeroed
+            loads = ros.publisher(WrenchStamped, "/sample_rig/indenter/load")
+            load = WrenchStamped()
+            load.header.frame_id, load.wrench.force.z = "sample_rig_gel_frame", -1.5
+            loads.publish(load)
+            rows = []
+            for line in controller.stdout:
+                if line.startswith("felt"):
+                    rows.append([float(item) for item in re.findall(r"-?[\d.]+(?= N| mm)", line)])
+                # What the force stage reaches on another mesh than the simulator's, and noise.
+                if rows and abs(rows[-1][0] - 1.5) < 0.1:
+                    break
+            controller.send_signal(signal.SIGINT)
+            assert controller.wait(timeout=60) == 0
+        finally:
+            controller.kill()
     assert rows[0][0] == pytest.approx(0, abs=0.1)
     for felt, closing in rows:
         # 50 um for each N that lacks of 2 N.

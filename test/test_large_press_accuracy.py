@@ -23,10 +23,9 @@ MOMENT_NM = 1.2e-4
 
 CENTRE = (4e-4, -3e-4)
 
-# Normal force and shear of presses of 0.14, 0.44 and 0.84 mm, N, their radius, m, and what the
+# Normal force and shear of presses of 0.44 and 0.84 mm, N, their radius, m, and what the
 # linear model loses of the force at least.
 PRESSES = [
-    (0.25, 0.04, 1.5e-3, 0.015),
     (1.0, 0.25, 1.9e-3, 0.04),
     (2.2, 0.5, 2.4e-3, 0.06),
 ]
@@ -73,7 +72,7 @@ def seen_markers(sensor, gel, force):
     return np.stack([part(markers.y, markers.x) for part in parts], axis=-1)
 
 
-@pytest.mark.parametrize("case", PRESSES, ids=["0.14 mm", "0.44 mm", "0.84 mm"])
+@pytest.mark.parametrize("case", PRESSES, ids=["0.44 mm", "0.84 mm"])
 def test_the_force_on_a_neo_hookean_gel(sensor, gel, press, solve, case):
     """Resultant after settling, without noise; the linear model alone loses several times more."""
     normal, shear, radius, linear_loss = case

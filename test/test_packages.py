@@ -159,18 +159,6 @@ def test_the_ament_index_lists_the_components(package):
 
 
 @pytest.mark.ros
-def test_every_component_is_a_node_class():
-    from rclpy.node import Node
-
-    entry_points = component_entry_points()
-    assert len(entry_points) >= 7
-    for entry_point in entry_points:
-        component = entry_point.load()
-        assert issubclass(component, Node), entry_point.name
-        assert entry_point.name.endswith(f"::{component.__name__}")
-
-
-@pytest.mark.ros
 @pytest.mark.parametrize("package", sorted(set(PYTHON_PACKAGES) - WITHOUT_COMMANDS))
 def test_every_command_has_a_main(package):
     distribution = importlib.metadata.distribution(package.replace("_", "-"))

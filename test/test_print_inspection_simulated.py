@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.image.prepared import PreparedImage
@@ -144,13 +145,16 @@ def test_flaws_stay_at_their_places_when_the_gel_is_dragged(sensor):
     dragged = inspected(sensor, ink, settings, sheared(sensor))
     assert dragged.judged == pytest.approx(rest.judged, abs=0.01)
     assert len(spots(rest)) >= 15
+    bare = sum(spot.kind is DefectKind.MISSING_INK for spot in rest.defects)
+    destroyed = rest.corner_weight == 0
+    assert destroyed.any()
+    for said in (f"{bare} spots without ink", f"{destroyed.sum()} corners are destroyed"):
+        assert said in rest.report
     again = sum(
         any(matched(spot, other.kind, other.row, other.col) for spot in spots(dragged))
         for other in spots(rest)
     )
     assert again >= len(spots(rest)) - 1
-    destroyed = rest.corner_weight == 0
-    assert destroyed.any()
     assert (dragged.corner_weight[destroyed] < 0.5).all()
 
 
@@ -163,3 +167,75 @@ def test_the_tracker_s_markers_show_how_ragged_the_print_is(sensor):
     found = inspect_frame(image, grid)
     assert 0.15 < found.raggedness_px < 0.37
     assert spots(found) == []
+
+
+@pytest.fixture(scope="module")
+def sound(sensor):
+    """A frame of a print without flaws: what its image is made with."""
+    return sensor, Checkerboard(sensor.pattern, seed=5), CameraSettings(read_noise=2)
+
+
+def test_one_ragged_edge_is_named(sound):
+    image, grid = photograph(*sound)
+    for lines in (grid.row_lines, grid.col_lines):
+        lines[:] += np.random.default_rng(1).normal(0, 0.1, lines.shape)
+    grid.row_lines[3, 4, :, 1] += [0.45, -0.4, 0.45, -0.4, 0.4, -0.45]
+    found = inspect_frame(image, grid)
+    assert [(x.kind, x.row, x.col) for x in found.defects] == [(DefectKind.RAGGED_EDGE, 3, 4.5)]
+
+
+def test_what_is_hidden_is_not_inspected(sound):
+    """A finger is no flaw of the print."""
+    image, grid = photograph(*sound)
+    middle = int(grid.corners[..., 0].mean())
+    image.grey[:, middle:] = image.smooth[:, middle:] = 120
+    hidden = grid.corners[..., 0] > middle
+    grid.corners[hidden], grid.corner_status[hidden] = np.nan, Status.MISSING
+    found = inspect_frame(image, grid)
+    assert found.defects == ()
+    assert 0.3 < found.judged < 0.7
+    assert (found.corner_weight[hidden] == 1).all()
+
+
+def test_several_frames_show_what_one_cannot(sensor):
+    """Small spots under strong noise."""
+    ink = Checkerboard(sensor.pattern, replace(BLOBS, blob_radius=7e-5), seed=4)
+    inspection = PrintInspection(sensor.pattern.shape)
+    with pytest.raises(ReferenceFramesError, match="no frames"):
+        inspection.result()
+    image, grid = photograph(sensor, ink, CameraSettings(read_noise=0, blur=1.5))
+    found = []
+    for seed in range(12):
+        noise = np.random.default_rng(seed).normal(0, 16, image.grey.shape)
+        grey = np.clip(np.rint(image.grey + noise), 0, 255).astype(np.uint8)
+        smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.2)
+        inspection.add(replace(image, grey=grey, smooth=smooth, noise=16.0), grid)
+        if seed in (0, 11):
+            found.append(inspection.result())
+    truth = true_spots(ink)
+    one, all_of_them = (
+        sum(any(matched(spot, *item[:3]) for spot in spots(state)) for item in truth)
+        for state in found
+    )
+    assert [state.frames for state in found] == [1, 12]
+    assert all_of_them > 1.5 * one
+
+
+def test_frames_of_another_rest_or_size_are_refused(sound):
+    image, grid = photograph(*sound)
+    inspection = PrintInspection(grid.shape)
+    inspection.add(image, grid)
+    with pytest.raises(ReferenceFramesError, match=r"the gel 2\.8\d px from where"):
+        inspection.add(image, replace(grid, corners=grid.corners + 2.0))
+    with pytest.raises(GeometryError, match="found an image of"):
+        inspection.add(replace(image, grey=image.grey[:40, :50]), grid)
+    assert inspection.result().frames == 1
+
+
+@pytest.mark.parametrize("grey", [0, 120])
+def test_an_image_without_the_print_is_not_inspected(sound, grey):
+    image, grid = photograph(*sound)
+    image.grey[:] = image.smooth[:] = grey
+    found = inspect_frame(image, grid)
+    assert (found.judged, found.defects) == (0, ())
+    assert found.corner_weight.min() == 1

@@ -3,7 +3,6 @@
 import base64
 import itertools
 import re
-import time
 import zlib
 from dataclasses import replace
 from xml.etree import ElementTree as ET
@@ -272,26 +271,6 @@ def test_the_outline_is_the_gels_block(rig):
     assert np.ptp(flat[:, 0]) == pytest.approx(2 * 20 * np.arcsin(11 / 20), abs=1e-9)
 
 
-def test_the_text_says_what_must_be_known(rig):
-    cap = with_surface(rig, "sphere_cap")
-    lines = svg_of(drawn(cap, PrintOptions(process="unrolled"))).lines()
-    expected = [
-        "fingertip",
-        "5 x 8 corners, pitch 1.2 mm",
-        "sphere cap, R 12 mm, unrolled",
-        "seen from the touching side",
-        "print side away from the gel",
-        "print at 100 %",
-    ]
-    assert set(expected) <= set(lines)
-    # The farthest corner of 10.8 x 7.2 mm and 1 mm of margin on a sphere of 12 mm.
-    angle = np.arcsin(np.hypot(6.4, 4.6) / 12)
-    assert f"film's rim is pushed together by {1 - np.sin(angle) / angle:.1%}" in lines
-    lines = svg_of(drawn(with_surface(rig, "cylinder_y"), mirrored=True)).lines()
-    assert "cylinder along y, R 9 mm, unrolled" in lines
-    assert {"MIRRORED: seen from the camera", "print side onto the gel"} <= set(lines)
-
-
 def pdf_page(data):
     """Size in mm and drawing commands of the only page, by the file's own words alone."""
     (box,) = re.findall(rb"/MediaBox \[ ([\d. ]+) \]", data)
@@ -368,12 +347,3 @@ def assert_same_ink(found, expected):
     assert len(found) == len(expected)
     for contour, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(contour, other, atol=ATOL_FILE_MM)
-
-
-def test_the_same_sheet_gives_the_same_bytes(sheet_of_two, monkeypatch):
-    """At another time, too."""
-    for write in (svg_bytes, pdf_bytes, dxf_bytes):
-        first = write(sheet_of_two, "title")
-        monkeypatch.setattr(time, "time", lambda: 2e9)
-        assert write(sheet_of_two, "title") == first
-        monkeypatch.undo()

@@ -54,15 +54,6 @@ def test_stages_one_by_one_give_the_same(pipeline, sensor, stills, tmp_path):
     np.testing.assert_allclose(force.wrench, whole.force.wrench, rtol=1e-9)
 
 
-def test_order_of_frames_does_not_matter(pipeline, stills):
-    """Numbers come from the pattern, not from the frame before: a jump cannot mislead."""
-    alone = pipeline.process(stills["slide"].frame)
-    for name in ("rest", "twist", "press"):
-        pipeline.process(stills[name].frame)
-    again = pipeline.process(stills["slide"].frame)
-    np.testing.assert_allclose(alone.left.corners, again.left.corners, rtol=0, atol=REFIT_PX)
-
-
 def test_two_threads_give_what_one_gives(pipeline, sensor, stills):
     """Over a sequence, so that the state of one view would show in the other."""
     views = StereoRig(sensor).views
@@ -76,21 +67,6 @@ def test_two_threads_give_what_one_gives(pipeline, sensor, stills):
             assert together.followed == alone.followed
             for field in ("corners", "row_lines", "col_lines", "corner_status"):
                 np.testing.assert_array_equal(getattr(together, field), getattr(alone, field))
-
-
-@pytest.mark.parametrize("broken", [0, 1])
-def test_an_error_in_one_view_reaches_the_caller_and_ends_there(
-    pipeline, stills, monkeypatch, broken
-):
-    def fail(_):
-        msg = "of one view"
-        raise FrameError(msg)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(pipeline._views[broken].tracker, "track", fail)
-        with pytest.raises(FrameError, match="of one view"):
-            pipeline.process(stills["rest"].frame)
-    assert pipeline.process(stills["rest"].frame).left.found_fraction == 1
 
 
 def test_frames_may_change_between_grey_and_colour(pipeline, stills):

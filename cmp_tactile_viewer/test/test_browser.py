@@ -22,7 +22,6 @@ from cmp_tactile_viewer.snapshot import (
     PassiveSource,
     Pose,
     ShownSensor,
-    Snapshot,
     Touch,
 )
 from cmp_tactile_viewer.sources.recording import open_source
@@ -43,27 +42,9 @@ def test_the_surface_moves_when_the_gel_is_pressed(source, serve, opened, snapsh
     assert expected < at_rest - 0.3
     tab.wait(lambda: abs(tab.meshes()[1] - expected) < 0.05, "the pressed surface")
     assert not tab.console
-
-
-def test_it_asks_no_other_server(source, serve, opened, snapshots):
-    page = serve(source)
-    page.show("thumb", snapshots[-1])
-    tab = opened(page)
-    tab.wait(lambda: tab.meshes()[0] > 0, "the surface")
+    # And asks no other server for anything.
     own = (page.url, page.url.replace("http", "ws"), "blob:", "data:")
     assert [url for url in tab.requests if not url.startswith(own)] == []
-
-
-def test_a_snapshot_of_nothing_and_one_of_a_part_are_shown(source, serve, opened, snapshots):
-    page = serve(source)
-    page.show("thumb", Snapshot(1))
-    tab = opened(page)
-    tab.sees("Force, N")
-    page.show("thumb", replace(snapshots[-1], stamp_ns=2, frame=None, force=None))
-    tab.wait(lambda: tab.meshes()[0] > 0, "the surface without forces")
-    page.show("thumb", replace(snapshots[-1], stamp_ns=3, surface=None))
-    tab.wait(lambda: page.pictures == 3, "the last of them")
-    assert not tab.console
 
 
 class Controlled(PassiveSource):
@@ -158,11 +139,13 @@ def test_the_slider_seeks_and_the_end_is_said(grasp_bag, sensor, serve, opened):
     tab = opened(serve(recording))
     tab.sees("paused")
     slider = tab.tab.locator(".mantine-Slider-thumb").first
-    slider.focus()
-    slider.press("End")
-    tab.wait(
-        lambda: recording.playback.position_s > recording.playback.length_s - 0.1, "the last frame"
-    )
+
+    def at_the_end():
+        # A page that is still being built may miss a key.
+        slider.press("End")
+        return recording.playback.position_s > recording.playback.length_s - 0.1
+
+    tab.wait(at_the_end, "the last frame")
     tab.tab.get_by_text("play", exact=True).click()
     tab.sees("at the end")
 

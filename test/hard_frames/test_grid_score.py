@@ -9,9 +9,6 @@ import pytest
 
 from cmp_tactile_processing.measured import Grid, GridShape, Status
 from hard_frames.grid_score import (
-    displacement_errors,
-    grid_of_corners,
-    join_scores,
     score_grid,
 )
 
@@ -114,34 +111,3 @@ def test_what_cannot_be_seen_need_not_be_found_but_may_not_be_invented(truth):
     score = score_grid(replace(truth, corner_status=status), truth, visible, far)
     assert (score.complete, score.complete_far, score.invented) == (0, 1, 0)
     assert score_grid(truth, truth, visible, far).invented == 18
-
-
-def test_scores_add_up(truth, seen):
-    off = replace(truth, corners=truth.corners + (0.3, 0.4))
-    total = join_scores([score_grid(grid, truth, seen, seen) for grid in (truth, off)])
-    assert (total.grids, total.found_visible) == (2, 108)
-    assert total.corner_rmse == pytest.approx(0.5 / np.sqrt(2))
-    assert join_scores([]).grids == 0
-
-
-def test_displacement_leaves_out_what_a_print_has_wrong(truth, seen):
-    flaw = np.random.default_rng(1).normal(0, 1, truth.corners.shape)
-    moved = replace(truth, corners=truth.corners + (3.0, 4.0))
-    pair = [(replace(grid, corners=grid.corners + flaw), grid) for grid in (truth, moved)]
-    assert displacement_errors(*pair, seen).max() < 1e-9
-    stuck = (pair[0][0], moved)
-    np.testing.assert_allclose(displacement_errors(pair[0], stuck, seen), 5.0)
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_peer_gets_the_order_that_suits_it_best(truth, turned):
-    ordered = truth.corners[::-1, ::-1] if turned else truth.corners.swapaxes(0, 1)
-    grid = grid_of_corners(SHAPE, ordered.reshape(-1, 2), truth)
-    np.testing.assert_array_equal(grid.corners, truth.corners)
-
-
-def test_loose_points_get_the_numbers_next_to_them(truth):
-    some = truth.corners.reshape(-1, 2)[[50, 3, 17]] + 0.2
-    grid = grid_of_corners(SHAPE, some, truth)
-    assert np.flatnonzero(grid.corner_status.ravel()).tolist() == [3, 17, 50]
-    assert (grid_of_corners(SHAPE, None, truth).corner_status == 0).all()

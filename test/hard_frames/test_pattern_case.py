@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from cmp_tactile_simulation.rendering.ink import PrintDefects
 from hard_frames.case import (
     COVERS,
     DEFORMATIONS,
     Cover,
     PatternCase,
     PatternStudio,
-    Scenery,
-    Zone,
-    deform,
     deformation_of,
-    degrade,
     pattern_rig,
 )
 
@@ -58,28 +50,6 @@ def test_the_truth_is_where_the_image_shows_corners(studio, rig, kind):
         assert frame.visible[view].all()
 
 
-def test_a_knock_moves_more_than_two_checkers(rig):
-    moved = deform(rig, deformation_of("knock", rig.pattern)).corners() - rig.pattern.corners()
-    middle = np.linalg.norm(moved[4, 7, :2])
-    assert middle > 2 * rig.pattern.pitch
-
-
-def test_the_seed_sets_the_frame(studio, rig):
-    case = PatternCase(
-        "all",
-        rig,
-        deformation_of("slide", rig.pattern, 1),
-        CameraSettings(salt_and_pepper=0.01, clutter=3),
-        PrintDefects(10, 5, ragged_edge=1e-5),
-        scenery=Scenery(5, 2),
-        cover=Cover("disc", texture=20.0),
-    )
-    image = studio.photograph(case).image
-    np.testing.assert_array_equal(PatternStudio(samples=2).photograph(case).image, image)
-    for other in (replace(case, seed=1), replace(case, frame=1)):
-        assert (studio.photograph(other).image != image).any()
-
-
 @pytest.mark.parametrize("shape", COVERS)
 def test_covered_corners_are_not_visible_and_their_pixels_are_the_covers(studio, rig, shape):
     plain = CameraSettings(vignette=0.0, blur=0.0, read_noise=0.0)
@@ -101,29 +71,3 @@ def test_what_no_light_shows_is_not_visible(studio, rig):
     glare = CameraSettings(glare_spots=60, glare_size=12.0, glare_strength=3000.0)
     frame = studio.photograph(PatternCase("glare", rig, camera=glare))
     assert all(0 < visible.mean() < 1 for visible in frame.visible.values())
-
-
-def test_a_frame_can_be_degraded_further(studio, rig):
-    frame = studio.photograph(PatternCase("rest", rig))
-    camera = CameraSettings(vignette=0.0, blur=3.0, read_noise=4.0)
-    worse = degrade(frame, camera, Cover("left", 0.3))
-    assert worse.visible["left"].sum() < frame.visible["left"].sum()
-    assert worse.truth is frame.truth
-    sharp, soft = (cv2.Laplacian(image, cv2.CV_64F)[:, 600:].std() for image in
-                   (frame.image, cv2.GaussianBlur(worse.image, (0, 0), 1.5)))  # fmt: skip
-    assert soft < sharp / 4
-
-
-def test_zones_do_what_they_say():
-    zone = Zone(x=1e-3, y=0.0, radius=2e-3, depth=5e-4, shift=(1e-4, 2e-4), turn=0.1)
-    middle = zone.displacement(np.array([1e-3, 1.0]), np.array([0.0, 1.0]))
-    np.testing.assert_allclose(middle, [[1e-4, 2e-4, -5e-4], [0, 0, 0]], atol=1e-12)
-    aside = Zone(radius=1.0, turn=0.1).displacement(np.array([1e-3]), np.array([0.0]))
-    np.testing.assert_allclose(aside[0, :2], [np.cos(0.1) * 1e-3 - 1e-3, np.sin(0.1) * 1e-3], 1e-4)
-
-
-def test_unknown_names_are_refused(rig):
-    with pytest.raises(ParameterError, match=r"deformation: found 'fold'"):
-        deformation_of("fold", rig.pattern)
-    with pytest.raises(ParameterError, match=r"cover\.shape: found 'hole'"):
-        Cover("hole")

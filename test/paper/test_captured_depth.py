@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.experiments.probe import Dents, Neighbourhood, captured_depth, dents_of, fitted_depth
+from paper.experiments.probe import Dents, Neighbourhood, captured_depth, dents_of
 from paper.sequence import PrintedGel
 
 PITCH = 0.7e-3
@@ -33,20 +33,6 @@ def test_quadratic_dent_is_recovered_between_its_markers(neighbourhood: Neighbou
     assert depth == pytest.approx(dent(np.zeros((1, 2)))[0])
     # The search goes in steps of a fortieth of a pitch.
     assert fitted == pytest.approx(0.3e-3, abs=0.1e-6)
-
-
-def test_both_neighbourhoods_are_the_same_nine_corners() -> None:
-    xy = lattice(PITCH, 7)
-    dents = Dents(xy, np.zeros(len(xy)))
-    for neighbourhood in (Neighbourhood(PITCH), Neighbourhood(PITCH, nearest=9)):
-        assert neighbourhood.contains(dents, np.zeros(2)).sum() == 9
-
-
-def test_markers_on_one_line_are_fitted_along_it_alone() -> None:
-    xy = np.column_stack([np.linspace(-0.4e-3, 0.4e-3, 9), np.zeros(9)])
-    depth = 0.2e-3 - 100 * (xy[:, 0] - 0.1e-3) ** 2
-    fitted = fitted_depth(Dents(xy, depth), np.zeros(2), Neighbourhood(PITCH, nearest=9))
-    assert fitted == pytest.approx(0.2e-3, abs=0.1e-6)
 
 
 def test_deepest_marker_is_sought_near_the_probe_alone() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Status, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -141,11 +140,6 @@ def test_the_standard_deviation_is_what_the_errors_show(stage: Stage, noise: flo
     assert STD_RATIO[0] < ratio < STD_RATIO[1]
 
 
-def test_salt_and_pepper_costs_no_number(stage: Stage) -> None:
-    grid = _track(stage, DMP_GRID, stage.image(stage.pressed, salt_and_pepper=0.05))
-    assert score_markers({VIEW: grid}, {VIEW: stage.pressed.truth}).works
-
-
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.key)
 def test_a_hidden_dot_is_missing_and_not_guessed(stage: Stage, method: Method) -> None:
     def hide(image: NDArray[np.uint8], x: int, y: int) -> None:
@@ -186,13 +180,6 @@ def test_numbers_are_right_where_the_border_is_hidden(stage: Stage) -> None:
     assert score.found > 0.7 * score.visible
 
 
-def test_no_virtual_marker_is_reported(stage: Stage) -> None:
-    grid = _track(stage, DMP_GRID, stage.image(stage.rest))
-    assert not grid.row_line_status.any()
-    assert not grid.col_line_status.any()
-    assert np.isnan(grid.row_lines).all()
-
-
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.key)
 def test_nothing_is_found_in_nothing_and_the_next_frame_is_right(
     stage: Stage, method: Method
@@ -206,9 +193,3 @@ def test_nothing_is_found_in_nothing_and_the_next_frame_is_right(
         assert grid.reason
     grid = tracker.track(rest)
     assert score_markers({VIEW: grid}, {VIEW: stage.rest.truth}).works
-
-
-def test_an_image_of_another_size_is_refused(stage: Stage) -> None:
-    tracker = DMP_GRID.tracker(stage.sensor, VIEW)
-    with pytest.raises(FrameError, match="found 512 x 700 px, expected 512 x 768"):
-        tracker.track(np.zeros((700, 512), np.uint8))

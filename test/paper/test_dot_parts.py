@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from paper.dot_tracking import UNKNOWN, best_assignment, nearest_match
-from paper.dots import centroid_bias, centroids, outlines, peaks
+from paper.dots import centroid_bias, outlines
 
 RADIUS = 5.0
 TO_RADII = np.eye(2)[None] / RADIUS
@@ -22,41 +21,12 @@ def _disc(centre: tuple[float, float], stretch: float = 1.0) -> NDArray[np.float
     return np.asarray(inside.reshape(41, 8, 41, 8).mean(axis=(1, 3)), dtype=np.float32)
 
 
-def test_centroids_find_the_middle_from_a_poor_start() -> None:
-    found = centroids(_disc((20.3, 19.6)), np.array([[21.5, 18.5]]), TO_RADII, 0.05, 1.6)
-    assert found[0] == pytest.approx((20.3, 19.6), abs=0.02)
-
-
-def test_a_centroid_of_nothing_is_missing() -> None:
-    nothing = np.zeros((41, 41), np.float32)
-    assert np.isnan(centroids(nothing, np.array([[20.0, 20.0]]), TO_RADII, 0.05, 1.6)).all()
-
-
 def test_outlines_tell_centre_area_and_elongation() -> None:
     edge = outlines(_disc((20.2, 19.9), 1.4), np.array([[20.0, 20.0]]), TO_RADII)
     assert edge.centre[0] == pytest.approx((20.2, 19.9), abs=0.05)
     assert edge.area[0] == pytest.approx(1.4 * np.pi * RADIUS**2, rel=STEP)
     assert edge.elongation[0] == pytest.approx(1.4, rel=STEP)
     assert edge.residual[0] < 0.05
-
-
-def test_an_outline_of_half_a_disc_is_no_ellipse() -> None:
-    half = _disc((20.0, 20.0))
-    half[:, 20:] = 0
-    edge = outlines(half, np.array([[18.0, 20.0]]), TO_RADII)
-    assert not (edge.residual[0] < 0.12 and edge.elongation[0] < 2)
-
-
-def test_an_outline_that_is_not_closed_is_missing() -> None:
-    band = np.zeros((41, 41), np.float32)
-    band[15:25] = 1
-    assert np.isnan(outlines(band, np.array([[20.0, 20.0]]), TO_RADII).residual).all()
-
-
-def test_peaks_of_a_paraboloid_are_exact() -> None:
-    y, x = np.mgrid[:20, :20].astype(np.float32)
-    top = -((x - 8.3) ** 2) - 0.7 * (y - 11.8) ** 2 + 0.4 * (x - 8.3) * (y - 11.8)
-    assert peaks(top, np.array([[8, 12]]))[0] == pytest.approx((8.3, 11.8), abs=1e-4)
 
 
 def test_the_bias_of_a_projected_disc_is_the_integral_over_it() -> None:
@@ -78,24 +48,3 @@ def test_the_bias_of_a_projected_disc_is_the_integral_over_it() -> None:
     exact = (q * area[:, None]).sum(axis=0) / area.sum() - project(np.zeros(1), np.zeros(1))[0]
     assert np.abs(exact).max() > 0.005
     assert centroid_bias(project(i, j), radius)[2, 2] == pytest.approx(exact, rel=0.05, abs=2e-4)
-
-
-def test_closest_pairs_come_first_and_nobody_is_taken_twice() -> None:
-    last = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]])
-    points = np.array([[6.0, 0.0], [16.0, 0.0]])
-    assert nearest_match(points, last, np.full(3, 9.0)).tolist() == [UNKNOWN, 0, 1]
-
-
-def test_the_best_assignment_moves_a_whole_row() -> None:
-    last = np.stack([np.arange(5) * 10.0, np.zeros(5)], axis=1)
-    points = last + (6.0, 0.0)
-    assert best_assignment(points, last, np.full(5, 20.0)).tolist() == [0, 1, 2, 3, 4]
-    assert nearest_match(points, last, np.full(5, 9.0)).tolist() != [0, 1, 2, 3, 4]
-
-
-def test_nobody_is_matched_beyond_the_gate() -> None:
-    last, points = np.zeros((1, 2)), np.array([[5.0, 0.0]])
-    for match in (nearest_match, best_assignment):
-        assert match(points, last, np.array([4.0])).tolist() == [UNKNOWN]
-        assert match(points, last, np.array([6.0])).tolist() == [0]
-        assert match(points[:0], last, np.array([6.0])).tolist() == [UNKNOWN]

@@ -7,16 +7,11 @@ import pytest
 
 from paper.dot_tracking import FOLLOWING_METHODS
 from paper.experiments.grasp import (
-    DIRECTIONS,
     LIMIT,
     GraspScore,
     KnockScore,
-    StrokePath,
     claims,
-    grasp_scene,
-    stroke_scene,
 )
-from paper.lab import Workplace
 from paper.page import Page
 
 PHASES = np.array(["rest", "rest", "close", "drag", "knock", "hold", "knock back", "open"])
@@ -41,23 +36,10 @@ def grasp(**changes):
     }
 
 
-def test_faultless_grasp_has_no_bad_frame():
-    score = GraspScore.from_arrays(grasp(), "x")
-    assert not score.bad.any()
-    assert score.frames_wrong == 0
-    assert score.largest_in("disturbance") == 0
-
-
 def test_force_error_is_given_in_the_stage_it_comes_in_as_a_share_of_the_peak():
     score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.0)}), "x")
     assert score.largest_in("disturbance") == pytest.approx(2.0 / PEAK)
     assert score.largest_in("clamping") == 0
-
-
-def test_bad_frames_are_those_of_any_draw():
-    score = GraspScore.from_arrays(grasp(bad={4: (2.0, 0.1), 5: (0.0, 0.1)}), "x")
-    assert np.flatnonzero(score.bad).tolist() == [4, 5]
-    assert score.frames_wrong == 2
 
 
 @pytest.mark.parametrize(("share", "bad"), [(0.99, False), (1.01, True), (np.nan, True)])
@@ -86,11 +68,6 @@ def test_a_force_beyond_the_limit_or_none_fails_without_wrong_numbers():
     assert score.holds_up_to == pytest.approx(0.5)
 
 
-def test_all_knocks_held_is_shown_by_the_largest():
-    score = KnockScore.from_knocks([np.array([knocked(0.5)]), np.array([knocked(3.0)])])
-    assert score.holds_up_to == pytest.approx(3.0)
-
-
 # Error of Fx at the knock, N, of 5 N; share of wrong numbers there; from which knock on it fails.
 FAULTS = {"cmp_paper": (1.0, 0.0, 9.0), "dmp_nearest": (4.0, 0.4, 0.5)}
 
@@ -109,30 +86,3 @@ def test_claims_follow_the_scores(tmp_path):
     deviates, matching = page.claims[2:4]
     assert deviates.ours.startswith("up to 80 % of the peak")
     assert matching.ours == "0.5 pitches"
-
-
-def path():
-    frames = np.arange(10, 71)
-    return StrokePath((0, 2, 4), frames, np.linspace(-1.5, 1.5, 61))
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("size", [0.2, 1.0, 3.0])
-def test_a_knock_goes_by_its_size_and_begins_where_the_approach_ends(size, sign):
-    stroke = path()
-    first, last = (stroke.nearest(sign * size * share) for share in (-0.5, 0.5))
-    travel = dict(zip(stroke.frames.tolist(), stroke.travel, strict=True))
-    assert travel[last] - travel[first] == pytest.approx(sign * size, abs=0.051)
-    approach = stroke.to_start(-sign * size / 2)
-    assert approach[-1] == first
-    steps = np.abs(np.diff([travel[f] for f in approach[3:]]))
-    assert steps.max() <= 0.2 + 0.051
-
-
-def test_scenes_keep_the_knock_within_one_frame_and_the_stroke_is_even(tmp_path):
-    for fast in (False, True):
-        place = Workplace(tmp_path, fast)
-        phases = {phase.name: phase for phase in grasp_scene(place).motion}
-        assert phases["knock"].frames == phases["knock back"].frames == 1
-        for direction in DIRECTIONS:
-            assert stroke_scene(place, direction).motion[-1].easing == "linear"

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from paper.__main__ import main, run
+from paper.__main__ import run
 from paper.lab import Lab, Workplace, digest_of
 
 TRIAL = '''"""A case that counts its calls."""
@@ -77,12 +77,3 @@ def test_an_experiment_that_fails_is_named_and_the_others_are_on_the_page(
     assert "| 3.14 |" in page
     assert "1 claims: 1 met" in page
     assert "failed: bad" in capsys.readouterr().err
-
-
-def test_unknown_experiments_are_named_with_those_that_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(["--only", "b", "--output", str(tmp_path / "not")])
-    assert "invalid choice: 'b' (choose from " in capsys.readouterr().err
-    assert not (tmp_path / "not").exists()

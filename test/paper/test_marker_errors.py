@@ -5,51 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import (
     all_markers,
     displacement_error,
-    in_contact,
-    largest,
-    mean_absolute,
-    root_mean_square,
     virtual,
 )
-from paper.gel import Mechanics
-from paper.sequence import with_steps_between
-
-NAN = float("nan")
-ERRORS = np.array([[3.0, -4.0, 0.0], [-1.0, 0.0, 0.0], [NAN, NAN, NAN]])
-
-
-def mechanics(displacement: np.ndarray, contact: np.ndarray, nodes: np.ndarray) -> Mechanics:
-    frames = len(displacement)
-    return Mechanics(
-        observers=SurfaceGrid(*displacement.shape[1:3], (0.02, 0.02)),
-        rate=30.0,
-        phase=np.array(["press"] * frames),
-        displacement=displacement,
-        node_position=nodes,
-        contact=contact,
-        wrench=np.zeros((frames, 6)),
-    )
-
-
-def test_missing_markers_count_for_nothing() -> None:
-    np.testing.assert_allclose(mean_absolute(ERRORS), [2.0, 2.0, 0.0, 3.0])
-    np.testing.assert_allclose(root_mean_square(ERRORS), [np.sqrt(5), np.sqrt(8), 0.0])
-    np.testing.assert_allclose(largest(ERRORS), [3.0, 4.0, 0.0])
-
-
-def test_nothing_measured_is_no_error_of_zero() -> None:
-    nothing = np.full((4, 4, 3), NAN)
-    for measure in (mean_absolute, root_mean_square, largest):
-        assert np.isnan(measure(nothing)).all()
 
 
 def test_a_shifted_surface_is_off_by_the_shift_everywhere() -> None:
@@ -69,28 +33,3 @@ def test_a_shifted_surface_is_off_by_the_shift_everywhere() -> None:
     assert all_markers(off, truth).shape == (between + np.prod(shape.corners), 3)
     np.testing.assert_allclose(all_markers(off, truth) - shift, 0, atol=1e-15)
     np.testing.assert_allclose(displacement_error(off, truth) - shift, 0, atol=1e-12)
-
-
-def test_markers_are_in_contact_where_their_nearest_node_is() -> None:
-    line = np.linspace(-0.005, 0.005, 11)
-    x, y = np.meshgrid(line, line)
-    nodes = np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1)
-    touched = np.hypot(nodes[:, 0], nodes[:, 1] - 0.001) < 0.0021
-    solved = mechanics(np.zeros((1, 4, 4, 3)), touched[None], nodes)
-    markers = np.zeros((2, 2, 3))
-    markers[..., 0] = [[0.0, 0.0], [0.0023, 0.0]]
-    markers[..., 1] = [[0.003, 0.0034], [0.001, -0.0016]]
-    np.testing.assert_array_equal(in_contact(solved, 0, markers), [[True, True], [True, False]])
-
-
-@pytest.mark.parametrize("steps", [1, 3])
-def test_solved_frames_lie_among_the_steps_between(steps: int) -> None:
-    sensor = load_sensor("sample_rig")
-    rng = np.random.default_rng(1)
-    solved = mechanics(rng.normal(size=(3, 4, 4, 3)), np.zeros((3, 1), bool), np.zeros((1, 3)))
-    surfaces = with_steps_between(solved, [0, 2], sensor, steps)
-    assert len(surfaces) == 2 * steps
-    for k, frame in enumerate((0, 2)):
-        reached = surfaces[(k + 1) * steps - 1].displacement
-        np.testing.assert_allclose(reached, solved.displacement[frame], atol=1e-12)
-    np.testing.assert_allclose(surfaces[0].displacement, solved.displacement[0] / steps)

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from paper.figure_style import panels
-from paper.page import Page, add_claims, add_facts, add_summary
+from paper.page import Page, add_claims, add_summary
 
 
 @pytest.fixture
@@ -39,34 +38,3 @@ def test_claims_are_counted_and_those_missed_come_first(page: Page) -> None:
     missed = "depth near the spheres off by 6.5 um RMS; DMP at best 13.9 um |"
     assert any(line.startswith("| IV.E: five") and line.endswith(missed) for line in _lines(page))
     assert "density" not in text
-
-
-def test_a_figure_lies_beside_the_page_and_is_the_same_each_time(page: Page) -> None:
-    files = []
-    for _ in range(2):
-        figure, axes = panels(1, 1, 2.0)
-        axes.plot([0, 1])
-        page.figure(figure, "grasp.knocks")
-        files.append((page.folder / "grasp_knocks.png").read_bytes())
-    assert files[0] == files[1]
-    link, _ = (line for line in _lines(page) if line.startswith("!["))
-    assert link.endswith("; a point is one knock](grasp_knocks.png)")
-
-
-def test_a_head_that_is_one_field_stands_for_its_values(page: Page) -> None:
-    page.table("objects.errors", [("ring", "1 mm", "2", "3")], methods=["CMP", "DMP"])
-    assert page.parts[0].startswith("| object | press | CMP | DMP |")
-
-
-def test_departures_have_four_columns_and_no_open_field(page: Page) -> None:
-    page.departures("precision", diameter=0.35)
-    table = page.parts[-1].splitlines()
-    assert all(line.count("|") == 5 for line in table)
-    assert "{" not in page.parts[-1]
-    assert "diameter 0.35 of the pitch" in page.parts[-1]
-
-
-def test_the_page_says_what_it_was_made_with(page: Page) -> None:
-    add_facts(page, {"Run": "fast"}, page.folder)
-    assert "| Run | fast |" in "\n".join(page.parts)
-    assert "no checkout" in "\n".join(page.parts)

@@ -11,7 +11,6 @@ from paper.experiments.probe import (
     claims,
     point_scene,
     probe_points,
-    responses,
     significantly_more,
 )
 from paper.page import Page
@@ -76,10 +75,3 @@ def test_a_few_points_more_in_the_zone_are_no_significant_difference(
     both, cmp, dots = made_up(0.25, 0.25, 0.0), made_up(0.25, 0.1, 0.0), made_up(0.1, 0.25, 0.0)
     points = joined_points([both] * 5 + [cmp] * (won // 2) + [dots] * (lost // 2))
     assert significantly_more(points, "dmp_nearest", points["true"]) is clear
-
-
-def test_zones_are_shares_of_points_and_noises() -> None:
-    points = joined_points([made_up(0.25, 0.16, 0.0), made_up(0.31, 0.17, 0.0)])
-    mean, of_probe, of_surface = responses(points, "cmp")
-    assert (mean, of_probe, of_surface) == pytest.approx((0.28e-3, 0.5, 1.0))
-    assert responses(points, "dmp_grid")[2] == pytest.approx(0.5)

@@ -54,19 +54,6 @@ def test_a_level_without_reference_is_a_failure() -> None:
     assert endurance.success == pytest.approx([1, 1 / 2])
 
 
-def test_half_of_the_markers_is_counted_over_all_frames() -> None:
-    arrays = dict(_arrays((0.0, 0.1, 0.2), {"cmp": [100, 100, 100]}))
-    arrays["cmp_found"] = np.array([100, 51, 50])[:, None, None] * np.ones((3, 2, 4), int)
-    assert Endurance.from_arrays(arrays, "cmp").half_lost_at == 2
-
-
-def test_nothing_fails_and_all_fails() -> None:
-    arrays = _arrays((0.0, 0.1), {"cmp": [100, 100], "dmp_grid": [0, 0]})
-    cmp, dots = Endurance.from_arrays(arrays, "cmp"), Endurance.from_arrays(arrays, "dmp_grid")
-    assert (cmp.fails_at, cmp.bears) == (None, 0.1)
-    assert (dots.fails_at, dots.bears) == (0, None)
-
-
 @pytest.mark.parametrize(("fails_after", "met"), [(1, False), (-1, True)])
 def test_claims_say_whether_the_limits_are_met(fails_after: int, met: bool, tmp_path: Path) -> None:
     """CMP works at so many levels of each sweep."""

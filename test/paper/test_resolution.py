@@ -96,18 +96,3 @@ def test_claims_are_met_where_cmp_does_better(
     assert [claim.met for claim in page.claims] == met
     smallest = "1.0" if dip > 0.265 else "2.0"
     assert f"resolved from {smallest} mm on" in page.claims[2].ours
-
-
-def test_virtual_markers_improve_nothing_where_corners_alone_do_as_well(tmp_path: Path) -> None:
-    made = pairs(0.3, 0.2)
-    made["cmp_corners_dip"] = made["cmp_dip"]
-    page = Page(tmp_path)
-    claims(spheres(5.0, 12.0, 0.9), joined_pairs([made]), page)
-    assert [claim.met for claim in page.claims] == [True, True, False]
-
-
-def test_pairs_of_all_cases_are_joined_by_separation() -> None:
-    joined = joined_pairs([pairs(0.3, 0.2), pairs(0.1, 0.2)])
-    assert len(joined["separation"]) == len(joined["true"]) == len(joined["cmp_dip"]) == 24
-    at = joined["separation"] == 1e-3
-    assert sorted(joined["cmp_dip"][at, 0]) == [0.1] * 4 + [0.3] * 4

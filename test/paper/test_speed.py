@@ -29,11 +29,6 @@ def test_dots_are_found_and_keep_the_order_of_the_frame_before() -> None:
     np.testing.assert_allclose(find_plainly(moved, first), at[order], atol=0.2)
 
 
-def test_a_picture_without_dots_gives_none() -> None:
-    empty = np.full((60, 60), 200, np.uint8)
-    assert find_plainly(empty, np.array([[3.0, 4.0]])).shape == (0, 2)
-
-
 @pytest.mark.parametrize(
     ("extraction", "chain", "met"),
     [(10.0, 20.0, [True, True]), (10.0, 11.0, [True, False]), (50.0, 60.0, [False, False])],

@@ -27,14 +27,6 @@ def test_a_known_cap_gives_its_sphere(diameter: float) -> None:
     assert fit.count == 30
 
 
-def test_missing_points_are_left_out() -> None:
-    points = _cap(0.015, 0.002, 30)
-    points[::3] = np.nan
-    fit = fit_sphere(points)
-    assert fit.count == 20
-    assert fit.diameter == pytest.approx(0.015, abs=ROUNDING_M)
-
-
 def test_noise_shows_in_rms_and_hardly_shifts_the_diameter() -> None:
     noise_m = 1e-6
     noise = np.random.default_rng(1).normal(0, noise_m, (400, 3))

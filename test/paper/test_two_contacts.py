@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from paper.experiments.resolution import dip_between, line_through, smallest_resolved
+from paper.experiments.resolution import dip_between, smallest_resolved
 
 
 def test_dip_is_the_fall_from_the_smaller_of_two_maxima() -> None:
@@ -26,16 +26,6 @@ def test_a_line_that_is_not_known_or_not_pressed_in_has_no_dip(
     dip = dip_between(np.array(depth))
     assert np.isnan(dip)
     assert not dip >= 0.0
-
-
-def test_line_goes_through_both_contacts_and_its_middle_is_half_way() -> None:
-    line = line_through(np.array([1e-3, -2e-3]), np.pi / 3, 1.2e-3)
-    direction = np.array([0.5, np.sqrt(3) / 2])
-    assert line[len(line) // 2] == pytest.approx([1e-3, -2e-3], abs=1e-12)
-    for side in (-1, 1):
-        sphere = np.array([1e-3, -2e-3]) + side * 0.6e-3 * direction
-        # Half of the line's step.
-        assert np.linalg.norm(line - sphere, axis=1).min() < 13e-6
 
 
 def test_smallest_separation_ends_at_the_first_that_fails() -> None:

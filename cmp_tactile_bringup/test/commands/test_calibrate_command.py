@@ -5,10 +5,7 @@ import pytest
 from command_output import printed
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_processing.geometry.rectification import read_camera_info
-from cmp_tactile_processing.sensor.description import SensorDescription
 
 BOARD = ("--board", "9x6", "--square", "0.0011")
 # In the contact recording: the first frame at rest, and those in which the gel is pressed.
@@ -98,20 +95,3 @@ def test_a_practice_set_is_replaced_only_with_overwrite_and_no_other_folder(tmp_
     assert calibrate("practice", "--output", tmp_path, "--overwrite") == 1
     assert "found thesis.txt, expected a new folder" in printed(capsys)
     assert (tmp_path / "thesis.txt").read_text() == "precious"
-
-
-def test_plain_cameras_get_their_files_in_a_folder(practice_set, tmp_path, capsys):
-    """The two views of the rig are as good as two cameras; its left mirror looks from the right."""
-    true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
-    files = sorted((practice_set / "board").glob("*.png"))
-    views = [view_pictures(true, cv2.imread(str(file), 0)) for file in files]
-    for view in ("left", "right"):
-        write(tmp_path / view, [pictures[view] for pictures in views])
-    left, right = (sorted((tmp_path / view).glob("*.png")) for view in ("right", "left"))
-    folder = tmp_path / "cameras"
-    given = ("--left", *left, "--right", *right, *BOARD, "--output", folder)
-    assert calibrate("board", *given) == 0, printed(capsys)
-    _, info = read_camera_info(folder / "left.yaml")
-    # The corners' noise of some hundredths of a pixel leaves the focal length some tenths.
-    assert info.K[0, 0] == pytest.approx(true.camera.fx, rel=5e-3)
-    assert (folder / "calibration" / "residuals.png").is_file()

@@ -95,14 +95,6 @@ def test_a_zero_under_load_is_refused_with_the_load(ros, run, capsys):
     assert "reference 2" in capsys.readouterr().out
 
 
-def test_a_load_against_a_doubtful_zero_does_not_keep_it(ros, run):
-    ros.start(ViewSplitter)
-    zeroed = Zeroed(ros, success=True, message="reference 3")
-    pressed(ros, contacts=1, flags=ForceField.FLAG_ZERO_DOUBTFUL)
-    assert run("zero") == 0
-    assert zeroed.count == 1
-
-
 def test_a_sensor_without_frames_refuses(ros, run):
     """The node itself, and what it answers."""
     ros.start(ViewSplitter)

@@ -7,12 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_output import one_line_error
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.recordings.results import ArrayLog
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 
@@ -53,12 +51,6 @@ def test_info_shows_geometry_and_versions_and_whole_paths_in_a_pipe(monkeypatch,
         assert text in out
     assert str(find_sensor_description("sample_rig")) in out
     assert "6 virtual markers between" in out
-
-
-def test_a_dumb_terminal_gets_plain_characters(monkeypatch, capsys):
-    monkeypatch.setenv("TERM", "dumb")
-    assert main(["info", "sample_rig"]) == 0
-    assert capsys.readouterr().out.isascii()
 
 
 def test_the_sensor_of_images_must_be_named(tmp_path, capsys):
@@ -107,20 +99,6 @@ def test_a_wrong_number_is_refused(words, expected, capsys):
         main(words.split())
     assert ended.value.code == 2
     assert expected in capsys.readouterr().err
-
-
-def test_array_log_leaves_nothing_behind_after_an_error(tmp_path):
-    """Also the error of a row of another shape than the first."""
-    log = ArrayLog(tmp_path / "a.npz")
-    with pytest.raises(ValueError, match="expected"):
-        append_all(log, [np.zeros(3), np.zeros(4)])
-    assert not list(tmp_path.iterdir())
-
-
-def append_all(log, rows):
-    with log:
-        for row in rows:
-            log.append({"x": row})
 
 
 # The command as it is, but for the end of `info`, which would come before the last signal.
@@ -173,31 +151,3 @@ def test_a_misspelt_subcommand_is_asked_about(capsys):
         main(["calibrate", "bord"])
     assert ended.value.code == 2
     assert "did you mean 'board'?" in capsys.readouterr().err
-
-
-def test_an_interruption_stands_before_the_error_that_it_causes(monkeypatch, capsys):
-    """What is being loaded may turn it into an error of its own."""
-
-    def run(_arguments):
-        try:
-            signal.raise_signal(signal.SIGTERM)
-        except SystemExit:
-            raise ImportError("broken by the signal") from None
-
-    monkeypatch.setattr("cmp_tactile_bringup.commands.description.Info.run", run)
-    assert main(["info"]) == 143
-    assert capsys.readouterr().err == "stopped\n"
-
-
-def test_an_interruption_that_a_finaliser_drops_comes_again(monkeypatch, capsys):
-    class Dropping:
-        def __del__(self):
-            signal.raise_signal(signal.SIGINT)
-
-    def run(_arguments):
-        Dropping()
-        signal.pause()
-
-    monkeypatch.setattr("cmp_tactile_bringup.commands.description.Info.run", run)
-    assert main(["info"]) == 130
-    assert capsys.readouterr().err == "stopped\n"

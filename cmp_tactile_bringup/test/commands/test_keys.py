@@ -10,7 +10,6 @@ import subprocess
 import sys
 import termios
 import threading
-from typing import Any
 
 import pytest
 from waiting import wait_until
@@ -19,11 +18,8 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_bringup.graphs import running
-from cmp_tactile_bringup.graphs.packaged import load_graph
-from cmp_tactile_bringup.terminal.keys import LEFT, RIGHT, pressed_keys
+from cmp_tactile_bringup.terminal.keys import pressed_keys
 
 # As a shell starts it: with a terminal of its own, in the foreground.
 CHILD = """
@@ -138,64 +134,6 @@ def test_nothing_is_read_where_there_is_no_terminal():
     with pressed_keys(keys.append, io.StringIO("z")):
         pass
     assert keys == []
-
-
-def test_a_terminal_of_others_is_left_alone():
-    """As of a job in the background, which the terminal would stop."""
-    master, slave = pty.openpty()
-    before = termios.tcgetattr(slave)
-    with os.fdopen(slave) as stream, pressed_keys(lambda _: None, stream):
-        assert termios.tcgetattr(slave) == before
-    os.close(master)
-
-
-def test_keys_call_the_services_of_the_graph(ros, grasp_bag, monkeypatch):
-    """Those of a replay; pause asks for the other state than the node answered last."""
-    asked: list[Any] = []
-    namespace = ros.namespace
-    graph = load_graph("replay", {"input": str(grasp_bag), "namespace": namespace.lstrip("/")})
-    calls = running.key_calls(graph)
-    assert {"z", " ", ".", LEFT, RIGHT} == set(calls)
-
-    def answer_to(key: str) -> Any:
-        def answer(request: Any, response: Any) -> Any:
-            asked.append((key, getattr(request, "data", None)))
-            response.success = True
-            paused = getattr(request, "data", None)
-            response.message = {True: "paused", False: "playing", None: f"answer {len(asked)}"}[
-                paused
-            ]
-            return response
-
-        return answer
-
-    for key, item in calls.items():
-        kind = SetBool if key == running.PAUSE else Trigger
-        ros.node.create_service(kind, item.service, answer_to(key))
-    monkeypatch.setattr(running, "takes_keys", lambda _: True)
-    out, quits = io.StringIO(), list[str]()
-    with running.RunningLine(graph, out, on_quit=lambda: quits.append("q")) as line:
-        assert "Keys: z zero, space pause, . next frame" in out.getvalue()
-        for client in line._clients.values():
-            ros.wait(client.service_is_ready, "the services")
-        for count, key in enumerate(["z", " ", " ", ".", LEFT, RIGHT], 1):
-            line._on_key(key)
-            ros.wait(lambda count=count: len(asked) == count, f"the call of {key!r}")
-            name = calls[key].what
-            ros.wait(lambda name=name: f"\n{name}: " in out.getvalue(), f"the answer of {key!r}")
-            ros.run(0.1)
-        line._on_key("x")
-        line._on_key("q")
-    assert asked == [
-        ("z", None),
-        (" ", True),
-        (" ", False),
-        (".", None),
-        (LEFT, None),
-        (RIGHT, None),
-    ]
-    assert "1 s on: answer 6" in out.getvalue()
-    assert quits == ["q"]
 
 
 @pytest.mark.parametrize("way", ["q", "\x03"])

@@ -23,7 +23,6 @@ from cmp_tactile_processing.printing.pattern import (
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
-    find_sensor_description,
     load_sensor,
     write_sensor_description,
 )
@@ -72,24 +71,6 @@ def test_changes_are_laid_into_the_description(folder):
     assert after.pattern == expected
     assert (folder / "new" / "wide.svg").is_file()
     assert not (folder / "new" / "wide.pdf").exists()
-
-
-def test_what_is_assumed_is_still_said_to_be(folder):
-    """All but that of the pitch, which is chosen now."""
-    source = find_sensor_description("prototype")
-    Path("my_sensor.yaml").write_bytes(source.read_bytes())
-    assumed = ["T_camera_gel", "views", "pitch", "young", "poisson", "shading_layer"]
-    assert _assumed("my_sensor.yaml") == assumed
-    assert pattern("my_sensor.yaml", "--format", "svg") == 0
-    assert _assumed("my_sensor_pattern.yaml") == assumed
-    assert pattern("my_sensor.yaml", "--pitch", 0.6, "-o", "finer", "--format", "svg") == 0
-    assumed.remove("pitch")
-    assert _assumed("finer.yaml") == assumed
-
-
-def _assumed(file):
-    text = Path(file).read_text(encoding="utf-8")
-    return re.findall(r"(?m)^ *(\w+):.*# .*assumed", text)
 
 
 @pytest.mark.parametrize(
@@ -142,18 +123,6 @@ def test_the_description_that_is_read_is_never_replaced(folder, capsys):
     assert Path("my_sensor.yaml").read_bytes() == before
 
 
-def test_a_folder_is_never_taken_for_a_name(folder, capsys):
-    """The files would lie beside it; one in the place of a file stops before any is written."""
-    (folder / "results").mkdir()
-    assert pattern("my_sensor.yaml", "-o", "results/") == 1
-    expected = "error: results: is a folder, expected a name, as results/my_pattern\n"
-    assert capsys.readouterr().err == expected
-    (folder / "taken.dxf").mkdir()
-    assert pattern("my_sensor.yaml", "-o", "taken", "--overwrite") == 1
-    assert "taken.dxf: is a folder, so it is not replaced" in capsys.readouterr().err
-    assert {path.name for path in folder.iterdir()} == {"my_sensor.yaml", "results", "taken.dxf"}
-
-
 @pytest.mark.parametrize(("library", "suffix"), [("ezdxf", "dxf"), ("reportlab", "pdf")])
 def test_without_a_library_the_other_files_are_written(
     library, suffix, folder, monkeypatch, capsys
@@ -171,12 +140,6 @@ def test_without_a_library_the_other_files_are_written(
     # Asked for by name, it is a failure, and there is no description of what was not printed.
     assert pattern("my_sensor.yaml", "-o", "other", "--format", suffix) == 1
     assert not Path("other.yaml").exists()
-
-
-def test_a_pattern_that_does_not_fit_the_block_is_warned_of(folder, capsys):
-    assert pattern("my_sensor.yaml", "--pitch", 1.0, "--format", "svg") == 0
-    expected = "pattern with its margin is 23 x 23 mm, more than the gel's block of 22 x 22 mm"
-    assert capsys.readouterr().err == f"warning: {expected}\n"
 
 
 def test_a_name_with_signs_of_every_format_is_printed(folder):
@@ -226,20 +189,6 @@ def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
     assert description.PROCESSES == PROCESSES
     assert description.TYPES == PATTERN_TYPES
     assert PrintOptions().dot_diameter == description.DOT_DIAMETER
-
-
-def test_of_dots_nothing_is_printed_that_checkers_have(folder, capsys):
-    options = ["--type", "dmp", "--dot-diameter", 0.3, "--invert", "--ink-gain", 20]
-    assert pattern("my_sensor.yaml", *options, "--format", "svg") == 0
-    out, err = capsys.readouterr()
-    assert "20 x 20 dots of 0.207143 mm" in out
-    assert "all but the dots, margin and bleed included (inverted); 20 um taken off" in out
-    assert "Distance of dots left" in out
-    assert "Checker side" not in out
-    assert "outside corner (0, 0)" not in out
-    assert err == (
-        "warning: dots are for comparisons: the nodes of cmp_tactile track checkers only\n"
-    )
 
 
 def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):

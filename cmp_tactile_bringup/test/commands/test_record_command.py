@@ -23,7 +23,6 @@ from sensor_msgs.msg import Image
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse, record, running_sensor
-from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
@@ -106,12 +105,3 @@ def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
     assert error.startswith("error: found no view_splitter in /nobody_has_this")
     assert error.count("\n") == 1
     assert not bag.exists()
-
-
-def test_the_graph_of_a_sensor_whose_frames_others_publish() -> None:
-    """As `ros2 bag play` does: no source is started, and the splitter takes what it publishes."""
-    values = {"sensor": "sample_rig", "source": "topic", "input_transport": "compressed"}
-    components = load_graph("sensor", values).components
-    assert not [item for item in components if item.package == "cmp_tactile_driver"]
-    (splitter,) = [item for item in components if item.name == "view_splitter"]
-    assert splitter.parameters["input_transport"] == "compressed"

@@ -64,28 +64,6 @@ def test_a_scene_becomes_images_and_a_video(scene, tmp_path, capsys):
     assert yaml.safe_load((out / "scene.yaml").read_text())["seed"] == 9
 
 
-def test_a_finished_output_is_replaced_only_with_overwrite(scene, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert simulate(scene, "--frames", 1, "--output", out) == 0
-    assert simulate(scene, "--frames", 2, "--output", out) == 1
-    assert capsys.readouterr().err.splitlines()[-1] == (
-        f"error: {out}: exists already; --overwrite replaces it"
-    )
-    assert simulate(scene, "--frames", 2, "--output", out, "--overwrite") == 0
-    assert len(list(BagReader(out).frames())) == 2
-
-
-def test_overwrite_does_not_delete_the_scene(tmp_path, capsys):
-    """A folder named as its scene is the default output of a command given above it."""
-    path = tmp_path / "tiny" / "scene.yaml"
-    path.parent.mkdir()
-    path.write_text(yaml.safe_dump(SCENE))
-    assert simulate(path, "--frames", 1, "--output", path.parent, "--overwrite") == 1
-    expected = f"{path.parent}: holds {path}, which is read; --output names another folder"
-    assert expected in capsys.readouterr().err
-    assert path.is_file()
-
-
 def test_a_stopped_run_is_gone_on_with(scene, tmp_path, capsys):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "cmp_tactile_bringup.command", "simulate", str(scene)]
@@ -133,10 +111,3 @@ def test_mistakes_are_one_line(arguments, code, message, capsys):
         found = ended.code
     assert found == code
     assert message in capsys.readouterr().err.splitlines()[-1]
-
-
-def test_a_scenes_mistake_is_one_line(scene, capsys):
-    scene.write_text(yaml.safe_dump(SCENE | {"rate": "fast"}))
-    assert simulate(scene) == 1
-    error = capsys.readouterr().err
-    assert error == f"error: {scene}: rate: found 'fast', expected a number from 0.1 to 1000\n"

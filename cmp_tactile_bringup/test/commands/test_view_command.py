@@ -25,14 +25,6 @@ FORBIDDEN = 403
 EVERYWHERE = "0.0.0.0"  # noqa: S104
 
 
-@pytest.fixture(scope="module")
-def processed(grasp_bag, tmp_path_factory):
-    """Results of the first frames, which know their sensor."""
-    folder = tmp_path_factory.mktemp("processed")
-    assert main(["process", str(grasp_bag), "--output", str(folder), "--end", "0.1"]) == 0
-    return folder / "grasp.mcap"
-
-
 @contextmanager
 def viewing(*words: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The command, and the address that it printed."""
@@ -69,14 +61,6 @@ def test_a_page_with_a_token_is_for_those_who_have_it(grasp_bag):
         assert address.endswith("/?token=secret")
         assert status_of(address) == 200
         assert status_of(address.replace("secret", "guess")) == FORBIDDEN
-
-
-def test_a_page_answers_to_the_names_that_are_allowed(grasp_bag):
-    names = ["a.example", "b.example"]
-    with viewing(str(grasp_bag), *(f"--allow-host={name}" for name in names)) as (_, address):
-        for name, status in (*((name, 200) for name in names), ("c.example", FORBIDDEN)):
-            request = urllib.request.Request(address, headers={"Host": name})  # noqa: S310
-            assert status_of(request) == status
 
 
 def test_it_says_who_else_may_press_the_buttons(grasp_bag):

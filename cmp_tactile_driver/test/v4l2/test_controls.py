@@ -51,12 +51,6 @@ def test_every_control_is_described_as_the_camera_does(controls):
     assert (values["firmware"], values["calibrate_sensor"]) == ("1.07", False)
 
 
-def test_two_controls_of_one_name_are_distinguished(fake, plug):
-    items = [fake.FakeControl(0x980900 + k, "Gain (dB)", raw.CtrlType.INTEGER) for k in (40, 41)]
-    with v4l2.Device(plug(controls=items).node) as device:
-        assert set(CameraControls(device).by_name) == {"gain_db", "gain_db_980929"}
-
-
 def test_automatic_controls_are_set_before_those_that_they_rule(camera, controls):
     controls.set({"exposure_time_absolute": 40, "auto_exposure": 1})
     assert camera.named("Exposure Time, Absolute").value == 40
@@ -89,20 +83,6 @@ def test_all_are_set_or_none(camera, controls):
     with pytest.raises(FrameSourceError, match="firmware"):
         controls.set({"gain": 55, "auto_exposure": 1, "firmware": "2"})
     assert (camera.named("Gain").value, camera.named("Auto Exposure").value) == (20, 3)
-
-
-def test_an_error_of_the_device_names_control_and_value(camera, controls):
-    camera.fault[raw.IOC.S_EXT_CTRLS] = errno.EIO
-    with pytest.raises(
-        FrameSourceError, match=r"video0: gain: set to 3: found the error Input/out"
-    ):
-        controls.set({"gain": 3})
-
-
-def test_a_control_that_is_in_use_says_so(camera, controls):
-    camera.named("Gain").flags |= raw.ControlFlag.GRABBED
-    with pytest.raises(FrameSourceError, match="gain: in use; it can be set while the node is in"):
-        controls.set({"gain": 3})
 
 
 def test_a_button_is_pushed_by_true(camera, controls):

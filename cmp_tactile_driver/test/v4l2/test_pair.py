@@ -12,7 +12,7 @@ import pytest
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame, SelfPacedSource, SourceOptions
 from cmp_tactile_driver.sources.parameters import CameraParameters
-from cmp_tactile_driver.v4l2.source import CameraPair, V4L2Source, open_cameras
+from cmp_tactile_driver.v4l2.source import CameraPair, open_cameras
 from cmp_tactile_processing.sensor.parts import Roi
 
 MS = 10**6
@@ -105,32 +105,7 @@ def test_frames_that_are_always_apart_are_reported_with_the_difference(
     )
 
 
-def test_a_grey_and_a_colour_camera_are_named(open_pair, picture, monkeypatch):
-    pair = open_pair()
-    images = (picture, np.dstack([picture] * 3))
-    for source, image in zip(pair._sources, images, strict=True):
-        frame = Frame(image, "", monotonic_ns=MS)
-        monkeypatch.setattr(source, "poll", lambda _timeout, frame=frame: frame)
-    with pytest.raises(FrameSourceError, match="found mono8 and bgr8, expected two cameras of one"):
-        pair.poll(0.0)
-
-
 @pytest.mark.parametrize("device", ["CAM1,", "CAM1,CAM1", "CAM1,CAM2,CAM3"])
 def test_what_is_no_pair_is_refused(open_pair, device):
     with pytest.raises(FrameSourceError, match="expected one camera, or two different ones"):
         open_pair(device)
-
-
-def test_one_device_is_one_camera(cameras, small_sensor):
-    options = SourceOptions("", small_sensor, camera=CameraParameters("CAM1"))
-    source = open_cameras(options)
-    assert isinstance(source, V4L2Source)
-    source.close()
-
-
-def test_controls_are_set_in_both(open_pair, cameras):
-    pair = open_pair()
-    name = next(iter(pair.controls().by_name))
-    before = pair.controls().values()[name]
-    pair.set_controls({name: before})
-    assert [source.controls().values()[name] for source in pair._sources] == [before, before]

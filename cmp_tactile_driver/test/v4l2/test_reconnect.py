@@ -9,12 +9,10 @@ import time
 import numpy as np
 import pytest
 from linuxpy.video import raw
-from linuxpy.video.device import V4L2Error
 from waiting import wait_until
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Capture, CaptureState
-from cmp_tactile_driver.v4l2.camera import V4L2Camera
 
 
 def _poll_until(source, condition):
@@ -90,56 +88,6 @@ def test_a_failing_device_is_opened_again(open_source, plug, picture, number):
     assert source.health.problem == ""
 
 
-@pytest.mark.parametrize(
-    "error",
-    [V4L2Error("busy by itself"), OSError("Not enough buffer memory"), ValueError("no bus")],
-)
-@pytest.mark.parametrize("place", ["start", "poll"])
-def test_an_error_of_the_library_is_reported_and_tried_again(
-    handles, open_source, plug, kernel, picture, *, monkeypatch, error, place
-):
-    camera = plug()
-    closed = handles()
-    source = open_source()
-    source.start()
-
-    def fail(*_):
-        raise error
-
-    with monkeypatch.context() as patched:
-        patched.setattr(V4L2Camera, place, fail)
-        if place == "start":
-            kernel.unplug(camera)
-            _poll_until(source, lambda: source.health.silent)
-            kernel.plug(camera)
-        _poll_until(source, lambda: str(error) in source.health.problem)
-        assert handles() == closed, "what was half open is closed"
-    _poll_until(source, lambda: camera.streaming)
-    camera.give(picture.tobytes())
-    assert source.poll(20.0) is not None
-    assert source.health.problem == ""
-
-
-def test_controls_that_are_no_more_are_passed_over_and_reported(
-    fake, open_source, plug, kernel, picture
-):
-    """As after a change of the camera's firmware."""
-    camera = plug()
-    source = open_source()
-    source.keep_controls()
-    source.start()
-    kernel.unplug(camera)
-    _poll_until(source, lambda: source.health.silent)
-    camera.controls = [fake.FakeControl(raw.ControlID.GAIN, "Level", raw.CtrlType.INTEGER)]
-    kernel.plug(camera)
-    _poll_until(source, lambda: camera.streaming)
-    camera.give(picture.tobytes())
-    assert source.poll(20.0) is not None
-    with pytest.raises(FrameSourceError, match="video0: gain: found no such control"):
-        source.set_controls({"gain": 8})
-    assert source.keep_controls() == {"level": 0}
-
-
 def test_a_camera_without_frames_is_reported_and_opened_less_and_less_often(
     open_source, plug, picture
 ):
@@ -167,32 +115,6 @@ def test_reading_without_ros_goes_on_until_it_is_closed(open_source, plug, pictu
     source.close()
     with pytest.raises(FrameSourceError, match="is closed"):
         source.read()
-
-
-def test_a_camera_that_goes_while_nobody_reads_is_found_when_somebody_does(
-    open_source, plug, kernel, picture
-):
-    camera = plug()
-    source = open_source()
-    kernel.unplug(camera)
-    source.start()
-    assert "found it unplugged" in source.health.problem
-    assert source.health.silent
-    kernel.plug(camera, number=1)
-    _poll_until(source, lambda: camera.streaming)
-    camera.give(picture.tobytes())
-    assert source.poll(20.0) is not None
-
-
-def test_a_slow_camera_is_not_a_silent_one(open_source, plug):
-    plug(modes={"GREY": {(64, 48): (5,)}})
-    source = open_source(frame_timeout=0.05)
-    begin = time.monotonic()
-    source.start()
-    # Three intervals of 0.2 s.
-    _poll_until(source, lambda: source.health.silent)
-    assert time.monotonic() - begin >= 0.6
-    assert "found no frame for 0.6 s, expected 5 Hz" in source.health.problem
 
 
 def test_a_capture_can_be_stopped_while_the_camera_is_away_and_goes_on_later(

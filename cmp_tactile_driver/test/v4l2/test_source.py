@@ -123,15 +123,6 @@ def test_a_jpeg_of_another_size_is_never_decoded(
     assert decoded == []
 
 
-def test_a_raw_frame_that_is_cut_off_is_no_frame(open_source, plug, picture):
-    camera = plug()
-    source = open_source()
-    source.start()
-    camera.give(picture.tobytes()[:-1])
-    assert source.poll(1.0) is None
-    assert "data: found 3071 bytes, expected 3072" in source.health.problem
-
-
 @pytest.mark.parametrize(
     ("rate", "chosen"), [(0.0, ("MJPG", 60.0)), (30.0, ("YUYV", 30.0)), (60.0, ("MJPG", 60.0))]
 )
@@ -173,14 +164,6 @@ def test_what_a_camera_cannot_do_is_named_with_what_it_can(open_source, plug, mo
     plug(modes=modes)
     with pytest.raises(FrameSourceError, match=text):
         open_source(**wanted)
-
-
-def test_sizes_in_steps(open_source, plug):
-    plug(stepwise=(16, 640, 16, 16, 480, 8))
-    assert open_source().frame_rate == 60.0
-    plug("CAM2", stepwise=(10, 640, 10, 16, 480, 8), number=2, port="1-3")
-    with pytest.raises(FrameSourceError, match=r"GREY: 10 x 16 to 640 x 480 in steps of 10 x 8"):
-        open_source("CAM2")
 
 
 def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
@@ -263,30 +246,6 @@ def test_frames_that_the_kernel_had_no_buffer_for_are_counted(open_source, plug,
     camera.give(picture.tobytes())
     assert source.poll(20.0).origin.endswith("video0 frame 5")
     assert source.health.dropped_frames == 3
-
-
-def test_frames_of_before_a_stop_are_forgotten(open_source, plug, picture):
-    camera = plug()
-    source = open_source()
-    source.start()
-    camera.give(picture.tobytes())
-    source.stop()
-    assert not camera.streaming
-    source.start()
-    assert source.poll(0.01) is None
-    camera.give((~picture).tobytes())
-    assert np.array_equal(source.poll(20.0).image, ~picture)
-    assert source.health.dropped_frames == 0
-
-
-def test_a_mode_that_another_program_changed_is_set_again(open_source, plug, picture):
-    camera = plug(modes={"GREY": {(WIDTH, HEIGHT): (60,)}, "YUYV": {(32, 24): (30,)}})
-    source = open_source()
-    camera.format, camera.rate = ("YUYV", 32, 24), (30, 1)
-    source.start()
-    assert (camera.format, camera.rate) == (("GREY", WIDTH, HEIGHT), (60, 1))
-    camera.give(picture.tobytes())
-    assert np.array_equal(source.poll(20.0).image, picture)
 
 
 @pytest.mark.parametrize(

@@ -118,17 +118,6 @@ def test_folder_that_cannot_be_written_costs_one_warning(tmp_path, caplog):
     assert "not cached" in record.getMessage()
 
 
-def test_a_file_that_others_can_write_is_built_again(tmp_path, caplog):
-    build = Builder()
-    get(tmp_path, build)
-    only_file(tmp_path).chmod(0o666)
-    get(tmp_path, build)
-    (record,) = caplog.records
-    assert "can be written by others (mode 666)" in record.getMessage()
-    get(tmp_path, build)
-    assert build.calls == 2
-
-
 def test_a_folder_that_others_can_write_is_closed_to_them(tmp_path, caplog):
     tmp_path.chmod(0o777)
     get(tmp_path, Builder())
@@ -171,3 +160,14 @@ def test_of_two_at_once_one_builds_while_the_other_waits(tmp_path, monkeypatch):
             future.result()
     assert build.calls == 1
     assert only_file(tmp_path).suffix == ".npz"
+
+
+def test_a_file_that_others_can_write_is_built_again(tmp_path, caplog):
+    build = Builder()
+    get(tmp_path, build)
+    only_file(tmp_path).chmod(0o666)
+    get(tmp_path, build)
+    (record,) = caplog.records
+    assert "can be written by others (mode 666)" in record.getMessage()
+    get(tmp_path, build)
+    assert build.calls == 2

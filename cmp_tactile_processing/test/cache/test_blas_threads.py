@@ -32,14 +32,6 @@ def test_limits_that_overlap_end_with_the_last_one() -> None:
         assert allowed() == {2}
 
 
-def test_an_error_ends_the_limit() -> None:
-    """Else one bad frame would leave the process on one thread."""
-    before = allowed()
-    with pytest.raises(ZeroDivisionError), one_blas_thread():
-        _ = 1 // 0
-    assert allowed() == before
-
-
 LATE = """
 import numpy
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread

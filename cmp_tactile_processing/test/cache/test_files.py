@@ -19,9 +19,7 @@ from cmp_tactile_processing.cache.files import (
     folder_without_home,
     locked,
     own_contents,
-    write_whole,
 )
-from cmp_tactile_processing.errors import DescriptionError
 
 
 def test_a_file_is_replaced_whole_and_keeps_its_permissions(tmp_path):
@@ -49,14 +47,6 @@ def test_after_an_error_the_old_file_stays_and_nothing_else(tmp_path, error):
     with pytest.raises(error):
         write_half()
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
-
-
-def test_a_new_file_has_the_permissions_that_the_user_gives_to_new_files(tmp_path):
-    (tmp_path / "usual").touch()
-    write_whole(tmp_path / "new", "text")
-    assert (tmp_path / "new").stat().st_mode == (tmp_path / "usual").stat().st_mode
-    with pytest.raises(DescriptionError, match="new/file: cannot be written"):
-        write_whole(tmp_path / "new" / "file", "text")
 
 
 def test_a_lock_is_held_by_one_waited_for_and_removed(tmp_path):

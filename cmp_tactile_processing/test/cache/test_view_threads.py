@@ -24,14 +24,6 @@ def _kept_threads():
     return {thread for thread in threading.enumerate() if thread.name.startswith("view_")}
 
 
-def test_results_come_in_order():
-    threads = ViewThreads(3)
-    assert threads.map(_square, [3, 2, 1]) == [9, 4, 1]
-    assert threads.map(_square, [5]) == [25]
-    assert threads.map(_square, []) == []
-    assert ViewThreads(1).map(_square, [3, 2]) == [9, 4]
-
-
 def test_two_calls_run_at_once_on_threads_that_are_kept():
     """Each waits for the other: one after the other they would never end."""
     threads, seen = ViewThreads(2), set()

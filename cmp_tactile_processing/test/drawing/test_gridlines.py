@@ -84,12 +84,6 @@ def test_nothing_found_is_reported_in_words_that_fit_the_image(grey):
     assert not _red_rows(draw_grid(grey, corners_alone)[120:]).size
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (5, 300), (160, 200, 3)])
-def test_any_image_can_be_drawn_into(shape):
-    image = draw_grid(np.full(shape, 7, np.uint8), _grid())
-    assert image.shape == (*shape[:2], 3)
-
-
 def test_points_far_outside_are_left_out(grey):
     grid = _grid()
     moved = replace(grid, corners=grid.corners + 1e9, row_lines=grid.row_lines - 1e12)

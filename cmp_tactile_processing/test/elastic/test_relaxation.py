@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter, step_weights
-from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
 GEL = GelRelaxation(share=0.3, time=2.0)
@@ -90,15 +89,6 @@ def test_steps_of_any_length_add_up():
         assert sum(float(w) for w in step_weights(np.array(length))) == pytest.approx(1, abs=1e-15)
 
 
-def test_noise_is_not_amplified():
-    """Neither in the long run nor while it begins."""
-    rng = np.random.default_rng(2)
-    noise = rng.normal(0, 1, (3000, *MARKERS, 3))
-    filtered = RelaxationFilter(GEL)
-    found = np.array([filtered.effective(u, SEEN, k * 20_000_000) for k, u in enumerate(noise)])
-    assert 0.98 < found[1000:].std() < 1.005
-
-
 @pytest.mark.parametrize("how", ["status", "nan", "depth"])
 def test_a_marker_that_was_hidden_goes_on_as_if_it_had_moved_straight(how):
     """In the frames without it the others are found, and it is NaN, not 0."""
@@ -117,30 +107,6 @@ def test_a_marker_that_was_hidden_goes_on_as_if_it_had_moved_straight(how):
         missing = np.isnan(moved)
         assert np.isnan(found[missing]).all()
         np.testing.assert_allclose(found[~missing], full[~missing], rtol=0, atol=ATOL_M)
-
-
-def test_a_marker_seen_for_the_first_time_is_taken_to_have_moved_as_the_others():
-    time_s = np.arange(0, 3, 0.1)
-    shown = np.interp(time_s, [0, 1, 1.2, 3], [0, 0, 1, 1])
-    expected = run(RelaxationFilter(GEL), time_s, shown)
-    filtered = RelaxationFilter(GEL)
-    for t, u, full in zip(time_s, shown, expected, strict=True):
-        status = SEEN.copy()
-        status[3, 3] = t > 2.05
-        moved = np.where(status[..., None] > 0, RESPONSE * u, np.nan)
-        found = filtered.effective(moved, status, round(1e9 * t))
-        np.testing.assert_allclose(found[status > 0], full[status > 0], rtol=0, atol=ATOL_M)
-
-
-def test_frames_in_which_nothing_is_seen_do_no_harm():
-    filtered = RelaxationFilter(GEL)
-    nothing = np.full((*MARKERS, 3), np.nan)
-    lost = SEEN * 0
-    assert np.isnan(filtered.effective(nothing, lost, 0)).all()
-    assert np.isnan(filtered.effective(nothing, lost, 10**9)).all()
-    found = filtered.effective(RESPONSE, SEEN, 2 * 10**9)
-    # Nothing shows how long it has been there.
-    np.testing.assert_allclose(found, (1 - GEL.share) * RESPONSE, rtol=0, atol=ATOL_M)
 
 
 def test_the_same_stamp_replaces_the_frame_and_an_earlier_one_begins_again(caplog):
@@ -165,12 +131,14 @@ def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_reported_
     np.testing.assert_array_equal(run(filtered, [2.0], [1.0]), run(other, [2.0], [1.0]))
 
 
-def test_arrays_of_wrong_shape_are_named():
+def test_a_marker_seen_for_the_first_time_is_taken_to_have_moved_as_the_others():
+    time_s = np.arange(0, 3, 0.1)
+    shown = np.interp(time_s, [0, 1, 1.2, 3], [0, 0, 1, 1])
+    expected = run(RelaxationFilter(GEL), time_s, shown)
     filtered = RelaxationFilter(GEL)
-    with pytest.raises(CmpTactileError, match=r"displacement: found shape \(4, 5\), expected"):
-        filtered.effective(RESPONSE[..., 0], SEEN, 0)
-    with pytest.raises(CmpTactileError, match=r"status: found shape \(2, 5\), expected \(4, 5\)"):
-        filtered.effective(RESPONSE, SEEN[:2], 0)
-    filtered.effective(RESPONSE, SEEN, 0)
-    with pytest.raises(CmpTactileError, match=r"found shape \(2, 5, 3\), expected \(4, 5, 3\) as"):
-        filtered.effective(RESPONSE[:2], SEEN[:2], 1)
+    for t, u, full in zip(time_s, shown, expected, strict=True):
+        status = SEEN.copy()
+        status[3, 3] = t > 2.05
+        moved = np.where(status[..., None] > 0, RESPONSE * u, np.nan)
+        found = filtered.effective(moved, status, round(1e9 * t))
+        np.testing.assert_allclose(found[status > 0], full[status > 0], rtol=0, atol=ATOL_M)

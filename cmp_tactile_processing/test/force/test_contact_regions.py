@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_regions import ContactRegions, basins
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
@@ -110,15 +109,6 @@ def test_contacts_with_touching_nodes_are_found_apart_and_a_wavy_one_is_not() ->
     assert one.wrench[2] == pytest.approx(wavy.sum())
 
 
-def test_nodes_that_touch_by_a_corner_are_one_contact() -> None:
-    """An edge laid across the grid at 45 degrees presses on such nodes."""
-    force = np.zeros((16, 20, 3))
-    for k in range(3, 12):
-        force[k, k + 2, 2] = -1.0
-    (contact,) = find(force.reshape(-1, 3))
-    np.testing.assert_array_equal(contact.nodes, [k * 20 + k + 2 for k in range(3, 12)])
-
-
 def test_ring_is_one_contact_with_its_outer_edge_and_no_area_in_its_hole() -> None:
     """The outline goes around; the area of the hole is not counted."""
     (contact,) = find(load(ring(2.5, 6.0)))
@@ -175,21 +165,3 @@ def test_any_field_of_forces_is_answered() -> None:
         assert np.isfinite(contact.wrench).all()
         assert np.isfinite(contact.outline).all()
         assert contact.area >= 0
-
-
-def test_hole_in_the_data_is_no_contact() -> None:
-    """A node without a known force leaves the rest of the contact as it is."""
-    force = load(hertz((0, 0), 4.0, 10.0))
-    middle = int(np.argmin(force[:, 2]))
-    known = force.copy()
-    known[middle] = np.nan
-    regions, mask = ContactRegions(NODES, AREA), force[:, 2] < 0
-    (contact,) = regions.contacts(known, mask, surface(), nothing)
-    assert middle not in contact.nodes
-    assert contact.wrench[2] == pytest.approx(-10 - force[middle, 2])
-
-
-def test_areas_of_another_grid_are_refused() -> None:
-    """One area per node."""
-    with pytest.raises(GeometryError, match=r"node_area: found shape \(3,\), expected \(320,\)"):
-        ContactRegions(NODES, np.ones(3))

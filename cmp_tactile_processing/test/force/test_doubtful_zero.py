@@ -63,15 +63,6 @@ def measure(stage: ForceStage, sample_rig: SensorDescription) -> Measure:
     return process
 
 
-def _zeroed_under_2_n(measure: Measure, truth: dict[str, Press]) -> NDArray[np.float64]:
-    """The displacement under which reference 2 is taken; reference 1 is of a free gel."""
-    pressed = 0.2 * truth["press"].displacement
-    measure(FREE, FREE, 1)
-    measure(pressed, FREE, 1)
-    measure(pressed, pressed, 2)
-    return pressed
-
-
 @pytest.mark.parametrize("load", ["press", "shear", "small press", "two contacts"])
 @pytest.mark.parametrize("newtons", [0.2, 2.0])
 def test_lift_off_from_a_reference_under_load_is_flagged(
@@ -97,25 +88,6 @@ def test_the_load_is_stated_from_zero_to_the_next_zero_of_a_free_gel(
         assert stage.zeroed_load == pytest.approx(2, rel=0.1)
     assert not measure(FREE, FREE, 3).flags & DOUBTED
     assert stage.zeroed_load == 0
-
-
-def test_half_of_the_load_that_stays_is_still_a_load(
-    stage: ForceStage, measure: Measure, truth: dict[str, Press]
-) -> None:
-    pressed = _zeroed_under_2_n(measure, truth)
-    measure(pressed / 2, pressed, 2)
-    assert measure(pressed / 2, pressed / 2, 3).flags & DOUBTED
-    assert stage.zeroed_load == pytest.approx(1, rel=0.2)
-
-
-def test_a_reset_keeps_the_reference_and_the_doubt_but_no_older_force(
-    stage: ForceStage, measure: Measure, truth: dict[str, Press]
-) -> None:
-    pressed = _zeroed_under_2_n(measure, truth)
-    stage.reset()
-    assert measure(pressed, pressed, 2).flags & DOUBTED
-    stage.reset()
-    assert not measure(FREE, FREE, 3).flags & DOUBTED
 
 
 def test_a_free_gel_and_any_press_from_a_free_reference_are_not_doubted(

@@ -9,12 +9,9 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.elastic.mesh import BlockGeometry, MeshDensity
-from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.parts import PatternSurface
-
-PLANE = PatternSurface()
 
 
 def changed(problem):
@@ -58,13 +55,6 @@ def test_model_is_built_once_for_any_stiffness(built_plane, caplog):
     np.testing.assert_allclose(second.compliance * 2, first.compliance, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("rows", "cols", "nodes"), [(60, 12, (20, 12)), (4, 21, (4, 20))])
-def test_force_nodes_are_as_many_as_the_markers_up_to_twenty(other_rig, rows, cols, nodes):
-    problem = ElasticProblem.from_sensor(other_rig(rows, cols, PLANE))
-    assert (problem.nodes.rows, problem.nodes.cols) == nodes
-    assert problem.nodes.extent == problem.markers.extent
-
-
 def test_mesh_follows_the_surface(sample_rig):
     """The marker surface at its level, the contact surface a layer above, the base flat."""
     problem = ElasticProblem.from_sensor(sample_rig)
@@ -93,20 +83,9 @@ def test_surface_that_reaches_the_base_is_an_error(sample_rig, surface, found):
         ElasticProblem.from_sensor(replace(sample_rig, pattern=pattern))
 
 
-def test_block_without_a_layer_bears_its_markers_on_the_contact_surface():
-    geometry = BlockGeometry((0.02, 0.02, 0.006), PLANE, 0.0)
-    grid = SurfaceGrid(3, 3, (0.008, 0.008))
-    density = MeshDensity(across=6, rim=1, depth=2, layer=1)
-    problem = ElasticProblem(geometry, 0.48, 1.0, grid, grid, density)
-    mesh = problem.mesh()
-    assert mesh.marker_level == mesh.lattice[2] - 1
-    compliance = problem.expand(problem.solve())
-    assert (np.diag(compliance) > 0).all()
-
-
 @pytest.mark.parametrize("thickness_mm", [1, 6, 80])
 def test_thickness_chooses_the_elements_over_the_depth(other_rig, thickness_mm):
-    sensor = other_rig(20, 20, PLANE)
+    sensor = other_rig(20, 20, PatternSurface())
     size = (*sensor.elastomer.size[:2], thickness_mm * 1e-3)
     sensor = replace(sensor, elastomer=replace(sensor.elastomer, size=size))
     mesh = ElasticProblem.from_sensor(sensor).mesh()
@@ -114,12 +93,3 @@ def test_thickness_chooses_the_elements_over_the_depth(other_rig, thickness_mm):
     highest = (mesh.body[-1] - mesh.body[-2]) * body
     assert highest <= 1.35 * width
     assert len(mesh.body) == 5 or highest > 0.9 * width
-
-
-def test_displacement_is_linear_in_the_force(model):
-    force = np.random.default_rng(3).normal(size=(400, 3))
-    moved = model.elastic.displacement(force)
-    assert moved.shape == (20, 20, 3)
-    np.testing.assert_allclose(moved.ravel(), model.elastic.compliance @ force.ravel(), rtol=1e-12)
-    with pytest.raises(GeometryError, match=r"force: found shape \(400,\), expected \(400, 3\)"):
-        model.elastic.displacement(force[:, 0])

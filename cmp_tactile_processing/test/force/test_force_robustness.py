@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.force.plausibility import _is_outside, _outside_problem
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import (
     ForceField,
@@ -190,10 +189,9 @@ print(*(name for name, count in compiled().items() if count > before.get(name, 0
 """
 
 
-@pytest.mark.parametrize("model", ["linear", "neo_hookean"])
-def test_nothing_is_compiled_in_a_frame(seen, truth, sample_rig, tmp_path, model):
+def test_nothing_is_compiled_in_a_frame(seen, truth, sample_rig, tmp_path):
     """Sound frames and some with markers missing, from the first one of a process on."""
-    gel = replace(sample_rig.elastomer, model=model, relaxation=GelRelaxation(0.1, 2.0))
+    gel = replace(sample_rig.elastomer, model="neo_hookean", relaxation=GelRelaxation(0.1, 2.0))
     where = np.zeros((20, 20), np.bool_)
     where[9:11, 12:14] = True
     surfaces = []
@@ -223,11 +221,6 @@ def test_loads_on_the_markers_are_not_taken_for_loads_outside(stage, seen, wide,
         flags = alone(stage, seen(force * wide[name])).flags
         assert ForceFlag.BEYOND_MARKERS not in flags
         assert (ForceFlag.AT_BORDER in flags) == (name == "at border")
-
-
-def test_a_knocked_camera_is_no_force_outside(stage, seen):
-    knocked = np.broadcast_to([1e-4, -5e-5, 2e-5], (20, 20, 3))
-    assert ForceFlag.BEYOND_MARKERS not in alone(stage, seen(knocked)).flags
 
 
 def test_without_contact_the_wrench_is_zero_with_the_deviation_of_what_may_be_hidden(stage, seen):
@@ -260,32 +253,6 @@ def test_covariances_that_say_nothing_change_little(stage, seen, truth, spoil):
     field = alone(stage, replace(surface, covariance=spoil(surface.covariance)))
     assert_near(field, press, 0.02)
     assert np.isfinite(field.wrench_covariance).all()
-
-
-def test_markers_of_large_uncertainty_do_not_make_a_poor_fit(stage, seen, truth):
-    press = truth["press"]
-    surface = seen(SCALE * press.displacement)
-    moved, covariance = surface.displacement.copy(), surface.covariance.copy()
-    wrong = ([9, 4, 15], [9, 12, 3])
-    moved[wrong] += 5e-4
-    covariance[wrong] = np.eye(3) * 5e-4**2
-    field = alone(stage, replace(surface, displacement=moved, covariance=covariance))
-    assert_near(field, press, 0.02)
-    assert ForceFlag.POOR_FIT not in field.flags
-
-
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda moved: moved + np.random.default_rng(9).normal(size=moved.shape) * 1e-4,
-        lambda moved: moved[::-1],
-        lambda moved: moved + [3e-4, 0.0, 0.0],
-    ],
-    ids=["random", "upside down", "another reference"],
-)
-def test_what_no_force_explains_is_reported(stage, seen, truth, spoil):
-    field = alone(stage, seen(spoil(SCALE * truth["off centre"].displacement)))
-    assert field.flags & (ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE)
 
 
 def test_another_reference_begins_again(sample_rig, seen, truth):
@@ -385,11 +352,3 @@ def test_a_jump_is_corrected_over_several_frames(sample_rig):
         assert fields[-1].flags == ForceFlag.NONE
         assert fields[-1].corrected
         assert (abs(fields[-1].wrench - goal.wrench) < 0.5 * goal.wrench_std).all()
-
-
-def test_a_thin_gel_asks_for_no_finer_loads_outside(sample_rig):
-    """A quarter of the thickness between loads would fill the memory."""
-    size = (0.022, 0.022, 0.0008)
-    problem = _outside_problem(ElasticProblem.from_sensor(sample_rig), size)
-    assert max(problem.nodes.rows, problem.nodes.cols) < 40
-    assert _is_outside(problem).any()

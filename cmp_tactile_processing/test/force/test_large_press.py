@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.large_press import LargePress, settle
-from cmp_tactile_processing.sensor.parts import PatternSurface
 
 COARSE = MeshDensity(across=4, rim=1, depth=2, growth=2.0)
 
@@ -57,17 +53,6 @@ def test_small_forces_add_a_square(press, problem):
     assert (press.moved == 0).all()
 
 
-def test_the_size_of_the_excess(press, problem):
-    """Some hundredths to tenths of the displacement at 0.44 mm."""
-    force = load(problem, LARGE)
-    excess = press.excess(force)
-    down = press.moved[:, 2].min()
-    assert -6e-4 < down < -3e-4
-    greatest = np.linalg.norm(excess, axis=2).max()
-    assert 0.02 < greatest / -down < 0.3
-    assert np.array_equal(press.latest, excess)
-
-
 def test_the_way_to_a_force_does_not_matter(press, problem):
     goal = load(problem, LARGE, 0.2)
     straight = press.excess(goal)
@@ -105,39 +90,6 @@ def test_an_equilibrium_in_several_calls_is_that_of_one(press, problem):
         assert press.latest is before
     assert press.approach(force, most=3)
     assert np.array_equal(press.latest, whole)
-
-
-def test_a_force_that_the_gel_cannot_follow_in_several_calls(press, problem):
-    def approach(calls):
-        return [press.approach(load(problem, 50.0), most=3) for _ in range(calls)]
-
-    assert not any(approach(3))
-    with pytest.raises(NoEquilibriumError, match="cannot follow"):
-        approach(40)
-    assert not press.latest.any()
-
-
-def test_forces_of_the_wrong_shape(press):
-    with pytest.raises(GeometryError, match=r"force: found shape \(3, 3\)"):
-        press.excess(np.zeros((3, 3)))
-
-
-@pytest.mark.parametrize(("rows", "cols", "layer"), [(9, 14, 0.0), (13, 8, 3e-4)])
-def test_other_grids(other_rig, cache_dir, rows, cols, layer):
-    """A plane gel of more columns than rows or fewer, with a stiff skin or none; mirrored loads.
-
-    The answer to a mirrored force is the mirrored answer.
-    """
-    sensor = other_rig(rows, cols, PatternSurface())
-    skin = replace(sensor.elastomer.shading_layer, thickness=layer, young=1e6)
-    sensor = replace(sensor, elastomer=replace(sensor.elastomer, shading_layer=skin))
-    problem = ElasticProblem.from_sensor(sensor)
-    press = LargePress(problem, sensor.elastomer.young, cache_dir, density=COARSE)
-    found = press.excess(load(problem, LARGE, 0.2, (1e-3, 1.5e-3)))
-    assert found.shape == (rows, cols, 3)
-    press.reset()
-    mirrored = press.excess(load(problem, LARGE, -0.2, (-1e-3, 1.5e-3)))[:, ::-1] * [-1, 1, 1]
-    assert np.linalg.norm(found - mirrored) < SAME * np.linalg.norm(found)
 
 
 def test_settling_of_a_scalar_problem():

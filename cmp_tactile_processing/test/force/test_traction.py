@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.contact_factor import DirectFactor, UpdatedFactor
 from cmp_tactile_processing.force.contact_traction import ContactTraction, Weights
 from cmp_tactile_processing.force.traction_spectrum import (
     TANGENTIAL_SHARE,
-    TractionScale,
     TractionSpectrum,
     nodal_force_matrix,
     smoothness,
@@ -105,25 +103,6 @@ def test_evidence_is_that_of_the_gaussian(response, prior, spectrum):
     assert found.evidence == pytest.approx(likelihood - nothing, rel=1e-6)
 
 
-def test_products_by_parity(response, spectrum):
-    data, force = data_of(response)
-    moved = response @ force
-    # In single precision: 1e-7 of the largest.
-    np.testing.assert_allclose(spectrum.respond(force), moved, rtol=0, atol=1e-6 * moved.max())
-    np.testing.assert_allclose(spectrum.pull(data), response.T @ data, atol=1e-8)
-
-
-def test_noise_covariance(response, prior, spectrum):
-    """That of a functional of the filtered noise, worked out in full."""
-    functionals = np.random.default_rng(1).normal(size=(2, UNKNOWNS))
-    weight = 1e-3 * spectrum.scale * prior
-    inverse = np.linalg.solve(response.T @ response + weight, response.T)
-    expected = functionals @ inverse @ inverse.T @ functionals.T
-    np.testing.assert_allclose(
-        spectrum.noise_covariance(functionals, 1e-3), expected, rtol=1e-6, atol=1e-12
-    )
-
-
 # Few nodes are factored by themselves, many by what is beside them.
 MASKS = {"few": np.array([2, 3, 6, 7, 11]), "many": np.delete(np.arange(20), [0, 5, 13])}
 WEIGHTS = Weights(12.0, 3.0)
@@ -163,12 +142,6 @@ def test_second_pass_is_the_posterior_on_its_nodes(second, response, precision, 
     )
 
 
-def test_no_nodes_are_an_error(second, response):
-    seen = second.seen(data_of(response)[0], known_but("none"))
-    with pytest.raises(GeometryError, match="nodes: found none"):
-        second.solve(seen, np.arange(0), WEIGHTS)
-
-
 def test_scale_follows_from_the_data(response, precision, spectrum, second):
     """Noise and size of the forces come out of a frame as they went in.
 
@@ -191,21 +164,6 @@ def test_scale_follows_from_the_data(response, precision, spectrum, second):
     assert found.noise_squared == pytest.approx(4, rel=0.5)
 
 
-def test_tangential_forces_are_never_expected_to_be_none(second):
-    alone = second.weights(TractionScale(1.0, 0.0), 1.0)
-    assert alone.tangential < 1e4 * alone.normal
-
-
-def test_nodal_variance_is_that_of_the_whole_surface(response, precision, spectrum):
-    """Were tangential and normal traction of the size that their weight stands for."""
-    found = spectrum.nodal_variance(4 * 2.0, 2.0)
-    components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
-    covariance = np.linalg.inv(response.T @ response + 2.0 * np.kron(precision, components))
-    collect = np.kron(nodal_force_matrix(NODES), np.eye(3))
-    expected = np.diag(collect @ covariance @ collect.T).reshape(-1, 3)
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
-
-
 def test_what_the_weights_and_the_edge_leave_open_is_in_the_covariance(second, response):
     """A weight off by its own deviation, and a node of the edge left out, change no more."""
     data, _ = data_of(response)
@@ -225,28 +183,6 @@ def test_what_the_weights_and_the_edge_leave_open_is_in_the_covariance(second, r
     without = second.solve(seen, nodes[1:], WEIGHTS)
     moved = total[:, 3:] @ without.coefficient - total @ found.coefficient
     assert (np.abs(moved) < doubted).all()
-
-
-@pytest.mark.parametrize("missing", MISSING)
-def test_other_data_of_the_same_markers(second, response, missing):
-    """Solved again on the same nodes it is what it would be by itself."""
-    data, _ = data_of(response)
-    other = data + np.random.default_rng(5).normal(size=DATA)
-    known, nodes = known_but(missing), MASKS["few"]
-    first = second.solve(second.seen(data, known), nodes, WEIGHTS)
-    found = second.again(first, second.seen(other, known))
-    expected = second.solve(second.seen(other, known), nodes, WEIGHTS)
-    np.testing.assert_array_equal(found.coefficient, expected.coefficient)
-
-
-def test_prior_is_smooth_and_of_unit_variance():
-    """Variance 1 in the middle; correlation x K_1(x) over x lengths, as a Matern field has it."""
-    grid = SurfaceGrid(31, 31, (30e-3, 30e-3))
-    covariance = np.linalg.inv(smoothness(grid, 3e-3))
-    middle = 15 * 31 + 15
-    assert covariance[middle, middle] == pytest.approx(1, rel=1e-9)
-    # 0.602 at x = 1; hats of a third of the length change it little.
-    assert covariance[middle, middle + 3] == pytest.approx(0.602, abs=0.03)
 
 
 def test_a_factor_serves_where_a_few_data_are_missing():

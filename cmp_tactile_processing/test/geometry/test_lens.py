@@ -61,18 +61,6 @@ def test_lenses_of_any_shape_invert_all_over_their_field(seed):
         np.testing.assert_allclose(lens.directions(lens.project(v)), v, atol=ACCURACY, rtol=0)
 
 
-@pytest.mark.parametrize("name", LENSES)
-def test_a_pixel_has_a_direction_that_projects_to_it_or_none(name):
-    lens = _lens(name)
-    q = np.random.default_rng(2).uniform(-1500, 2500, (3000, 2))
-    v = lens.directions(q)
-    seen = np.isfinite(v).all(axis=1)
-    assert np.isnan(v[~seen]).all()
-    assert seen.any()
-    np.testing.assert_allclose(lens.project(v[seen]), q[seen], atol=ATOL_PX, rtol=0)
-    np.testing.assert_allclose(np.linalg.norm(v[seen], axis=1), 1, atol=1e-15)
-
-
 @pytest.mark.parametrize("name", [name for name in LENSES if LENSES[name][0] == "pinhole"])
 def test_a_pinhole_projects_as_opencv_inside_its_field(name):
     lens = _lens(name)

@@ -11,7 +11,7 @@ from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import (
     build_views,
 )
-from cmp_tactile_processing.sensor.parts import Camera, PatternSurface, RefractingLayer
+from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 
 # The truth obeys the documented projection to 1e-12 px; this leaves room for another summation.
 ATOL_PROJECTION_PX = 1e-9
@@ -24,12 +24,6 @@ def test_projection_is_the_samples(sensor, stills, name, view):
     truth = stills[name].truth
     q = geometry.placement.to_frame(geometry.project(truth["corners_m"]))
     np.testing.assert_allclose(q, truth[f"corners_{view}_px"], atol=ATOL_PROJECTION_PX, rtol=0)
-
-
-def test_nominal_corners_are_the_samples_at_rest(sensor, stills):
-    np.testing.assert_allclose(
-        sensor.pattern.corners(), stills["rest"].truth["corners_m"], atol=1e-15, rtol=0
-    )
 
 
 def test_a_rig_that_does_not_show_its_pattern_is_refused(sensor):
@@ -54,12 +48,6 @@ def test_a_layer_outside_the_way_of_the_rays_is_refused(sensor, z):
     layers = (RefractingLayer(z, 1.4),)
     rig = replace(sensor, optics=replace(sensor.optics, layers=layers))
     with pytest.raises(DescriptionError, match=r"optics\.layers\[0\]\.z: found .*between the left"):
-        build_views(rig)
-
-
-def test_two_views_from_one_point_are_refused(sensor):
-    rig = replace(sensor, views=dict.fromkeys(("left", "right"), sensor.views["left"]))
-    with pytest.raises(DescriptionError, match=r"views: found camera centres 0 m apart"):
         build_views(rig)
 
 
@@ -90,15 +78,7 @@ def _rotation_between(a, b):
     return np.eye(3) + K + K @ K / (1 + c)
 
 
-@pytest.mark.parametrize(
-    ("surface", "xy", "height"),
-    [
-        (PatternSurface("plane"), (0.3, 0.4), 0.0),
-        (PatternSurface("sphere_cap", 1.0), (0.36, 0.48), 0.8 - 1),
-        (PatternSurface("cylinder", 1.0, "x"), (5.0, 0.6), 0.8 - 1),
-        (PatternSurface("cylinder", 1.0, "y"), (0.6, 5.0), 0.8 - 1),
-        (PatternSurface("sphere_cap", 1.0), (0.9, 0.9), np.nan),
-    ],
-)
-def test_surface_heights(surface, xy, height):
-    np.testing.assert_allclose(surface.height(np.array(xy)), height, atol=1e-15)
+def test_two_views_from_one_point_are_refused(sensor):
+    rig = replace(sensor, views=dict.fromkeys(("left", "right"), sensor.views["left"]))
+    with pytest.raises(DescriptionError, match=r"views: found camera centres 0 m apart"):
+        build_views(rig)

@@ -90,20 +90,3 @@ def test_a_mirrored_view(sensor):
     for view in build_views(sensor).values():
         assert view.placement.flipped
         _check(view, sensor.pattern.corners())
-
-
-def test_shapes_and_missing_points():
-    view = _view("plumb_bob", 2, (0.0, 0.0, -0.03), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    points = np.zeros((3, 4, 3))
-    points[1, 2] = np.nan
-    points[2, 1, 2] = -0.04
-    q, J = view.project_with_jacobian(points)
-    assert q.shape == (3, 4, 2)
-    assert J.shape == (3, 4, 2, 3)
-    missing = np.zeros((3, 4), dtype=bool)
-    missing[[1, 2], [2, 1]] = True
-    np.testing.assert_array_equal(np.isnan(q).all(axis=-1), missing)
-    np.testing.assert_array_equal(np.isnan(J).all(axis=(-1, -2)), missing)
-    q, J = view.project_with_jacobian(points[0, 0])
-    assert q.shape == (2,)
-    assert J.shape == (2, 3)

@@ -111,12 +111,6 @@ def test_a_jpeg_with_a_part_missing_is_refused(picture, kind, missing):
             _decode(content[: int(length * len(content))])
 
 
-def test_most_jpegs_with_a_wrong_byte_are_refused_or_hardly_changed(picture):
-    """libjpeg cannot know of a byte that makes other valid pixels of the same number."""
-    refused, wrong = _refused_and_wrong(_jpeg(picture), seed=2)
-    assert refused > wrong
-
-
 def test_bytes_between_the_segments_of_a_header_are_passed_over(picture):
     content = _jpeg(picture)
     expected = _decode(content)
@@ -206,20 +200,6 @@ def test_no_memory_is_taken_for_a_size_that_is_none(picture):
         _decode(bytes(content))
 
 
-def test_cmyk_is_read(picture):
-    from io import BytesIO
-
-    from PIL import Image
-
-    stream = BytesIO()
-    Image.fromarray(picture).convert("CMYK").save(stream, "JPEG", quality=95)
-    found = cv2.cvtColor(_decode(stream.getvalue()), cv2.COLOR_BGR2GRAY)
-    assert np.abs(found.astype(int) - picture).mean() < 8
-    content = stream.getvalue()
-    with pytest.raises(FrameError, match="damaged"):
-        _decode(content[:4000] + content[5000:])
-
-
 @pytest.mark.parametrize("suffix", [".png", ".tiff", ".bmp", ".webp"])
 def test_other_files_that_are_cut_off_are_refused(picture, suffix):
     content = cv2.imencode(suffix, picture)[1].tobytes()
@@ -233,3 +213,17 @@ def test_a_png_with_a_wrong_checksum_is_refused(picture):
     content[len(content) // 2] ^= 1
     with pytest.raises(FrameError, match="no readable image"):
         decode_compressed("mono8; png compressed ", np.frombuffer(bytes(content), np.uint8))
+
+
+def test_cmyk_is_read(picture):
+    from io import BytesIO
+
+    from PIL import Image
+
+    stream = BytesIO()
+    Image.fromarray(picture).convert("CMYK").save(stream, "JPEG", quality=95)
+    found = cv2.cvtColor(_decode(stream.getvalue()), cv2.COLOR_BGR2GRAY)
+    assert np.abs(found.astype(int) - picture).mean() < 8
+    content = stream.getvalue()
+    with pytest.raises(FrameError, match="damaged"):
+        _decode(content[:4000] + content[5000:])

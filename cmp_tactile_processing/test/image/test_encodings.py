@@ -118,15 +118,6 @@ def test_yuv(encoding):
     assert np.abs(found - np.clip(bgr, 0, 255)).max() <= YUV_TOLERANCE
 
 
-def test_planes_with_padded_rows_and_with_the_step_of_all_planes():
-    luma, _, _ = _yuv()
-    rows = _yuv_rows("nv12")
-    padded = np.pad(rows, ((0, 0), (0, 5)))
-    np.testing.assert_array_equal(_decode(padded, "nv12"), _decode(rows, "nv12"))
-    found = _decode(rows, "nv12", step=2 * WIDTH, luminance=True)
-    np.testing.assert_array_equal(found, luma)
-
-
 def test_every_encoding_takes_padded_rows_and_a_longer_buffer():
     rng = np.random.default_rng(5)
     for encoding, layout in ENCODINGS.items():
@@ -225,3 +216,12 @@ def test_compressed_16_bits_and_mosaics():
 def test_what_is_no_image_is_refused(encoding):
     with pytest.raises(FrameError, match=r"encoding: found .*expected mono8"):
         decode_raw((WIDTH, HEIGHT), encoding, 64, np.zeros(9999, np.uint8))
+
+
+def test_planes_with_padded_rows_and_with_the_step_of_all_planes():
+    luma, _, _ = _yuv()
+    rows = _yuv_rows("nv12")
+    padded = np.pad(rows, ((0, 0), (0, 5)))
+    np.testing.assert_array_equal(_decode(padded, "nv12"), _decode(rows, "nv12"))
+    found = _decode(rows, "nv12", step=2 * WIDTH, luminance=True)
+    np.testing.assert_array_equal(found, luma)

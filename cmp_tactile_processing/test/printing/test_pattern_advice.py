@@ -74,24 +74,6 @@ def test_one_checker_more_would_be_below_what_is_recommended(sensor: str) -> Non
     assert least_side(with_pattern(description, finer)) < RECOMMENDED_SIDE_PX
 
 
-def test_advice_does_not_depend_on_the_present_checkers() -> None:
-    """Only the size of the print counts: halving the pitch of twice as many changes nothing."""
-    sensor = load_sensor("prototype")
-    pitch = 21 * sensor.pattern.pitch / 42
-    finer = replace(sensor, pattern=replace(sensor.pattern, rows=41, cols=41, pitch=pitch))
-    was, now = advise(sensor), advise(finer)
-    assert now == replace(was, pitch=pytest.approx(was.pitch), least_side_px=now.least_side_px)
-
-
-def test_a_camera_of_twice_the_resolution_gets_twice_the_checkers() -> None:
-    """Of a camera straight on, the number of checkers is exact."""
-    for focal in (600.0, 1200.0):
-        sensor = straight_on(focal)
-        size = (sensor.pattern.cols + 1) * sensor.pattern.pitch
-        checkers = int(focal * size / DISTANCE_M / RECOMMENDED_SIDE_PX)
-        assert advise(sensor).cols == min(checkers - 1, 60)
-
-
 def test_an_oblong_print_keeps_its_shape_and_square_checkers() -> None:
     """Rows and columns share the pitch; the print grows in neither direction."""
     sensor = straight_on(1000.0)

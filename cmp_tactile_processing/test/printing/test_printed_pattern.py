@@ -10,9 +10,7 @@ import pytest
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.printing.pattern import (
-    CHORD_TOLERANCE,
     PrintOptions,
-    default_process,
     flat_print,
     inset,
     printed_pattern,
@@ -22,13 +20,8 @@ from cmp_tactile_processing.printing.pattern import (
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
-# Integrals over this many steps are exact to 1e-9 m here.
-STEPS = 20_001
-ATOL_INTEGRAL = 1e-9
 # Rounding of lengths of some ten mm.
 ATOL_EXACT_MM = 1e-9
-# Of 5 x 8 corners: all edges of the checkers, once from each side, and a little more.
-TOTAL_EDGE_MM = 2 * 150.0
 PLANE = PatternSurface()
 CAP = PatternSurface("sphere_cap", 0.012)
 CYLINDERS = (PatternSurface("cylinder", 0.009, "x"), PatternSurface("cylinder", 0.009, "y"))
@@ -50,38 +43,6 @@ def area(contour):
     return (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
 
 
-def length_on(surface, begin, end):
-    """Length on the surface of the way above the line between two points of the gel's plane."""
-    shares = np.linspace(0, 1, STEPS)[:, None]
-    xy = np.array(begin) * (1 - shares) + np.array(end) * shares
-    points = np.concatenate([xy, surface.height(xy)[:, None]], axis=1)
-    return np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-
-
-@pytest.mark.parametrize("surface", CYLINDERS)
-def test_a_cylinder_unrolls_by_arc_length_and_keeps_its_axis(surface):
-    along, across = (0, 1) if surface.axis == "x" else (1, 0)
-    xy = np.random.default_rng(1).uniform(-0.008, 0.008, (20, 2))
-    flat = flat_print(surface, "unrolled", xy)
-    assert default_process(surface) == "unrolled"
-    assert (flat[:, along] == xy[:, along]).all()
-    feet = xy.copy()
-    feet[:, across] = 0
-    arcs = [length_on(surface, foot, point) for foot, point in zip(feet, xy, strict=True)]
-    expected = np.sign(xy[:, across]) * arcs
-    np.testing.assert_allclose(flat[:, across], expected, atol=ATOL_INTEGRAL, rtol=0)
-
-
-def test_a_cap_keeps_distances_from_the_apex_and_directions():
-    xy = np.random.default_rng(2).uniform(-0.008, 0.008, (20, 2))
-    flat = flat_print(CAP, "unrolled", xy)
-    assert default_process(PLANE) == default_process(CAP) == "along_axis"
-    arcs = [length_on(CAP, (0, 0), point) for point in xy]
-    expected = xy * (arcs / np.hypot(*xy.T))[:, None]
-    np.testing.assert_allclose(flat, expected, atol=ATOL_INTEGRAL, rtol=0)
-    assert (flat_print(CAP, "unrolled", np.zeros((1, 2))) == 0).all()
-
-
 def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
     corners = rectangle(0.006, 0.005)
     distance = np.hypot(0.006, 0.005)
@@ -91,34 +52,6 @@ def test_the_strain_is_that_of_the_circle_through_the_farthest_corner():
     assert expected < -0.05
     assert rim_strain(CAP, "along_axis", corners) == 0
     assert rim_strain(CYLINDERS[0], "unrolled", corners) == 0
-
-
-@pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
-def test_along_the_axis_the_flat_pattern_is_the_regular_grid(surface, rig):
-    """The checkers' corners lie at the description's corners, whatever the surface."""
-    sensor = sensor_of(rig, surface)
-    printed = printed_pattern(sensor, PrintOptions(process="along_axis"))
-    np.testing.assert_allclose(np.abs(printed.gel), 11.0, atol=ATOL_EXACT_MM)
-    ink = printed.ink
-    assert {len(contour) for contour in ink} == {4}
-    found = np.unique(np.round(np.concatenate(ink), 6), axis=0)
-    for corner in sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3:
-        assert np.abs(found - corner).max(axis=1).min() < 1e-6
-
-
-@pytest.mark.parametrize("surface", [PLANE, CAP, *CYLINDERS])
-@pytest.mark.parametrize("colour", ["dark", "light"])
-@pytest.mark.parametrize("kind", ["cmp", "dmp"])
-def test_print_and_inverted_print_fill_the_sheet_together(kind, colour, surface, rig):
-    sensor = sensor_of(rig, surface, corner_checker=colour)
-    options = PrintOptions(kind, process="unrolled", margin=0.0005, bleed=0.0003)
-    printed = printed_pattern(sensor, options)
-    inverted = printed_pattern(sensor, replace(options, invert=True))
-    both = sum(area(contour) for contour in (*printed.ink, *inverted.ink))
-    atol = 1e3 * CHORD_TOLERANCE * TOTAL_EDGE_MM if surface is CAP else ATOL_EXACT_MM
-    assert both == pytest.approx(area(printed.clear), abs=atol)
-    size = (9 * 1.2 + 1.6) * (6 * 1.2 + 1.6)
-    assert area(printed.clear) > size - 1e-9
 
 
 @pytest.mark.parametrize("colour", ["dark", "light"])
@@ -149,14 +82,6 @@ def test_ink_gain_leaves_gaps_between_checkers_and_is_undone_by_spreading(colour
     assert ink == pytest.approx(outside - 27 * dark_side**2 + overlaps, abs=ATOL_EXACT_MM)
 
 
-@pytest.mark.parametrize(("margin", "gain"), [(0.0, 0.0), (0.1, 0.049)])
-def test_the_frame_of_inverted_ink_lies_around_its_hole(margin, gain, rig):
-    """A hole that reached beyond the frame would be ink there, by the even-odd rule."""
-    options = PrintOptions(invert=True, margin=margin * 1e-3, ink_gain=gain * 1e-3)
-    frame, hole = printed_pattern(sensor_of(rig), options).ink[:2]
-    assert (np.abs(hole).max(axis=0) <= np.abs(frame).max(axis=0) + ATOL_EXACT_MM).all()
-
-
 def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
     gain = 0.04
     sensor = sensor_of(rig, CAP, pitch=0.0015)
@@ -173,39 +98,6 @@ def test_ink_gain_of_curved_edges_is_the_distance_on_the_flat_print(rig):
         share = (away * along[None]).sum(axis=-1) / np.linalg.norm(ends - wide, axis=1)
         distance[(share < -0.01) | (share > 1.01)] = np.inf
         assert distance.min(axis=1) == pytest.approx(gain, abs=2e-3 * gain)
-
-
-def test_curved_edges_are_polygons_within_the_tolerance(rig):
-    """Each chord against many points of the true edge, on the steepest cap that holds it."""
-    surface = PatternSurface("sphere_cap", 0.00845)
-    sensor = sensor_of(rig, surface, pitch=0.0014, rows=7)
-    printed = printed_pattern(sensor, PrintOptions(process="unrolled", margin=0))
-    worst = 0.0
-    for contour in (printed.clear, *printed.ink):
-        flat = contour * 1e-3
-        arc = np.hypot(*flat.T)
-        on_gel = flat * (surface.radius * np.sin(arc / surface.radius) / arc)[:, None]
-        shares = np.linspace(0, 1, 9)[None, 1:-1, None]
-        ends = np.roll(on_gel, -1, axis=0)
-        between = on_gel[:, None] * (1 - shares) + ends[:, None] * shares
-        true = flat_print(surface, "unrolled", between)
-        chord = np.roll(flat, -1, axis=0) - flat
-        away = true - flat[:, None]
-        across = chord[:, None, 0] * away[..., 1] - chord[:, None, 1] * away[..., 0]
-        worst = max(worst, float(np.abs(across / np.linalg.norm(chord, axis=1)[:, None]).max()))
-    assert worst < 2 * CHORD_TOLERANCE
-    assert worst > 0.01 * CHORD_TOLERANCE
-
-
-def test_dots_lie_at_the_corners_with_their_diameter(rig):
-    sensor = sensor_of(rig)
-    ink = printed_pattern(sensor, PrintOptions("dmp", dot_diameter=0.4, ink_gain=1e-5)).ink
-    centres = np.array([contour.mean(axis=0) for contour in ink])
-    corners = sensor.pattern.corners()[..., :2].reshape(-1, 2) * 1e3
-    np.testing.assert_allclose(centres, corners, atol=ATOL_EXACT_MM)
-    radii = np.linalg.norm(ink[0] - centres[0], axis=1)
-    # A polygon's sides, not its corners, are moved in by the gain.
-    assert radii == pytest.approx(0.4 * 1.2 / 2 - 0.01, abs=1e-4)
 
 
 def test_a_print_that_is_too_large_for_the_block_is_reported(rig):

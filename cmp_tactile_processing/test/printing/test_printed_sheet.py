@@ -10,11 +10,9 @@ import pytest
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import (
-    LONGEST_NAME,
     PAPERS,
     print_sheet,
     printed_copy,
-    scale_bar,
 )
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -79,36 +77,3 @@ def test_marks_stay_off_the_gel_the_margin_and_the_bleed():
         for points in (*marks, *copy.drawing.solids):
             assert (np.abs(points) >= kept_free + 0.5).any(axis=1).all()
         assert min(copy.targets - kept_free) >= 3
-
-
-@pytest.mark.parametrize("mirrored", [None, False, True])
-def test_the_marked_corner_is_where_the_sheet_says(mirrored):
-    """Seen from the touching side by default: else light and dark of odd prints are exchanged."""
-    options = {} if mirrored is None else {"mirrored": mirrored}
-    made = printed_copy("rig", printed_pattern(load_sensor("sample_rig")), **options)
-    (quarter,) = made.drawing.solids
-    centre = np.array([-made.targets[0], made.targets[1] * (-1 if mirrored else 1)])
-    np.testing.assert_allclose(quarter[0], centre, atol=1e-12)
-    # It looks away from the pattern.
-    assert (np.abs(quarter[1:]) >= np.abs(centre) - 1e-9).all()
-    labels = {label.text: label.place for label in made.drawing.labels}
-    assert labels["x"][0] > centre[0] + 5
-    assert (labels["y"][1] > centre[1]) == bool(mirrored)
-    assert made.mirrored == bool(mirrored)
-    assert ("seen from the touching side" in labels) == (not mirrored)
-
-
-@pytest.mark.parametrize("upright", [False, True])
-def test_a_scale_bar_has_a_tick_at_every_step(upright):
-    lines = [line.points for line in scale_bar(10.0, 1.0, upright=upright).lines]
-    along = 1 if upright else 0
-    ticks = sorted(float(points[0, along]) for points in lines if np.ptp(points[:, along]) == 0)
-    np.testing.assert_allclose(ticks, np.arange(11.0), atol=1e-12)
-
-
-def test_a_long_name_of_any_characters_is_cut_to_one_line():
-    printed = printed_pattern(load_sensor("sample_rig"))
-    drawing = printed_copy("a\nb " + 60 * "<", printed).drawing
-    (name,) = [label.text for label in drawing.labels if label.text.startswith("a b")]
-    assert len(name) == LONGEST_NAME
-    assert name.endswith("<...")

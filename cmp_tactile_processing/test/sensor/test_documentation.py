@@ -39,10 +39,3 @@ def test_every_key_of_what_is_measured_of_a_gel_is_documented(section, record):
     rows = "".join(re.findall(rf"^\| `elastomer\.{section}.*$", text, re.MULTILINE))
     for item in dataclasses.fields(record):
         assert re.search(rf"`[\w.]*\b{item.name}`", rows), f"elastomer.{section}.{item.name}"
-
-
-def test_a_document_without_tables_is_named(tmp_path):
-    path = tmp_path / "empty.md"
-    path.write_text("nothing")
-    with pytest.raises(ValueError, match=r"empty\.md: found no line"):
-        renew(path)

@@ -17,8 +17,6 @@ from cmp_tactile_processing.sensor.description import (
     packaged_sensors,
 )
 from cmp_tactile_processing.sensor.parts import RefractingLayer
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
-from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 # A camera's pose with its translation in mm.
 MILLIMETRES = [[1, 0, 0, 0], [0, 1, 0, -14], [0, 0, 1, -7]]
@@ -64,18 +62,6 @@ def changed(content, key_path, value):
     return content
 
 
-def test_sample_loads_as_it_is():
-    sensor = SensorDescription.load(SAMPLE)
-    assert sensor.name == "sample_rig"
-    assert (sensor.image.width, sensor.image.height) == (1024, 768)
-    assert sensor.camera.fx == 733.3859777674537
-    assert sensor.views["right"].roi.x == 512
-    assert sensor.pattern.shape.row_lines == (20, 19, 6)
-    assert sensor.pattern.surface.radius == 0.027
-    assert sensor.elastomer.shading_layer.thickness == 0.0003
-    assert sensor.optics.T_camera_gel.shape == (4, 4)
-
-
 @pytest.mark.parametrize("name", packaged_sensors())
 def test_packaged_sensors_show_their_pattern_in_both_views(name):
     sensor = load_sensor(name)
@@ -98,18 +84,11 @@ def test_a_sensor_that_is_not_there_is_named():
         ("name", None, r"name: found nothing, expected a text"),
         ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
         ("pattern.pitch", 0.69, r"pattern\.pitch: found 0\.69, .* m: did you mean 0\.00069\?"),
-        ("elastomer.young", 500, r"elastomer\.young: found 500, .* Pa: did you mean 500000\?"),
-        ("elastomer.young", 1e308, r"elastomer\.young: found 1e\+308, expected .* Pa$"),
         ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
-        ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),
         ("camera.fx", 2.6, r"camera\.fx: found 2\.6, expected px, at least 34\.1 .* 2\.6 mm"),
-        ("trackng", {}, r"trackng: .* no such key; .*; did you mean 'tracking'\?"),
-        ("image.width", True, r"image\.width: found True, expected a whole number"),
-        ("camera.fx", "wide", r"camera\.fx: found 'wide', expected a number above 0"),
-        ("camera.cx", float("nan"), r"camera\.cx: found nan, expected a number"),
-        ("camera.distortion", [0, 0], r"camera\.distortion: found \[0, 0\], expected a list of 5"),
-        ("optics.type", "cube", r"optics\.type: found 'cube', expected one of mirror_stereo"),
         ("optics.T_camera_gel", [1, 2], r"optics\.T_camera_gel: .*expected 3 lists of 4"),
+        ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),
+        ("trackng", {}, r"trackng: .* no such key; .*; did you mean 'tracking'\?"),
         ("optics.layers", [{"z": 0.1}], r"optics\.layers\[0\]\.index: found nothing"),
         (
             "optics.layers",
@@ -117,10 +96,8 @@ def test_a_sensor_that_is_not_there_is_named():
             r"optics\.layers\[1\]\.z: found -0\.02, expected more than -0\.01",
         ),
         pytest.param("camera.fx", 10**400, r"camera\.fx: found 1000", id="no float so large"),
-        ("views.left", None, r"views\.left: found nothing, expected a mapping"),
         ("views.left.roi", [0, 0, 600, 900], r"views\.left\.roi: .*inside 1024 x 768"),
         ("views.left.mirror.normal", [1, 1, 1], r"views\.left\.mirror\.normal: .*length is 1\.73"),
-        ("pattern.rows", 3, r"pattern\.rows: found 3, expected a whole number from 4 to 60"),
         ("pattern.surface.radius", 0.005, r"pattern\.surface: .*a radius that spans"),
         (
             "pattern.surface",
@@ -129,15 +106,15 @@ def test_a_sensor_that_is_not_there_is_named():
         ),
         ("elastomer.poisson", 0.5, r"elastomer\.poisson: found 0\.5, expected .* to 0\.4999"),
         ("elastomer.size", [0.01, 0.01, 0.006], r"elastomer\.size: .*at least the markers'"),
-        ("tracking", {"detector": "magic"}, r"tracking\.detector: found 'magic', expected one of"),
         (
             "force",
             {"regularization": float("inf")},
             r"force\.regularization: found inf, expected a",
         ),
-        ("force", {"regularization": -1}, r"force\.regularization: found -1, expected at least"),
+        ("tracking", {"detector": "magic"}, r"tracking\.detector: found 'magic', expected one of"),
         ("force", {"two_pass": "on"}, r"force\.two_pass: found 'on', expected a value like True"),
         ("slip", {"full_ratio": 2}, r"slip\.full_ratio: found 2, expected at most 1"),
+        ("force", {"regularization": -1}, r"force\.regularization: found -1, expected at least"),
         (
             "slip",
             {"full_ratio": 0.2},
@@ -227,35 +204,9 @@ def test_what_grows_without_bounds_is_refused_where_it_does(load_text, text, whe
     assert len(str(error.value)) < 1000
 
 
-def test_an_alias_within_bounds_is_read(load_text):
-    text = SAMPLE.read_text().replace("roi: [512, 0, 512, 768]", "roi: *half")
-    sensor = load_text(text.replace("roi: [0, 0, 512, 768]", "roi: &half [0, 0, 512, 768]"))
-    assert sensor.views["right"].roi.x == 0
-
-
-def test_a_long_value_is_cut_before_it_is_written(load_text):
-    expected = r"version: found \[\[1, .*\.\.\., expected"
-    with pytest.raises(DescriptionError, match=expected) as error:
-        load_text("version: [" + f"[{'1,' * 50}]," * 500 + "]\n")
-    assert len(str(error.value)) < 300
-
-
 def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(load_text):
     with pytest.raises(DescriptionError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
         load_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
-
-
-def test_errors_of_the_optics_name_the_file(content, load):
-    moved = changed(content, "views.left.mirror.distance", 0.01)
-    with pytest.raises(DescriptionError, match=r"rig\.yaml: views\.left: found"):
-        build_views(load(moved))
-
-
-def test_a_dump_is_read_back_as_it_was(tmp_path):
-    mapping = {"a": ["0512", "1_0", "1e5", "1:30", "on", "<<", "2026-01-01", ""], "b": 1e-300}
-    path = tmp_path / "any.yaml"
-    path.write_text(dump_yaml({**mapping, "c": mapping["a"]}))
-    assert dict(read_yaml(path).items()) == {**mapping, "c": mapping["a"]}
 
 
 def test_exponents_without_a_point_are_numbers(load_sample):

@@ -120,12 +120,6 @@ def test_a_flat_face_does_not_tell_sticking_from_sliding(arm, pressing, radius):
     assert not slip_profile(Sliding.from_loads(stamp, arm, normal, FLAT_AXES)).is_rounded
 
 
-def test_no_load_uses_no_friction(flat, pressing):
-    use = friction_use(flat, np.zeros((len(pressing), 3)), blur=1e-6)
-    assert use.ratio == 0
-    assert np.isnan(use.width)
-
-
 def test_a_node_of_unknown_place_makes_the_contact_unknown() -> None:
     """Its normal may be known all the same, from its neighbours; all figures would be NaN."""
     grid = np.stack(np.meshgrid(*2 * (1e-3 * np.arange(5.0),)), axis=-1).reshape(-1, 2)

@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError, GeometryError
-from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Status, ViewPlacement
-from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.stereo.triangulation import common_normal
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.tracking.tracker import GridTracker
 
-# The paper's simulation reaches 20 um; clean sample frames give 0.6 um here.
-MEAN_ERROR_M = 1.0e-6
 # The sample frames are of sharp presses and drags: curves between their corners are this good.
 MEAN_CURVE_M, LARGEST_CURVE_M = 0.8e-6, 12e-6
 
@@ -72,34 +67,6 @@ def test_a_grid_whose_arrays_are_not_of_its_shape_is_refused(sensor, field):
         StereoRig(sensor).triangulate(grid, wrong)
 
 
-def test_reference_of_another_size_is_refused(sensor):
-    missing = Grid.missing(sensor.pattern.shape, "")
-    markers = StereoRig(sensor).triangulate(missing, missing)
-    narrow = Reference.nominal(sensor).position[:, 1:]
-    with pytest.raises(GeometryError, match=r"found \(20, 19, 3\), expected \(20, 20, 3\)"):
-        Reference(narrow, np.zeros((*narrow.shape, 3))).surface(markers)
-
-
-@pytest.mark.parametrize("name", ["rest", "slide", "press", "twist", "bumps"])
-def test_surface_from_frames(sensor, stills, view_image, name):
-    rig = StereoRig(sensor)
-    grids = [GridTracker(sensor, view).track(view_image(stills[name], view)) for view in rig.views]
-    surface = Reference.nominal(sensor).surface(rig.triangulate(*grids))
-    error = surface.position - stills[name].truth["corners_m"]
-    assert np.abs(error).mean() < MEAN_ERROR_M
-    true_displacement = stills[name].truth["corners_m"] - stills["rest"].truth["corners_m"]
-    assert np.abs(surface.displacement - true_displacement).mean() < MEAN_ERROR_M
-
-
-def test_common_normal_of_skew_and_of_parallel_rays():
-    """Closed form: rays along x and y, 2 apart in z, have their midpoint between them."""
-    o_left, v_left = np.array([[-5.0, 0, 1], [-1, 0, 0]]), np.array([[1.0, 0, 0], [0, 0, 1]])
-    o_right, v_right = np.array([[0, -7.0, -1], [1, 0, 0]]), np.array([[0, 1.0, 0], [0, 0, 1]])
-    midpoint, gap = common_normal(o_left, v_left, o_right, v_right)
-    np.testing.assert_allclose(midpoint, [[0, 0, 0], [np.nan] * 3], atol=1e-15)
-    np.testing.assert_allclose(gap, [2.0, np.nan])
-
-
 def test_missing_in_one_view_is_missing_in_3d(sensor, stills):
     grids = exact_grids(sensor, stills["press"].truth)
     corners, status = grids["left"].corners.copy(), grids["left"].corner_status.copy()
@@ -116,43 +83,6 @@ def test_missing_in_one_view_is_missing_in_3d(sensor, stills):
     assert np.argwhere(lost).tolist() == [[3, 4], [7, 8]]
 
 
-def test_grids_that_do_not_belong_are_refused(sensor, stills, plane_rig):
-    grids = exact_grids(sensor, stills["rest"].truth)
-    with pytest.raises(GeometryError, match="right grid: found none"):
-        StereoRig(sensor).triangulate(grids["left"], None)
-    with pytest.raises(GeometryError, match=r"left grid: found GridShape\(rows=20.*expected .*=9"):
-        StereoRig(plane_rig(9, 9)).triangulate(grids["left"], grids["right"])
-
-
-@pytest.mark.parametrize(
-    "surface",
-    [PatternSurface(), PatternSurface("sphere_cap", 0.027), PatternSurface("cylinder", 0.02, "y")],
-    ids=lambda surface: surface.type,
-)
-def test_rays_meet_the_known_surface(surface):
-    rng = np.random.default_rng(4)
-    xy = rng.uniform(-0.007, 0.007, (200, 2))
-    points = np.concatenate([xy, surface.height(xy)[:, None]], axis=1)
-    origins = np.broadcast_to([0.002, 0.001, -0.03], points.shape)
-    directions = (points - origins) / np.linalg.norm(points - origins, axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        surface_intersection(origins, directions, surface), points, atol=1e-9
-    )
-
-
-def test_monocular_sensor_measures_in_plane_and_no_depth(sensor, stills):
-    one = replace(
-        sensor,
-        optics=replace(sensor.optics, type="monocular"),
-        views={"left": sensor.views["left"]},
-    )
-    grids = exact_grids(sensor, stills["rest"].truth)
-    surface = Reference.nominal(one).surface(StereoRig(one).triangulate(grids["left"], None))
-    assert np.abs(surface.displacement[..., :2]).max() < 1e-8
-    assert np.isnan(surface.displacement[..., 2]).all()
-    assert (surface.status == Status.MEASURED).all()
-
-
 def test_split_cuts_and_unmirrors():
     frame = np.arange(6 * 10, dtype=np.uint8).reshape(6, 10)
     plain = split_frame(frame, ViewPlacement(2, 1, 4, 3, flipped=False))
@@ -162,3 +92,19 @@ def test_split_cuts_and_unmirrors():
     assert flipped.flags.c_contiguous
     with pytest.raises(FrameError, match=r"found 10 x 6 px, expected at least 13 x 3"):
         split_frame(frame, ViewPlacement(9, 0, 4, 3, flipped=False))
+
+
+def test_reference_of_another_size_is_refused(sensor):
+    missing = Grid.missing(sensor.pattern.shape, "")
+    markers = StereoRig(sensor).triangulate(missing, missing)
+    narrow = Reference.nominal(sensor).position[:, 1:]
+    with pytest.raises(GeometryError, match=r"found \(20, 19, 3\), expected \(20, 20, 3\)"):
+        Reference(narrow, np.zeros((*narrow.shape, 3))).surface(markers)
+
+
+def test_grids_that_do_not_belong_are_refused(sensor, stills, plane_rig):
+    grids = exact_grids(sensor, stills["rest"].truth)
+    with pytest.raises(GeometryError, match="right grid: found none"):
+        StereoRig(sensor).triangulate(grids["left"], None)
+    with pytest.raises(GeometryError, match=r"left grid: found GridShape\(rows=20.*expected .*=9"):
+        StereoRig(plane_rig(9, 9)).triangulate(grids["left"], grids["right"])

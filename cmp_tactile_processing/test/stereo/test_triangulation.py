@@ -11,10 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.geometry.lens import ACCURACY, Lens
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import surface_intersection
-from cmp_tactile_processing.geometry.refraction import RayModel
 from cmp_tactile_processing.measured import Grid, MarkerFault, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
@@ -89,28 +87,6 @@ def test_rays_and_their_derivatives_agree_with_finite_differences(rig, points):
                 slope = (getattr(after, name) - getattr(before, name)) / (2 * STEP_PX)
                 found = getattr(bundle, f"{name}_by_pixel")[..., axis]
                 np.testing.assert_allclose(found, slope, atol=ATOL_DERIVATIVE, rtol=0)
-
-
-@pytest.mark.parametrize(
-    "lens",
-    [
-        Camera("pinhole", 400.0, 400.0, 511.0, 380.0, (-0.3, 0.0, 1e-3, -2e-3, 0.0)),
-        Camera("pinhole", 400.0, 400.0, 511.0, 380.0, (0.3, -0.1, 0.0, 0.0, 0.0)),
-        Camera("equidistant", 300.0, 300.0, 511.0, 380.0, (-0.3, 0.0, 0.0, 0.0)),
-    ],
-    ids=["barrel", "pincushion, then barrel", "fisheye that folds"],
-)
-def test_rays_end_where_the_lens_does(sensor, lens):
-    """Far beyond the field Newton's method would find another branch of the distortion."""
-    view = build_views(sensor)["left"]
-    placement = view.placement
-    model = Lens.of_view(lens, placement.x, placement.y, placement.width, placement.flipped)
-    x, y = np.meshgrid(np.linspace(-700, 700, 101), np.linspace(-700, 700, 103))
-    q = np.stack([x.ravel(), y.ravel()], axis=-1) + model.matrix[:2, 2]
-    expected = model.directions(q)
-    found = RayModel(model, np.eye(4), ()).bundle(q).direction
-    assert 0.1 < np.isnan(expected[:, 0]).mean() < 0.98
-    np.testing.assert_allclose(found, expected, atol=2 * ACCURACY, rtol=0)
 
 
 @pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "common normal"])
@@ -190,17 +166,6 @@ def test_stage_reports_why_a_marker_is_missing(sensor, points):
     assert np.isnan(markers.position[0, :4]).all()
     assert np.isnan(markers.covariance[0, :4]).all()
     assert (markers.status[1:] == Status.MEASURED).all()
-
-
-def test_stage_uses_the_standard_deviations_of_the_grids(sensor, points):
-    grids = grids_of(sensor, points)
-    sharp = StereoRig(sensor).triangulate(grids["left"], grids["right"])
-    std = np.full(sensor.pattern.shape.corners, 2 * sensor.triangulation.corner_noise)
-    std[0, 0] = np.nan
-    blurred = [replace(grids[name], corner_std=std) for name in ("left", "right")]
-    markers = StereoRig(sensor).triangulate(*blurred)
-    expected = np.where(np.isnan(std), 1.0, 4.0)[..., None, None] * sharp.covariance
-    np.testing.assert_allclose(markers.covariance, expected, rtol=1e-9)
 
 
 def test_parameters_choose_method_and_limit(sensor, points):

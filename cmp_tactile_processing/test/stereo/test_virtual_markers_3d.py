@@ -14,17 +14,11 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface, RefractingLayer
 from cmp_tactile_processing.stereo.triangulation import common_normal
-from cmp_tactile_processing.stereo.virtual_marker_curves import (
-    choose_stencils,
-    fill_stencils,
-    set_curves,
-)
 from cmp_tactile_processing.stereo.virtual_markers import (
     LineNodes,
     Lines3D,
     LineTriangulator,
     SeenLines,
-    place_lines,
 )
 
 PLATE_AND_GEL = (RefractingLayer(-0.0145, 1.49), RefractingLayer(-0.0057, 1.41))
@@ -177,24 +171,6 @@ def test_a_bend_between_corners_is_measured_where_both_views_tell(rig):
     assert (cols.status == Status.MEASURED).all()
 
 
-def test_depth_of_rows_between_corners_is_interpolated_and_its_std_says_so(sensor):
-    """A groove along y between two columns: rows run across it, and see it where they tilt."""
-
-    def groove(x, y):
-        depth = 20e-6 * np.exp(-((x / (0.25 * sensor.pattern.pitch)) ** 2))
-        return np.stack([0 * x, 0 * x, -depth], axis=-1)
-
-    scene = make_scene(sensor, groove)
-    rows, cols = scene.triangulate()
-    plain, _ = make_scene(sensor).triangulate()
-    segment = sensor.pattern.cols // 2 - 1
-    assert (rows.status == Status.PREDICTED).all()
-    assert distance(rows.position, scene.rows)[:, segment].max() > 10e-6
-    # The first row lies far from both cameras' feet: there depth shifts it along y as well.
-    assert rows.std[0, segment].max() > 5 * plain.std[0, segment].max()
-    assert distance(cols.position, scene.cols).max() < ATOL_MEASURED_M
-
-
 def test_a_row_on_the_epipolar_direction_is_interpolated(sensor):
     """A flat pattern's rows run exactly along the baseline: both planes are one."""
     flat = replace(sensor, pattern=replace(sensor.pattern, surface=PatternSurface()))
@@ -206,21 +182,6 @@ def test_a_row_on_the_epipolar_direction_is_interpolated(sensor):
     # Its depth is as good as that of the corners, mixed with weights of 0.8 to 1 together.
     assert (rows.std > 0.75 * CORNER_STD_M).all()
     assert (rows.std < 1.1 * CORNER_STD_M).all()
-
-
-@pytest.mark.parametrize(("degrees", "rows_are"), [(20, Status.PREDICTED), (45, Status.MEASURED)])
-def test_turned_patterns(sensor, degrees, rows_are):
-    """Rows that run across the baseline are measured as columns are; the limit is 30 degrees."""
-    cosine, sine = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-    T_gel_turned = np.eye(4)
-    T_gel_turned[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    turned = replace(sensor.optics, T_camera_gel=sensor.optics.T_camera_gel @ T_gel_turned)
-    scene = make_scene(replace(sensor, optics=turned), smooth)
-    rows, cols = scene.triangulate()
-    assert (rows.status[4:-4] == rows_are).all()
-    assert (cols.status[4:-4] == Status.MEASURED).all()
-    np.testing.assert_allclose(rows.position, scene.rows, atol=ATOL_SMOOTH_M, rtol=0)
-    np.testing.assert_allclose(cols.position, scene.cols, atol=ATOL_SMOOTH_M, rtol=0)
 
 
 def test_errors_are_as_large_as_their_std_says(rig):
@@ -264,17 +225,6 @@ def test_status_follows_what_the_views_saw(sensor):
     assert np.isnan(cols.std[5, 6, 0])
     assert np.count_nonzero(cols.status != Status.MEASURED) == 12
     np.testing.assert_allclose(cols.position[3:5], scene.cols[3:5], atol=ATOL_SMOOTH_M, rtol=0)
-
-
-def test_a_marker_of_another_line_is_not_used(sensor):
-    """A view that saw something 30 px from the gridline there says nothing about it."""
-    scene = make_scene(sensor)
-    left = scene.grids["left"]
-    lines = left.col_lines.copy()
-    lines[7, 8, 2, 0] += 30
-    _, cols = scene.triangulate(grids={**scene.grids, "left": replace(left, col_lines=lines)})
-    assert cols.status[7, 8, 2] == Status.PREDICTED
-    assert distance(cols.position, scene.cols).max() < 10 * ATOL_REST_M
 
 
 def test_views_that_contradict_each_other_do_not_make_up_a_depth(sensor):
@@ -323,43 +273,6 @@ def test_missing_corners_are_bridged_and_never_extrapolated(sensor):
     )
     lines.rows(seen_rows, nodes)
     np.testing.assert_array_equal(lines.rows(seen_rows, scene.nodes).position, whole.position)
-
-
-@pytest.mark.parametrize(("rows", "cols", "n"), [(4, 4, 6), (4, 9, 3), (7, 4, 1), (5, 5, 0)])
-def test_other_shapes(sensor, rows, cols, n):
-    pattern = replace(sensor.pattern, rows=rows, cols=cols, points_per_segment=n)
-    scene = make_scene(replace(sensor, pattern=pattern), smooth)
-    found = scene.triangulate()
-    for lines, truth in zip(found, (scene.rows, scene.cols), strict=True):
-        assert lines.position.shape == truth.shape
-        np.testing.assert_allclose(lines.position, truth, atol=2 * ATOL_SMOOTH_M, rtol=0)
-        assert (lines.status != Status.MISSING).all()
-
-
-def test_nothing_is_compiled_while_frames_wait(sensor):
-    """Arrays that are read only, as those of messages are, or lie otherwise in memory."""
-    scene = make_scene(sensor)
-    LineTriangulator(sensor.pattern.shape, TriangulationParameters())
-    kernels = choose_stencils, fill_stencils, set_curves, place_lines
-    known = [len(kernel.signatures) for kernel in kernels]
-    grids = {}
-    for name, grid in scene.grids.items():
-        status, std = grid.col_line_status.copy(), np.asfortranarray(grid.col_line_std)
-        status.flags.writeable = False
-        grids[name] = replace(grid, col_line_status=status, col_line_std=std)
-    plain = scene.triangulate()[1]
-    found = scene.triangulate(grids=grids)[1]
-    np.testing.assert_array_equal(found.position, plain.position)
-    assert [len(kernel.signatures) for kernel in kernels] == known
-
-
-def test_nothing_seen_is_nan(sensor):
-    scene = make_scene(sensor)
-    nothing = {name: Grid.missing(sensor.pattern.shape, "dark") for name in scene.grids}
-    for lines in scene.triangulate(grids=nothing):
-        assert (lines.status == Status.MISSING).all()
-        assert np.isnan(lines.position).all()
-        assert np.isnan(lines.std).all()
 
 
 @pytest.mark.parametrize(

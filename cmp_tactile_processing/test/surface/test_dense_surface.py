@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
+from cmp_tactile_processing.measured import Surface, SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_processing.surface.dense import (
     DenseStatus,
@@ -203,31 +203,6 @@ def test_no_ringing_at_a_steep_edge():
     assert worst < MOST_OVERSHOOT
 
 
-def test_predicted_corners_are_marked():
-    pattern = pattern_of(8, 9, extent=0.008)
-    surface = surface_of(pattern)
-    surface.status[3, 4] = Status.PREDICTED
-    dense = interpolate(surface, pattern.pitch / 4)
-    x, y = material(dense)
-    near = (np.abs(x / pattern.pitch) < 1 - 1e-6) & (np.abs(y / pattern.pitch + 0.5) < 1 - 1e-6)
-    np.testing.assert_array_equal(dense.status == DenseStatus.INTERPOLATED, near)
-
-
-def test_noise_does_not_grow():
-    rng = np.random.default_rng(3)
-    pattern = pattern_of(20, 20)
-    surface = surface_of(pattern)
-    clean = interpolate(surface, EXTENT / 150)
-    noisy = replace(
-        surface,
-        displacement=surface.displacement + rng.normal(0, 1e-6, surface.displacement.shape),
-        row_position=surface.row_position + rng.normal(0, 1e-6, surface.row_position.shape),
-        col_position=surface.col_position + rng.normal(0, 1e-6, surface.col_position.shape),
-    )
-    off = interpolate(noisy, EXTENT / 150).displacement - clean.displacement
-    assert off.std() < 1.1e-6
-
-
 def test_a_monocular_sensor_has_displacement_without_depth():
     surface = surface_of(pattern_of(9, 9))
     for points in (
@@ -283,25 +258,6 @@ def test_height_over_space_of_a_surface_in_closed_form():
     assert worst[-1] < 0.2e-6
 
 
-def test_of_a_fold_the_outermost_layer_counts():
-    pattern = pattern_of(12, 12, 2)
-
-    def fold(x, y):
-        """Sheared so far that the middle overhangs: x goes back while z rises."""
-        tall = 3e-3 * np.exp(-((x / 1.5e-3) ** 2))
-        return np.stack([1.2 * tall, 0 * y, tall], -1)
-
-    dense = interpolate(surface_of(pattern, fold), 1e-4)
-    heights = height_map(dense, SurfaceGrid(3, 131, (0.013, 0.001)))
-    assert (np.diff(dense.position[60, :, 0]) < 0).any(), "it does overhang"
-    found = heights.height[1]
-    # No node of the surface lies above the map.
-    for x, _, z in dense.position[len(dense.grid.y) // 2]:
-        nearest = round((x - heights.grid.x[0]) / heights.grid.spacing[0])
-        if 0 < nearest < 130:
-            assert np.nanmax(found[nearest - 1 : nearest + 2]) > z - 2e-5
-
-
 @pytest.mark.parametrize(
     ("spacing", "margin"), [(-1e-4, 0.0), (1.0, 0.0), (1e-4, -1e-4), (np.nan, 0.0), (1e-7, 0.0)]
 )
@@ -319,12 +275,3 @@ def test_a_surface_of_another_shape_or_without_reference_is_an_error():
     nowhere = replace(surface, reference=np.full_like(surface.reference, np.nan))
     with pytest.raises(GeometryError, match="no pitch in the reference"):
         interpolate(nowhere, 5e-4)
-
-
-def test_nothing_seen_is_all_missing():
-    surface = surface_of(pattern_of(8, 8))
-    for i, j in np.ndindex(8, 8):
-        surface = without_corner(surface, i, j)
-    dense = interpolate(surface, 5e-4, 2e-4)
-    assert (dense.status == DenseStatus.MISSING).all()
-    assert np.isnan(dense.displacement).all()

@@ -10,7 +10,6 @@ import pytest
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph
 from cmp_tactile_processing.tracking.numbering.components import (
     GridlinePointers,
-    drop_strained,
     traverse,
 )
 
@@ -41,34 +40,10 @@ def offsets(component):
     return np.unique(component.number - true_number(component.position), axis=0)
 
 
-def joined(graph, node, towards, other):
-    """With one more pointer, there and back."""
-    neighbour = graph.neighbour.copy()
-    neighbour[node, towards], neighbour[other, (towards + 2) % 4] = other, node
-    return replace(graph, neighbour=neighbour)
-
-
 def without(graph, nodes):
     merged = graph.merged.copy()
     merged[nodes] = False
     return replace(graph, merged=merged)
-
-
-def test_a_pointer_that_is_not_answered_counts_for_nothing():
-    """One end alone knows of the way that joins two halves a line apart: they stay two sets."""
-    graph = without(lattice(6, 9), [9 * i + 4 for i in range(6)])
-    neighbour = graph.neighbour.copy()
-    neighbour[3, 1] = 5
-    assert len(traverse(replace(graph, neighbour=neighbour))) == 2
-    assert len(traverse(joined(graph, 3, 1, 5))) == 1
-
-
-def test_a_square_that_does_not_close_joins_nothing():
-    """Two rows are joined by a false pointer over a lost corner: the numbers behind it stay."""
-    graph = joined(without(lattice(8, 8), [3 * 8 + 4]), 3 * 8 + 3, 1, 3 * 8 + 5)
-    component = traverse(graph)[0]
-    assert len(offsets(component)) == 1
-    assert len(component.position) >= 8 * 8 - 5
 
 
 @pytest.mark.parametrize("flaw", ["even", "merged"])
@@ -120,25 +95,6 @@ def test_clutter_changes_no_number(seed):
     assert ours.sum() >= 380
     true = replace(component, position=component.position[ours], number=component.number[ours])
     assert len(offsets(true)) == 1
-
-
-def test_strained_pointers_are_dropped_at_both_ends():
-    graph = lattice(5, 5)
-    moved = graph.position.copy()
-    moved[12] += 0.7 * SIDE
-    graph = replace(graph, position=moved)
-    left = drop_strained(graph, *steps(25))
-    assert (left.neighbour[12] == -1).all()
-    assert not (left.neighbour == 12).any()
-    assert (left.neighbour >= 0).sum() == (graph.neighbour >= 0).sum() - 8
-
-
-def test_what_one_graph_left_in_the_buffers_is_not_seen_in_the_next():
-    walk = GridlinePointers()
-    for graph in (lattice(40, 40), lattice(4, 6), lattice(12, 9)):
-        (kept,), (fresh,) = walk.unstrained_components(graph), traverse(graph)
-        np.testing.assert_array_equal(kept.number, fresh.number)
-        np.testing.assert_array_equal(kept.position, fresh.position)
 
 
 def test_components_come_largest_first_and_small_ones_on_demand():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -13,19 +11,15 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
     CORNER_SIGNS,
-    NominalSteps,
-    fit_quadrangles,
 )
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
     Checkers,
     ContourStitching,
-    best_checkers,
     largest_set,
     merge_corners,
 )
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.numbering.components import traverse
-from cmp_tactile_processing.tracking.tracker import curve_residual
 
 SIDE = 20.0
 # Within this a corner is none of its neighbours, and a saddle-point fit finds it.
@@ -65,99 +59,6 @@ def test_numbers_follow_from_connectivity_alone(rows, cols, dark):
     np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=5)
     # Whichever colour was outlined, `even` is that of the dark checkers.
     np.testing.assert_array_equal(component.even, number.sum(axis=1) % 2 == 0)
-
-
-def test_checkers_of_the_other_colour_bridge_lost_ones():
-    """A row of dark checkers is lost: the light ones beside them hold the grid together."""
-    dark, light = checkers_around(8, 9), checkers_around(8, 9, dark=False)
-    dark = chosen(dark, np.abs(dark.centres[:, 1] - 3.5 * SIDE) > 0.6 * SIDE)
-    parts = merge_corners(dark)
-    assert largest_set(parts) == len(traverse(parts)[0].position) < len(parts.position)
-    graph = merge_corners(dark.joined(light))
-    (component,) = traverse(graph)
-    assert len(component.position) == largest_set(graph) == 72
-    number = component.number - component.number.min(axis=0)
-    np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=1e-9)
-
-
-def test_of_two_outlines_of_a_checker_the_better_is_kept():
-    good = checkers_around(4, 4)
-    worse = replace(good, corners=good.corners + 3.0, quality=good.quality - 0.2)
-    for both in (good.joined(worse), worse.joined(good)):
-        np.testing.assert_array_equal(best_checkers(both).corners, good.corners)
-
-
-def test_nothing_is_merged_from_nothing():
-    graph = merge_corners(Checkers.none())
-    assert graph.position.shape == (0, 2)
-    assert largest_set(graph) == 0
-    assert traverse(graph) == []
-
-
-def flat_grid(rows, cols, turned=0.0):
-    """Nominal grid of a flat pattern seen straight on, with its middle at (100, 100)."""
-    i, j = np.mgrid[:rows, :cols] - np.reshape([(rows - 1) / 2, (cols - 1) / 2], (2, 1, 1))
-    c, s = np.cos(turned), np.sin(turned)
-    corners = 100 + SIDE * np.stack([c * j - s * i, s * j + c * i], axis=-1)
-    row_step, col_step = np.gradient(corners, axis=0), np.gradient(corners, axis=1)
-    tree = cKDTree(corners.reshape(-1, 2))
-    return NominalGrid(corners, row_step, col_step, SIDE, SIDE, SIDE, tree)
-
-
-def blob(*shapes):
-    """Binary image of polygons; those after the first are cut out."""
-    image = np.zeros((200, 200), np.uint8)
-    for n, shape in enumerate(shapes):
-        cv2.fillPoly(image, [np.rint(shape).astype(np.int32)], 0 if n else 255)
-    return image
-
-
-def fitted(image, nominal):
-    contours, _ = cv2.findContours(image, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    return fit_quadrangles(contours, NominalSteps(nominal), 0.0)[0]
-
-
-SQUARE = [[90.0, 91], [110, 91], [110, 111], [90, 111]]
-
-
-@pytest.mark.parametrize(
-    "cut",
-    [
-        pytest.param([], id="whole"),
-        pytest.param([[[97, 98], [103, 98], [103, 104], [97, 104]]], id="hole"),
-        pytest.param([[[98, 90], [102, 90], [102, 94], [98, 94]]], id="dent"),
-        pytest.param([[[89, 90], [94, 90], [89, 95]]], id="corner off"),
-    ],
-)
-def test_a_flawed_outline_gives_the_whole_quadrangle(cut):
-    (corners,) = fitted(blob(SQUARE, *cut), flat_grid(5, 5))
-    # CORNER_SIGNS' order with i downwards and j to the right; a px of what was cut may remain.
-    np.testing.assert_allclose(corners, SQUARE, atol=1.0)
-
-
-def test_what_is_no_checker_gives_no_quadrangle():
-    nominal = flat_grid(5, 5)
-    two_joined = [[90, 90], [110, 90], [110, 110], [130, 110], [130, 130], [110, 130], [90, 112]]
-    long_one = [[80, 90], [125, 90], [125, 110], [80, 110]]
-    triangle = [[90, 110], [100, 90], [110, 110]]
-    far_off = (np.array(SQUARE) - 90).tolist()
-    speck = [[99, 99], [101, 99], [101, 101], [99, 101]]
-    for shape in (two_joined, long_one, triangle, speck):
-        assert len(fitted(blob(shape), nominal)) == 0
-    assert len(fitted(blob(far_off), flat_grid(2, 2))) == 0
-    assert len(fitted(blob(), nominal)) == 0
-    # The hole of a frame is no checker, however square.
-    frame = [[60, 60], [140, 60], [140, 140], [60, 140]]
-    assert len(fitted(blob(frame, SQUARE), nominal)) == 0
-
-
-def test_erosion_is_made_good_by_expansion():
-    nominal = NominalSteps(flat_grid(5, 5))
-    for times in (1, 2, 3):
-        eroded = cv2.erode(blob(SQUARE), np.ones((3, 3), np.uint8), iterations=times)
-        contours, _ = cv2.findContours(eroded, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        ((corners,), _) = fit_quadrangles(contours, nominal, float(times))
-        np.testing.assert_allclose(corners, SQUARE, atol=1e-6)
 
 
 def rig_of(sensor, view):
@@ -273,11 +174,3 @@ def test_an_image_without_a_pattern_gives_no_corner(sensor, level):
     assert largest_set(detect(image)) == 0
     noise = np.random.default_rng(0).normal(level, 5, image.shape).clip(0, 255).astype(np.uint8)
     assert largest_set(detect(noise)) < 10
-
-
-def test_curve_residual_is_the_noise():
-    corners = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0)), axis=-1) * 17
-    noise = np.random.default_rng(5).normal(0, 0.05, corners.shape)
-    assert curve_residual(corners) < 1e-12
-    # RMS over both coordinates of sigma 0.05 a coordinate; 900 corners leave a few per cent.
-    assert curve_residual(corners + noise) == pytest.approx(0.05 * np.sqrt(2), rel=0.1)

@@ -43,22 +43,6 @@ def test_a_line_moves_a_corner_across_itself_alone():
     assert std[0, 1] == pytest.approx(np.sqrt(np.mean(variances)), rel=1e-9)
 
 
-def test_a_slanted_line_moves_it_along_its_normal():
-    lines = _gathered((0.004, 0.004), slope=0.5)
-    corners, _ = fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines)
-    across = corners[0, 1] @ np.array([1.0, 0.5])
-    assert across == pytest.approx(0.0, abs=1e-12)
-    assert corners[0, 1, 1] > 0
-
-
 @pytest.mark.parametrize("offsets", [(0.02, -0.02), (0.06, 0.06)])
 def test_a_line_that_kinks_or_misses_the_corner_has_no_say(offsets):
     assert np.count_nonzero(_gathered(offsets)[0, 1]) == 0
-
-
-def test_missing_corners_stay_missing():
-    corners = np.array([[[np.nan, np.nan], [1.0, 2.0]]])
-    found, std = fused_corners(corners, np.array([[np.nan, STD]]), np.zeros((1, 2, ENTRIES)))
-    assert np.isnan(found[0, 0]).all()
-    assert found[0, 1].tolist() == [1.0, 2.0]
-    assert std[0, 1] == pytest.approx(STD)

@@ -20,10 +20,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid, draw_nominal
-from cmp_tactile_processing.tracking.numbering.torn_view import jumps_at, torn_rows
+from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # A corner is misnumbered within this share of a checker's side of another corner.
@@ -134,59 +132,6 @@ def test_a_band_of_another_frame_in_the_middle(trackers, photograph, nominal):
         grid = tracker.track(image)
         assert misnumbered(grid, np.stack([*places, below]), nominal.side_px) == 0
         assert grid.fault in SAYS_SO
-
-
-@pytest.mark.parametrize("lost", [17, 36, 70])
-@pytest.mark.parametrize("share", [0.3, 0.6])
-def test_rows_that_are_lost(trackers, photograph, nominal, lost, share):
-    image, corners = photograph()
-    row, tracker = row_at(nominal, share), trackers["saddle_lattice"]
-    earlier = np.roll(image, -lost, axis=0), corners - (0, lost)
-    broken, places = torn((image, corners), earlier, row)
-    tracker.reset()
-    grid = tracker.track(broken)
-    assert misnumbered(grid, places, nominal.side_px) == 0
-    assert grid.fault in SAYS_SO
-
-
-def test_no_good_frame_is_torn(sensor, stills, view_image):
-    for still in stills.values():
-        for view in sensor.views:
-            image = view_image(still, view).copy()
-            prefilter = Prefilter(image.shape, 17.0)
-            assert torn_rows(prefilter.prepare(image)) == []
-            lower = np.roll(image, 3, axis=1)
-            assert torn_rows(prefilter.prepare(np.vstack([image[:350], lower[350:]]))) == [350]
-
-
-def lattice(shift=0.0, from_row=6):
-    """Checkers seen straight on, the lower ones shifted along the rows; their graph."""
-    i, j = np.mgrid[:12, :12]
-    index = np.pad(np.arange(i.size).reshape(i.shape), 1, constant_values=-1)
-    neighbour = np.stack([index[1 + a : 13 + a, 1 + b : 13 + b] for a, b in STEPS], axis=-1)
-    position = np.stack([20.5 + 18.0 * j, 19.5 + 18.0 * i], axis=-1)
-    position[from_row:, :, 0] += shift
-    even, merged = ((i + j) % 2 == 0).ravel(), np.ones(i.size, bool)
-    return CornerGraph(position.reshape(-1, 2), merged, even, neighbour.reshape(-1, 4))
-
-
-@pytest.mark.parametrize(
-    ("shift", "torn"), [(0.0, False), (1.0, False), (5.0, True), (-9.0, True), (23.0, True)]
-)
-def test_gridlines_that_jump_across_a_row_are_torn_there(shift, torn):
-    """Seen straight on, the checkers' edges lie along the row in any case."""
-    assert jumps_at(lattice(shift), 20 + 18 * 6 - 0.5, 18.0) is torn
-
-
-@pytest.mark.parametrize("depth", [0.3, 0.6])
-def test_a_pressed_lattice_does_not_jump(depth):
-    """Large strain, here and there up to half a checker, is no jump of everything."""
-    graph = lattice()
-    away = (graph.position - graph.position.mean(axis=0)) / 18.0
-    push = depth * away * np.exp(-((np.linalg.norm(away, axis=1) / 2) ** 2))[:, None]
-    pressed = replace(graph, position=graph.position + 18.0 * push)
-    for row in np.arange(40.0, 200.0, 3.0):
-        assert not jumps_at(pressed, row, 18.0), row
 
 
 def test_a_thin_bar_along_rows_is_not_taken_for_a_tear(trackers, photograph, nominal):

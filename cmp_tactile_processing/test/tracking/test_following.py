@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from command_output import output_of
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import GridFault, Status
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
 DRAWN_PX = 0.3
-# Corners farther off than this bear a wrong number: half the smallest checker of the rig.
-WRONG_PX = 7.5
 NOISE_SEED = 5
 
 
@@ -91,65 +88,6 @@ def test_following_and_detecting_measure_the_same(tracker, photograph, nominal):
     std = np.stack([followed.corner_std, detected.corner_std])
     assert np.sqrt(np.mean(apart**2)) < 0.5 * np.sqrt(np.mean(std**2))
     assert (apart < 3 * np.linalg.norm(std, axis=0)).all()
-
-
-@pytest.mark.parametrize("size_px", [20.0, 40.0, -40.0])
-def test_a_knock_of_more_than_a_checker_is_right_within_its_frame(
-    tracker, photograph, nominal, size_px
-):
-    tracker.track(photograph(push(nominal, 0.0)))
-    knocked = tracker.track(photograph(push(nominal, size_px)))
-    assert_right(knocked, nominal, push(nominal, size_px))
-    assert not knocked.followed
-    released = tracker.track(photograph(push(nominal, 0.0)))
-    assert_right(released, nominal, push(nominal, 0.0))
-
-
-@pytest.mark.parametrize("side", ["none", "left", "right", "top", "bottom"])
-@pytest.mark.parametrize("shift", [(2, 0), (-2, 0), (0, 2), (0, -2), (1, 1), (-1, 1)])
-def test_a_lattice_shifted_by_whole_checkers_is_never_taken_for_itself(
-    tracker, photograph, nominal, side, shift
-):
-    """Every corner lands on the rest position of another one; a third may be hidden, too."""
-    di, dj = shift
-    tracker.track(photograph(np.zeros(2)))
-    displacement = di * nominal.row_step + dj * nominal.col_step
-    image = photograph(displacement)
-    low, high = nominal.corners.min(axis=(0, 1)), nominal.corners.max(axis=(0, 1))
-    u, v = ((np.indices(image.shape)[::-1].T - low) / (high - low)).T
-    places = {"none": u + np.inf, "left": u, "right": 1 - u, "top": v, "bottom": 1 - v}
-    image[places[side] < 1 / 3] = 110
-    grid = tracker.track(image)
-    error = np.linalg.norm(grid.corners - nominal.corners - displacement, axis=-1)
-    assert not (error > WRONG_PX).any()
-    assert grid.fault != GridFault.NONE or (side == "none" and grid.found_fraction == 1)
-    if side == "none":
-        assert_right(grid, nominal, displacement, share=0.0)
-
-
-def test_light_that_is_switched_does_not_matter(tracker, photograph, nominal):
-    image = photograph(np.zeros(2))
-    tracker.track(image)
-    dim = tracker.track((image * 0.2).astype(np.uint8))
-    assert_right(dim, nominal, np.zeros(2))
-    black = tracker.track(np.zeros_like(image))
-    assert (black.corner_status == Status.MISSING).all()
-    assert black.fault == GridFault.DARK
-    again = tracker.track(image)
-    assert_right(again, nominal, np.zeros(2))
-
-
-def test_what_hides_the_gel_comes_and_goes(tracker, photograph, nominal):
-    clear, covered = photograph(np.zeros(2)), photograph(np.zeros(2))
-    middle = nominal.corners.mean(axis=(0, 1)).astype(int)
-    cv2.circle(covered, (int(middle[0]), int(middle[1])), 60, 60, -1)
-    assert_right(tracker.track(clear), nominal, np.zeros(2))
-    hidden = tracker.track(covered)
-    assert_right(hidden, nominal, np.zeros(2), share=0.8)
-    inside = np.linalg.norm(nominal.corners - middle, axis=-1) < 55
-    assert np.isnan(hidden.corners[inside]).all()
-    assert hidden.fault == GridFault.PARTLY_HIDDEN
-    assert_right(tracker.track(clear), nominal, np.zeros(2))
 
 
 def test_a_grid_that_is_not_followed_is_detected_each_time(sensor, photograph, nominal):

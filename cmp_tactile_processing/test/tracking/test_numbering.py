@@ -17,16 +17,12 @@ import pytest
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.corners.neighbours import drop_stray_parts
 from cmp_tactile_processing.tracking.detector import (
     STEPS,
-    Component,
     CornerGraph,
     NominalGrid,
 )
-from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners, joined
 from cmp_tactile_processing.tracking.numbering.faulty_view import OtherViews
-from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
@@ -271,13 +267,6 @@ def test_a_false_border_far_from_the_nominal_place_is_doubted(rig, false_border,
 
 
 @pytest.mark.parametrize("side", OPPOSITE)
-@pytest.mark.parametrize("knock", [0.0, 2.0])
-def test_a_false_border_is_known_by_its_margin(rig, false_border, side, knock):
-    found, outline = false_border(side, knock, grey=110.0)
-    assert rig.wrong(found, outline) == 0
-
-
-@pytest.mark.parametrize("side", OPPOSITE)
 def test_a_false_border_like_the_margin_at_the_nominal_place_is_doubted(rig, false_border, side):
     """The image is that of a gel at rest with one side hidden: only the confidence can show it."""
     for previous in (None, rig.nominal.corners):
@@ -292,19 +281,6 @@ def test_after_a_jump_one_border_is_no_proof(rig, false_border, side):
     before = false_border(side, 2.0)[1][1:-1, 1:-1]
     found, _ = false_border(side, 2.0, before)
     assert_refused(found, GridFault.AMBIGUOUS, "after a jump")
-
-
-@pytest.mark.parametrize(("off", "known"), [(0.2, True), (0.31, False)])
-def test_a_component_between_two_places_is_not_joined(rig, off, known):
-    """Off along the diagonal: the next place of the same colours lies only little farther."""
-    corners = rig.outline()[1:-1, 1:-1].copy()
-    corners[6:12, 6:12] = np.nan
-    number = np.argwhere(np.ones((4, 4)))
-    i, j = number.T + 7
-    position = rig.geometry.project(rig.sensor.pattern.at(i + off, j + off)) - rig.window.origin
-    even = ((i + j) % 2 == 0) == rig.dark_first
-    shift = joined(corners, Component(position, number, even), rig.nominal, rig.dark_first)
-    np.testing.assert_array_equal(shift, (7, 7) if known else None)
 
 
 @pytest.fixture
@@ -351,28 +327,6 @@ def test_a_mirrored_view_is_named(rig):
     assert_refused(rig.number(mirrored), GridFault.MIRRORED, reason)
 
 
-def test_a_turned_view_of_which_a_line_is_lost_is_named(rig):
-    """A lost line may be found by the fit: the shape must show it without that."""
-    outline = 2 * rig.nominal.corners.mean(axis=(0, 1)) - rig.outline((0.3, 0.2), bump=0.8)
-    turned = outline[::-1, ::-1]
-    visible = np.ones(rig.size, bool)
-    visible[-1] = False
-    found = rig.numbering.number(rig.graph(turned, visible), prepared(rig.draw(turned)))
-    assert_refused(found, GridFault.TURNED)
-
-
-def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
-    """A gel so deformed that it lies half way between the view and the view turned."""
-    proper = rig.nominal.corners
-    turned = (2 * proper.mean(axis=(0, 1)) - proper)[::-1, ::-1]
-    half_way, number = (proper + turned).reshape(-1, 2) / 2, np.argwhere(np.ones(rig.size))
-    views = OtherViews(rig.nominal)
-    assert views.seen_in(half_way, number)[0] is GridFault.AMBIGUOUS
-    assert views.seen_in(half_way, number, half_way.reshape(proper.shape))[0] is GridFault.NONE
-    assert views.seen_in(proper.reshape(-1, 2), number)[0] is GridFault.NONE
-    assert views.seen_in(turned.reshape(-1, 2), number, turned)[0] is GridFault.TURNED
-
-
 def test_a_second_pattern_over_the_first_is_named(rig):
     """A finer checkerboard is pasted over a quarter: none of its corners gets a number."""
     outline = rig.outline()
@@ -390,95 +344,13 @@ def test_a_second_pattern_over_the_first_is_named(rig):
     assert found.fault is GridFault.TWO_PATTERNS
 
 
-def test_only_another_pattern_in_sight(rig):
-    """A whole grid elsewhere in the image, of which the drawn view shows nothing."""
-    outline = rig.outline((2.0, 0.0))
-    found = rig.numbering.number(rig.graph(rig.outline((-2.0, 0.0))), prepared(rig.draw(outline)))
-    assert_refused(found, GridFault.OTHER_SIZE)
-
-
-def test_nothing_and_corners_that_connect_by_chance_make_no_pattern(rig):
-    nothing = np.empty(0, bool)
-    empty = CornerGraph(np.empty((0, 2)), nothing, nothing, np.empty((0, 4), int))
-    visible = np.zeros(rig.size, bool)
-    visible[5:7, 5:8] = True
-    blank = prepared(np.full((rig.window.height, rig.window.width), LIGHT, np.float32))
-    for graph, reason in ((empty, ""), (rig.graph(rig.outline(), visible), "6 corners")):
-        assert_refused(rig.numbering.number(graph, blank), GridFault.NO_PATTERN, reason)
-
-
-def test_corners_seen_on_the_margin_get_no_number(rig):
-    """A detector that takes the outer checkers' own corners for inner ones: a line too many."""
-    outline = rig.outline((0.1, 0.2))
-    further = np.concatenate([2 * outline[:1] - outline[1:2], outline])
-    graph = rig.graph(further, dark_first=not rig.dark_first)
-    found = rig.numbering.number(graph, prepared(rig.draw(outline)))
-    assert rig.wrong(found, outline) == 0
-    assert np.isfinite(found.corners).all()
-
-
-@pytest.mark.parametrize("margin", [230.0, 120.0, 70.0])
-@pytest.mark.parametrize(("blur", "noise"), [(0.8, 1.0), (4.0, 1.0), (0.8, 16.0)])
-def test_borders_are_seen_on_all_sides(rig, margin, blur, noise):
-    """White, grey and dark-ish margins, uneven light, the strongest blur and noise to be borne."""
-    outline = rig.outline((0.3, 0.1), bump=0.8)
-    light = np.linspace(0.4, 1, rig.window.width, dtype=np.float32)
-    image = prepared(rig.draw(outline, margin) * light, blur, noise)
-    corners = outline[1:-1, 1:-1] + np.random.default_rng(5).normal(0, 0.3, (*rig.size, 2))
-    sides = border_sides(image, corners, rig.dark_first, rig.size)
-    assert all(side.ends for side in sides)
-    assert not any(side.goes_on or side.over for side in sides)
-
-
-@pytest.mark.parametrize("lost", [1, 2])
-def test_a_pattern_that_goes_on_has_no_border(rig, lost):
-    """The outermost lines are not found: the checkers beyond them are no margin."""
-    outline = rig.outline((0.3, 0.1))
-    inner = slice(1 + lost, -1 - lost)
-    even = rig.dark_first  # of corner (lost, lost), on the same diagonal as (0, 0)
-    sides = border_sides(prepared(rig.draw(outline)), outline[inner, inner], even, rig.size)
-    assert all(side.goes_on for side in sides)
-    assert not any(side.ends for side in sides)
-
-
-def test_a_loose_corner_is_dropped_and_its_neighbours_stay(rig):
-    corners = rig.outline(bump=1.5)[1:-1, 1:-1].copy()
-    corners[5, 7] += 0.5 * rig.nominal.side_px
-    corners[12:, 3] = np.nan
-    drop_loose_corners(corners, rig.nominal.corners)
-    assert np.isnan(corners[5, 7]).all()
-    assert np.isnan(corners[..., 0]).sum() == 1 + 8
-
-
-@pytest.mark.parametrize("gap", [0, 1, 3])
-@pytest.mark.parametrize(("pitch", "off"), [(0.8, 0.0), (1.0, 0.3), (1.2, -0.2)])
-def test_another_pattern_that_continues_the_gridlines_is_dropped(rig, gap, pitch, off):
-    """Its lines meet those of the gel in one corner; a gap of lost corners may lie between."""
-    corners = rig.outline(bump=1.5)[1:-1, 1:-1].copy()
-    i, j = np.mgrid[6:15, 9:20]
-    places = 6 + off + pitch * (i - 6), 9 + off + pitch * (j - 9)
-    other = rig.geometry.project(rig.sensor.pattern.at(*places)) - rig.window.origin
-    before = corners[6:15, 9:20].copy()
-    corners[6:15, 9:20] = np.nan
-    corners[6 + gap : 15, 9 + gap : 20] = (before[0, 0] + other - other[0, 0])[gap:, gap:]
-    if off:
-        corners[6 + gap : 15, 9 + gap : 20] += off * rig.nominal.side_px
-    truth = rig.outline(bump=1.5)[1:-1, 1:-1]
-    assert drop_stray_parts(corners, rig.nominal) > 30
-    wrong = np.linalg.norm(corners - truth, axis=-1) > 0.2 * rig.nominal.side_px
-    assert not wrong.any()
-    assert np.isfinite(corners[:, :8]).all()
-    assert np.isfinite(corners[:4]).all()
-
-
-@pytest.mark.parametrize("aside", [1.0, 2.0, -2.5])
-def test_a_gel_that_a_bar_shears_steeply_has_no_strays(rig, aside):
-    """Five rows move by checkers as one, those beside them by less and less: kinks, no seam."""
-    corners = rig.outline(bump=1.0)[1:-1, 1:-1].copy()
-    i = np.arange(corners.shape[0])[:, None]
-    beside = np.maximum(np.abs(i - 9) - 2, 0)
-    share = np.exp(-beside / 4)
-    corners += (aside * share)[..., None] * rig.nominal.col_step
-    bend = np.abs(np.diff(share[:, 0], 2)).max() * abs(aside)
-    assert bend > 0.2
-    assert drop_stray_parts(corners, rig.nominal) == 0
+def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
+    """A gel so deformed that it lies half way between the view and the view turned."""
+    proper = rig.nominal.corners
+    turned = (2 * proper.mean(axis=(0, 1)) - proper)[::-1, ::-1]
+    half_way, number = (proper + turned).reshape(-1, 2) / 2, np.argwhere(np.ones(rig.size))
+    views = OtherViews(rig.nominal)
+    assert views.seen_in(half_way, number)[0] is GridFault.AMBIGUOUS
+    assert views.seen_in(half_way, number, half_way.reshape(proper.shape))[0] is GridFault.NONE
+    assert views.seen_in(proper.reshape(-1, 2), number)[0] is GridFault.NONE
+    assert views.seen_in(turned.reshape(-1, 2), number, turned)[0] is GridFault.TURNED

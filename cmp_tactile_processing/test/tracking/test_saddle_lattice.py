@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.tracking.corners.evidence import edge_evidence, ring_evidence
-from cmp_tactile_processing.tracking.corners.neighbours import (
-    edge_crossings,
-)
-from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice, SaddleResponse
+from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import STEPS, NominalGrid, draw_nominal
 
 # A detector's corner serves if the sub-pixel fit finds home from it: a pixel and a half.
 DETECTED_PX = 1.5
-# The drawing's own corners are exact to this, px.
-DRAWN_PX = 0.3
 PITCH_PX = 17.0
 
 
@@ -78,16 +71,6 @@ def test_a_clean_lattice_is_found_whole(rows, cols, shear):
     assert_is_lattice(detected(ideal(corners), corners), corners)
 
 
-@pytest.mark.parametrize("blur", [2.0, 4.0])
-@pytest.mark.parametrize("sigma", [0.0, 16.0])
-def test_blur_and_noise_leave_it_whole(blur, sigma):
-    corners = straight_grid(8, 9)
-    picture = cv2.GaussianBlur(ideal(corners), (0, 0), blur).astype(float)
-    picture += np.random.default_rng(0).normal(0, sigma, picture.shape)
-    graph = detected(np.clip(np.rint(picture), 0, 255).astype(np.uint8), corners)
-    assert_is_lattice(graph, corners)
-
-
 def test_a_lattice_seen_turned_and_stretched_against_the_nominal_is_found_whole():
     nominal = straight_grid(9, 9) + 40
     middle = nominal.mean(axis=(0, 1))
@@ -99,16 +82,6 @@ def test_a_lattice_seen_turned_and_stretched_against_the_nominal_is_found_whole(
     assert_is_lattice(graph, seen)
 
 
-def test_grey_margin_does_not_add_a_line_of_corners():
-    corners = straight_grid(6, 6)
-    picture = ideal(corners)
-    low, high = corners[0, 0] - PITCH_PX, corners[-1, -1] + PITCH_PX
-    grey = np.full_like(picture, 120)
-    inside = np.s_[int(low[1]) : int(high[1]) + 1, int(low[0]) : int(high[0]) + 1]
-    grey[inside] = picture[inside]
-    assert_is_lattice(detected(cv2.GaussianBlur(grey, (0, 0), 0.8), corners), corners)
-
-
 def test_pictures_without_corners_give_none():
     corners = straight_grid(6, 6)
     noise = np.random.default_rng(1).integers(0, 255, (200, 200)).astype(np.uint8)
@@ -117,36 +90,3 @@ def test_pictures_without_corners_give_none():
         assert len(detected(picture, corners).position) == 0
     # Chance saddles in noise have no edges to each other: no more than a pair or two.
     assert len(detected(noise, corners).position) < 8
-
-
-def test_the_strongest_are_kept_where_there_are_too_many():
-    corners = straight_grid(8, 8)
-    smooth = ideal(corners).astype(np.float32)
-    every = SaddleResponse(smooth.shape, PITCH_PX, 500).candidates(smooth, 5.0)
-    few = SaddleResponse(smooth.shape, PITCH_PX, 70).candidates(smooth, 5.0)
-    assert len(every) >= 64
-    assert 0 < len(few) <= 70
-    assert set(map(tuple, few)) <= set(map(tuple, every))
-
-
-def test_evidence_outside_the_image_and_crossings_without_edges_are_nan():
-    flat = np.full((50, 50), 100.0, np.float32)
-    step = np.array([[0.0, 10.0]]), np.array([[10.0, 0.0]])
-    rim, other, middle = np.array([[1.0, 25.0]]), np.array([[1.0, 35.0]]), np.array([[25.0, 25.0]])
-    assert np.isnan(ring_evidence(flat, rim, *step)[0, 1])
-    assert np.isnan(edge_evidence(flat, rim, other, step[1])).all()
-    assert np.isnan(edge_crossings(flat, middle, *step, np.array([80.0]))).all()
-
-
-@pytest.mark.parametrize("radius", [3, 4, 5])
-def test_a_destroyed_corner_is_measured_by_its_gridlines(radius):
-    corners = straight_grid(7, 7, shear=0.1)
-    picture = ideal(corners)
-    x, y = corners[3, 3]
-    cv2.circle(picture, (round(x), round(y)), radius, 190, -1, cv2.LINE_AA)
-    smooth = cv2.GaussianBlur(picture, (0, 0), 1.0).astype(np.float32)
-    row_step = (corners[4, 3] - corners[2, 3])[None] / 2
-    col_step = (corners[3, 4] - corners[3, 2])[None] / 2
-    start = corners[3, 3][None] + [1.0, -1.0]
-    crossing = edge_crossings(smooth, start, row_step, col_step, np.array([80.0]))
-    np.testing.assert_allclose(crossing[0], corners[3, 3], atol=DRAWN_PX)

@@ -246,18 +246,6 @@ def test_friction_returns_when_the_motion_turns_round(gel):
     assert back.resultant[0] == pytest.approx(-forth.resultant[0], rel=0.01)
 
 
-def test_without_friction_the_way_does_not_matter(gel):
-    simulation, state = pressed(gel, 0.0, depth=1e-4)
-    around = simulation.move(state, by(state, 3e-4, 1e-4, -5e-5))
-    around = simulation.move(around, by(around, -4e-4, -2e-4, 2e-5))
-    around = simulation.move(around, place(0, 0, RADIUS - DEPTH, turn=40))
-    _, straight = pressed(gel, 0.0)
-    assert (
-        np.abs(around.force - straight.force).max()
-        < SOLVER_TOLERANCE * np.abs(straight.force).max()
-    )
-
-
 @pytest.mark.parametrize("friction", [0.0, FRICTION])
 def test_work_of_the_indenter_is_stored_or_spent_in_friction(gel, friction):
     simulation, state = pressed(gel, friction, depth=1e-5)
@@ -324,17 +312,6 @@ def test_scene_turned_by_90_degrees_gives_the_turned_result(gel):
     assert np.abs(unturned - results[0]).max() < SOLVER_TOLERANCE * np.abs(results[0]).max()
 
 
-def test_a_state_is_all_that_the_future_depends_on(gel):
-    simulation, state = pressed(gel, FRICTION)
-    through = simulation.move(
-        simulation.move(state, by(state, 5e-5, 0, 0)), by(state, 5e-5, 1e-4, 0)
-    )
-    state = simulation.move(state, by(state, 5e-5, 0, 0))
-    fresh = ContactSimulation(gel, Sphere(RADIUS), FRICTION)
-    resumed = fresh.move(state, by(state, 0, 1e-4, 0))
-    assert np.array_equal(resumed.force, through.force)
-
-
 def test_load_is_reached_in_all_its_parts(gel):
     simulation = ContactSimulation(gel, Sphere(RADIUS), 0.6)
     state = simulation.rest(place(1e-4, 0, 0.03))
@@ -349,24 +326,6 @@ def test_load_is_reached_in_all_its_parts(gel):
     assert simulation.load(less).normal == pytest.approx(0.1, rel=2e-6)
     none = simulation.press(less, Load(0.0))
     assert not none.contact.any()
-
-
-def test_load_is_reached_where_the_first_nodes_cannot_balance_it(gel):
-    """A corner beside the nodes first meets one on its slope, too steep for the friction."""
-    rotation = Rotation.from_euler("xy", (45, 35), degrees=True).as_matrix()
-    simulation = ContactSimulation(gel, Cuboid((3e-3, 3e-3, 3e-3)), 0.3)
-    state = simulation.rest(Pose(np.array([3e-5, 5e-5, 5e-3]), rotation))
-    state = simulation.press(state, Load(0.1))
-    assert simulation.load(state).normal == pytest.approx(0.1, rel=2e-6)
-    assert simulation.load(state).tangential == pytest.approx((0, 0), abs=2e-7)
-    assert_lawful(simulation, state)
-
-
-def test_load_without_friction_drives_the_normal_force_alone(gel):
-    simulation = ContactSimulation(gel, Sphere(RADIUS), 0.0)
-    state = simulation.press(simulation.rest(place(1e-4, 0, 0.03)), Load(0.2))
-    assert simulation.load(state).normal == pytest.approx(0.2, rel=2e-6)
-    assert state.pose.position[:2].tolist() == [1e-4, 0]
 
 
 def test_load_beyond_friction_names_what_was_asked_and_reached(coarse_gel):
@@ -392,12 +351,6 @@ def test_load_that_no_contact_carries_is_refused(gel, load, friction, expected):
         simulation.press(simulation.rest(place(0, 0, 0.02)), load)
 
 
-def test_load_too_large_for_the_patch_is_refused(coarse_gel):
-    simulation = ContactSimulation(coarse_gel, Sphere(RADIUS), 0.5)
-    with pytest.raises(LoadError, match=r"asked for normal 100 N.*reached normal .*rim"):
-        simulation.press(simulation.rest(place(0, 0, 0.02)), Load(100.0))
-
-
 def test_indenter_inside_the_gel_is_refused_with_its_depth(gel):
     simulation = ContactSimulation(gel, Sphere(RADIUS), 0.5)
     with pytest.raises(ContactError, match=r"sphere: starts 0.0994 mm inside the gel"):
@@ -409,18 +362,6 @@ def test_contact_at_the_rim_is_refused_with_place_and_patch(coarse_gel):
     state = simulation.rest(place(0, 0, RADIUS))
     with pytest.raises(ContactError, match=r"rim of the contact patch at .* 3.90 x 3.90 mm"):
         simulation.move(state, place(0, 0, RADIUS - 6e-4))
-
-
-def test_indenter_beside_the_patch_misses_it(gel):
-    simulation = ContactSimulation(gel, Sphere(1e-3), 0.5)
-    with pytest.raises(ContactError, match="misses the contact patch"):
-        simulation.touch(place(0.02, 0, 0))
-
-
-@pytest.mark.parametrize("friction", [-0.1, float("nan"), float("inf")])
-def test_impossible_friction_is_refused(gel, friction):
-    with pytest.raises(ContactError, match="friction: found"):
-        ContactSimulation(gel, Sphere(1e-3), friction)
 
 
 class Stiffening(HalfSpace):

@@ -99,14 +99,6 @@ def test_indenter_in_the_gel_outside_the_patch_is_refused(dome):
         simulation.rest(at(*(side + (0, 0, 1.5e-3))))
 
 
-def test_indenter_dragged_off_the_patch_is_refused(dome):
-    simulation = ContactSimulation(dome, Sphere(2e-3), 0.5)
-    pose = simulation.touch(at(1e-3, 0, 0.01))
-    state = simulation.move(simulation.rest(pose), at(1e-3, 0, pose.position[2] - 1e-4))
-    with pytest.raises(ContactError, match="sphere: the contact reaches the rim of the contact"):
-        simulation.move(state, at(3e-3, 0, pose.position[2] - 3e-4))
-
-
 def test_touch_lies_on_the_gel_between_its_nodes(dome):
     radius, cap = 2e-3, 0.027
     simulation = ContactSimulation(dome, Sphere(radius), 0.5)

@@ -106,24 +106,6 @@ def test_the_filter_finds_the_elastic_displacement_through_a_whole_handling(simu
     assert np.abs(moved).max() > 5e-5, "a gel that was just let go still has its dent"
 
 
-def test_a_slower_clock_gives_the_same_forces(simulated):
-    """Relaxation is of the time, not of the frame: 3 times as many frames, forces the same."""
-
-    def run(times):
-        ways = [[0, 0, -0.0006], [0, 0, 0]]
-        motion = [
-            {"name": f"p{k}", "frames": 6 * times, "easing": "linear", "by": {"position": way}}
-            for k, way in enumerate(ways)
-        ]
-        simulation = simulated(motion)
-        scene = replace(simulation.scene, rate=simulation.scene.rate * times)
-        simulation.scene = scene
-        return contacts(simulation)[times - 1 :: times]
-
-    for coarse, fine in zip(run(1), run(3), strict=True):
-        np.testing.assert_allclose(coarse.resultant, fine.resultant, rtol=0, atol=2e-3)
-
-
 def test_a_run_goes_on_from_what_the_gel_remembers(simulated):
     """Another simulation that is given a state gives the frames that follow it."""
     frames = list(simulated(HANDLING).frames())
@@ -131,12 +113,6 @@ def test_a_run_goes_on_from_what_the_gel_remembers(simulated):
         expected = frames[frame.index]
         np.testing.assert_array_equal(frame.force.force, expected.force.force)
         np.testing.assert_array_equal(frame.surface.position, expected.surface.position)
-
-
-def test_a_second_run_begins_with_a_gel_that_was_never_touched(simulated):
-    gel = simulated([PRESS, STAY])
-    first, second = contacts(gel), contacts(gel)
-    np.testing.assert_array_equal(first[0].force, second[0].force)
 
 
 def test_a_live_gel_that_is_held_relaxes_in_real_time(simulated):

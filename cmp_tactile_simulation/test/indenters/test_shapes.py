@@ -68,14 +68,6 @@ def test_walking_the_distance_along_the_normal_leads_to_the_surface(shape, point
     assert np.abs(foot_normal - normal[outside]).max() < 1e-6
 
 
-def test_surface_points_are_no_nearer_than_the_distance(shape, points):
-    """Against a cloud of the shape's own surface points."""
-    gap, normal = shape.distance(points)
-    surface = (points - gap[:, None] * normal)[gap > 0]
-    away = np.linalg.norm(points[:100, None] - surface, axis=2).min(axis=1)
-    assert (away >= np.abs(gap[:100]) - 10 * EXACT).all()
-
-
 def test_reach_holds_the_whole_shape(shape):
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(4000, 3))

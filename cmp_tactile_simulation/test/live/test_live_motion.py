@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError
 from cmp_tactile_simulation.live.motion import (
@@ -59,12 +57,6 @@ def test_slow_mechanics_pass_frames_over_and_reach_the_end_of_the_phase(simulati
     # Frames 0 (the first of the press), 5, 9 (the last), 10 (the first of the hold), 14.
     assert 0 < depths[0] < depths[1] < depths[2]
     assert depths[2:] == pytest.approx([0.7e-3] * 3)
-
-
-def test_nothing_is_solved_before_a_frame_is_due(simulation):
-    player = ScenePlayer(simulation)
-    first = player.step(FRAME_S)
-    assert player.step(FRAME_S / 4) is first
 
 
 def test_a_frame_that_cannot_be_solved_is_passed_over(simulation, monkeypatch):
@@ -121,8 +113,3 @@ def test_a_load_grows_at_the_rate_that_is_allowed_and_is_reached(simulation):
         forces.append(-now.resultant[2])
     # To the load control's own tolerance, far below a percent.
     assert forces == pytest.approx([0.4, 0.8, 1.0], rel=0.01)
-
-
-def test_settings_out_of_range_are_named():
-    with pytest.raises(ParameterError, match=r"simulated.max_speed: found 2.0, expected at most"):
-        replace(LiveSettings(), max_speed=2.0)

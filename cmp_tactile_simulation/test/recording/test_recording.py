@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import yaml
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.run import RunOptions, recording_of, run_scene
@@ -55,12 +53,6 @@ def test_the_bag_holds_the_frames_without_loss(bag, frames):
     for found, frame in zip(read, frames, strict=True):
         assert (found.stamp_ns, found.frame_id) == (frame.stamp_ns, "small_camera_optical_frame")
         np.testing.assert_array_equal(found.image, frame.image)
-
-
-def test_the_bag_holds_the_cameras_calibration(bag, scene):
-    calibration = BagReader(bag).calibration()
-    assert (calibration.width, calibration.height) == (256, 192)
-    assert calibration.K[0, 0] == scene.sensor.camera.fx
 
 
 def test_the_bag_is_one_of_rosbag2(bag):
@@ -111,18 +103,6 @@ def test_the_force_field_of_one_frame_is_read_back(bag, frames):
         read_true_force(bag, 5)
 
 
-def test_the_indenters_pose_is_recorded(bag, frames):
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Reader(bag) as reader:
-        chosen = [item for item in reader.connections if item.topic.endswith("indenter_pose")]
-        last = list(reader.messages(chosen))[-1]
-    message = store.deserialize_cdr(last[2], "geometry_msgs/msg/PoseStamped")
-    assert message.header.frame_id == "small_gel_frame"
-    place = message.pose.position
-    assert [place.x, place.y, place.z] == frames[-1].pose.position.tolist()
-    assert message.pose.orientation.w == 1.0
-
-
 def test_scene_and_sensor_are_beside_the_frames(bag, images, scene):
     for folder in (bag, images):
         again = read_scene(folder / "scene.yaml")
@@ -151,15 +131,6 @@ def test_images_come_with_the_arrays_of_their_truth(images, frames):
             np.testing.assert_array_equal(cols[4, 5], left.col_lines_frame[1, 4, 1])
 
 
-def test_the_folder_of_images_can_be_replayed(images, frames):
-    recording = open_recording(
-        images, topic="", frame_rate=30.0, frame_id="", expected_size=(256, 192)
-    )
-    read = [message.image for message in recording.messages()]
-    assert len(read) == FRAMES
-    np.testing.assert_array_equal(read[2], frames[2].image)
-
-
 def test_the_video_shows_every_frame_with_its_truth(bag):
     video = cv2.VideoCapture(str(bag / "video.mp4"))
     pictures = []
@@ -182,14 +153,6 @@ def test_the_sensor_of_one_view_has_truth_for_that_view(small_scene, tmp_path):
     truth = read_truth(tmp_path / "one")
     assert np.isfinite(truth.corners_left_px).any()
     assert np.isnan(truth.corners_right_px).all()
-
-
-def test_a_bag_without_truth_is_named(bag, tmp_path):
-    (tmp_path / "sensor.yaml").write_text((bag / "sensor.yaml").read_text().replace("small", "x"))
-    for name in ("metadata.yaml", "press.mcap"):
-        (tmp_path / name).write_bytes((bag / name).read_bytes())
-    with pytest.raises(OutputError, match="found no truth, expected the topics truth/surface"):
-        read_truth(tmp_path)
 
 
 def test_a_packaged_recording_is_simulated_once(scene, tmp_path, monkeypatch):

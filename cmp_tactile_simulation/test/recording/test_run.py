@@ -12,7 +12,7 @@ from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.cache.files import locked
-from cmp_tactile_simulation.errors import ContactError, LoadError, OutputError, SimulationError
+from cmp_tactile_simulation.errors import LoadError, OutputError
 from cmp_tactile_simulation.recording.run import RunOptions, RunResult, run_scene
 from cmp_tactile_simulation.scenes.file import load_scene, write_scene
 
@@ -69,14 +69,6 @@ def test_after_ctrl_c_the_same_run_goes_on(kind, frame, scene, whole, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_run_may_be_interrupted_again_and_again(scene, whole, tmp_path):
-    for frame in (1, 1, 3, 4, 8):
-        with pytest.raises(KeyboardInterrupt):
-            run_scene(scene, tmp_path / "out", progress=stop_at(frame))
-    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 8)
-    assert contents(tmp_path / "out") == whole["bag"]
-
-
 KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -108,18 +100,6 @@ def test_a_killed_run_leaves_what_can_be_read_and_goes_on(kind, scene, whole, tm
     result = run_scene(scene, target, RunOptions(format=kind))
     assert 4 <= result.resumed <= 6
     assert contents(target) == whole[kind]
-
-
-def test_a_killed_resume_goes_on_from_what_was_there_before_it(scene, whole, tmp_path):
-    """Killed while the earlier messages were copied: the parked output is the one to trust."""
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, tmp_path / "out", progress=stop_at(5))
-    (tmp_path / "out").rename(tmp_path / ".out.interrupted")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "out.mcap").write_bytes(b"half of a copy")
-    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 5)
-    assert contents(tmp_path / "out") == whole["bag"]
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_damaged_checkpoint_costs_a_frame(scene, whole, tmp_path, caplog):
@@ -201,13 +181,6 @@ def test_a_folder_of_something_else_is_left_alone(name, overwrite, scene, tmp_pa
     assert sorted(out.rglob("*")) == before
 
 
-def test_an_output_is_not_written_over_a_file(scene, tmp_path):
-    (tmp_path / "out").write_text("mine")
-    with pytest.raises(OutputError, match="out: found a file, expected a simulated recording"):
-        run_scene(scene, tmp_path / "out", RunOptions(overwrite=True))
-    assert (tmp_path / "out").read_text() == "mine"
-
-
 def test_two_processes_do_not_write_the_same_output(scene, tmp_path):
     busy = pytest.raises(OutputError, match="out: is being written by another process")
     with locked(tmp_path / ".out.lock"), busy:
@@ -223,12 +196,6 @@ def test_a_scene_that_fails_leaves_its_good_frames(small_scene, tmp_path):
     with pytest.raises(LoadError):
         run_scene(small_scene(motion=motion), tmp_path / "out")
     assert len(list(BagReader(tmp_path / "out").frames())) == 2
-
-
-def test_a_scene_that_cannot_begin_leaves_nothing(small_scene, tmp_path):
-    with pytest.raises(ContactError):
-        run_scene(small_scene(start={"position": [0, 0, 0.005]}), tmp_path / "out")
-    assert not (tmp_path / "out" / "metadata.yaml").exists()
 
 
 @pytest.fixture
@@ -279,71 +246,6 @@ def test_what_is_read_is_not_written_over(name, overwrite, block, small_scene, t
     with pytest.raises(OutputError, match=expected):
         run_scene(scene, out, RunOptions(overwrite=overwrite))
     assert contents(out) == before
-
-
-def test_a_scene_that_cannot_be_set_up_replaces_nothing(scene, block, small_scene, tmp_path):
-    run_scene(scene, tmp_path / "out", RunOptions(frames=1))
-    before = contents(tmp_path / "out")
-    broken = small_scene(indenter=block)
-    (tmp_path / "block.stl").write_bytes(b"no mesh")
-    with pytest.raises(SimulationError):
-        run_scene(broken, tmp_path / "out", RunOptions(overwrite=True))
-    assert contents(tmp_path / "out") == before
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-@pytest.mark.parametrize("name", ["notes.txt", "metadata.yaml"])
-def test_a_parked_run_takes_no_strange_folders_place(name, overwrite, scene, tmp_path):
-    """What came to the output's place after a copy was killed is not deleted, be it a bag."""
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, tmp_path / "out", progress=stop_at(2))
-    parked = tmp_path / ".out.interrupted"
-    (tmp_path / "out").rename(parked)
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / name).write_text("mine")
-    with pytest.raises(OutputError, match=rf"out: found {name}, expected nothing: .*interrupted"):
-        run_scene(scene, tmp_path / "out", RunOptions(overwrite=overwrite))
-    assert contents(tmp_path / "out") == {name: b"mine"}
-    assert (parked / ".unfinished" / "job.json").is_file()
-
-
-def test_a_strange_folder_with_a_parked_runs_name_is_left_alone(scene, tmp_path):
-    parked = tmp_path / ".out.interrupted"
-    parked.mkdir()
-    (parked / "notes.txt").write_text("mine")
-    with pytest.raises(
-        OutputError, match=r"interrupted: found notes\.txt, expected an interrupted"
-    ):
-        run_scene(scene, tmp_path / "out")
-    assert contents(parked) == {"notes.txt": b"mine"}
-
-
-@pytest.mark.parametrize("name", [".", "..", "/", "file/out", "loop"])
-@pytest.mark.parametrize("options", [RunOptions(overwrite=True), PNG])
-def test_an_impossible_output_is_reported(name, options, scene, tmp_path, monkeypatch):
-    work = tmp_path / "work"
-    work.mkdir()
-    (work / "file").write_text("mine")
-    (work / "loop").symlink_to("loop")
-    monkeypatch.chdir(work)
-    with pytest.raises(OutputError, match=r"cannot be an output|holds the working folder"):
-        run_scene(scene, Path(name), options)
-    assert sorted(path.name for path in work.iterdir()) == ["file", "loop"]
-
-
-@pytest.mark.parametrize("kind", ["bag", "png"])
-def test_an_output_may_be_a_link(kind, scene, whole, tmp_path, monkeypatch):
-    """And go on, and be replaced: what it leads to is written, the link stays."""
-    (tmp_path / "disk" / "out").mkdir(parents=True)
-    (tmp_path / "link").symlink_to(tmp_path / "disk" / "out")
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(scene, Path("link"), RunOptions(format=kind), progress=stop_at(3))
-    assert run_scene(scene, Path("link"), RunOptions(format=kind)) == RunResult(FRAMES, 3)
-    again = RunOptions(format=kind, overwrite=True)
-    assert run_scene(scene, Path("link"), again) == RunResult(FRAMES, 0)
-    assert (tmp_path / "link").is_symlink()
-    assert contents(tmp_path / "disk" / "out") == whole[kind]
 
 
 def test_a_video_that_was_not_written_whole_is_reported(scene, tmp_path):

@@ -96,29 +96,6 @@ def test_derivatives_agree_with_differences_inside_and_beyond_the_grid():
             np.testing.assert_allclose(found[6:9], across / (2 * step), atol=1e-7)
 
 
-def test_beyond_the_grid_displacement_goes_on_linearly_and_nan_stays_nan():
-    surface = _on_grid(13, 11, _waves)
-    rest = DeformedSurface.rest(surface.pattern)
-    xy = np.array([[0.008, 0.001], [0.009, 0.001], [0.010, 0.001]])
-    moved = surface.at_material(xy) - rest.at_material(xy)
-    np.testing.assert_allclose(moved[2] - moved[1], moved[1] - moved[0], atol=1e-15)
-    assert np.isnan(surface.at_material(np.array([np.nan, 0.0]))).all()
-    assert np.isnan(surface.at_material(np.array([0.028, 0.0]))[2]), "outside the sphere"
-
-
-@pytest.mark.parametrize(
-    ("rows", "cols", "shape", "message"),
-    [
-        (5, 5, (5, 4, 3), r"found shape \(5, 4, 3\), expected \(5, 5, 3\)"),
-        (3, 5, (3, 5, 3), "at least 4 rows and columns"),
-    ],
-)
-def test_a_displacement_of_another_shape_is_refused(rows, cols, shape, message):
-    grid = SurfaceGrid(rows, cols, (0.01, 0.01))
-    with pytest.raises(GeometryError, match=message):
-        DeformedSurface(_pattern(SHAPES["plane"]), grid, np.zeros(shape))
-
-
 def test_a_displacement_with_nan_is_refused():
     displacement = np.zeros((5, 5, 3))
     displacement[2, 2] = np.nan

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
@@ -42,16 +41,6 @@ def test_checkers_alternate_from_the_corner_checker_and_the_margin_is_light(corn
     np.testing.assert_array_equal(grey, np.where(dark, DARK_GREY, LIGHT_GREY))
 
 
-def test_corners_of_the_description_are_corners_of_the_checkers():
-    pattern = _pattern()
-    ink = Checkerboard(pattern)
-    corners, off = pattern.corners()[..., :2], 1e-6
-    around = [ink.grey(corners + np.array([a, b]) * off) for a in (-1, 1) for b in (-1, 1)]
-    assert (np.array(around[0]) == around[3]).all()
-    assert (np.array(around[1]) == around[2]).all()
-    assert (np.array(around[0]) != around[1]).all()
-
-
 def test_dots_lie_on_the_corners_with_the_diameter_asked_for():
     pattern = _pattern()
     ink = Dots(pattern, diameter=0.4)
@@ -75,25 +64,6 @@ def test_grey_is_the_same_within_the_clear_distance(kind, defects):
         angle, share = rng.uniform(0, 2 * np.pi, 20), rng.uniform(0, 0.999, (20, 1))
         around = point + share * clear * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         assert (ink.grey(around) == grey).all(), f"at {point}, within {clear}"
-
-
-@pytest.mark.parametrize("kind", ["cmp", "dmp"])
-def test_the_other_grey_lies_just_beyond_the_clear_distance(kind):
-    ink = ink_of(_pattern(), kind)
-    rng = np.random.default_rng(6)
-    angle = np.linspace(0, 2 * np.pi, 3000)
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    changes, expected = 0, 0
-    for point in rng.uniform(-6e-3, 6e-3, (300, 2)):
-        grey, clear, other, near = ink_at(*ink.arrays, *point)
-        assert near == clear
-        found = set(ink.grey(point + 1.0005 * clear * ring)) - {grey}
-        assert found <= {other}
-        changes += len(found)
-        # Light checkers at the rim border on the light margin: that is no change.
-        expected += other != grey
-    # The ring may pass beside the tip of a far corner.
-    assert changes > 0.9 * expected > 100
 
 
 def test_defects_depend_on_the_seed_and_on_nothing_else():
@@ -137,25 +107,3 @@ def test_edges_stray_as_far_as_asked():
     # 39 x 39 nearly independent places: 5 % is three standard errors.
     assert strayed.std() == pytest.approx(deviation, rel=0.05)
     assert abs(strayed.mean()) < 3 * deviation / 39
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Dots(_pattern(), diameter=1.2), "dots.diameter: found 1.2"),
-        (lambda: ink_of(_pattern(), "cpm"), "pattern_type: found 'cpm', expected one of cmp, dmp"),
-        (lambda: PrintDefects(missing_ink=-1), "print.missing_ink: found -1"),
-        (
-            lambda: (
-                Checkerboard(
-                    Pattern(40, 40, 5e-3, "dark", 2, PatternSurface()),
-                    PrintDefects(ragged_edge=1e-5, ragged_length=1e-5),
-                ).arrays
-            ),
-            "print.ragged_length: found 1e-05, expected at least",
-        ),
-    ],
-)
-def test_what_cannot_be_printed_is_refused(make, message):
-    with pytest.raises(ParameterError, match=message):
-        make()

@@ -34,17 +34,6 @@ def test_grids_are_the_projection_of_the_surface(rigs, deformed, dent, name):
             np.testing.assert_allclose(found, view.project(points), atol=1e-9)
 
 
-def test_virtual_markers_divide_the_material_equally(sensor, deformed, dent):
-    surface = deformed(sensor, dent)
-    truth = true_surface(sensor, surface)
-    # Corner (3, 4), second of six markers towards (3, 5), and towards (4, 4).
-    at = surface.at(np.array([3, 3 + 2 / 7]), np.array([4 + 2 / 7, 4]))
-    np.testing.assert_allclose(truth.row_position[3, 4, 1], at[0], atol=1e-15)
-    np.testing.assert_allclose(truth.col_position[3, 4, 1], at[1], atol=1e-15)
-    np.testing.assert_allclose(truth.position - truth.reference, truth.displacement, atol=1e-15)
-    np.testing.assert_array_equal(truth.reference, sensor.pattern.corners())
-
-
 def test_true_grids_triangulate_to_the_true_surface(sensor, deformed, dent):
     surface = deformed(sensor, dent)
     grids, truth = true_grids(sensor, surface), true_surface(sensor, surface)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import GeometryError, ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
     HOUSING_GREY,
@@ -88,20 +84,6 @@ def test_every_kind_of_rig_shows_what_its_rays_meet(rigs, deformed, dent, name):
         assert np.abs(off).max() < CONTRAST / 40
         assert np.sqrt((off**2).mean()) < CONTRAST / 100
         assert (np.ptp(shown) > 0.95 * CONTRAST).all(), "the pattern is in view"
-
-
-def test_pixels_outside_all_views_are_housing(rigs):
-    sensor = rigs["distorted"]
-    roi = replace(sensor.views["left"].roi, x=60, y=40, width=120, height=120)
-    views = {"left": replace(sensor.views["left"], roi=roi)}
-    cut = replace(sensor, views=views)
-    surface, ink = DeformedSurface.rest(sensor.pattern), Checkerboard(sensor.pattern)
-    whole = Renderer(sensor, ink).render(surface).pixels
-    part = Renderer(cut, ink).render(surface).pixels
-    inside = np.zeros(whole.shape, dtype=bool)
-    inside[40:160, 60:180] = True
-    assert (part[~inside] == HOUSING_GREY).all()
-    np.testing.assert_allclose(part[inside], whole[inside], atol=0.01)
 
 
 @pytest.mark.parametrize("samples", [2, 4])
@@ -221,24 +203,6 @@ def _ridge(rigs, deformed):
     return sensor, view, surface, lambda xy: surface.at_material(xy)[..., 2]
 
 
-def test_a_silhouette_is_as_smooth_as_the_samples_allow(rigs, deformed):
-    """Pixels that the crest of a ridge crosses, against many rays."""
-    sensor, view, surface, depth = _ridge(rigs, deformed)
-    ink = Checkerboard(sensor.pattern)
-    image = split_frame(Renderer(sensor, ink, samples=8).render(surface).pixels, view.placement)
-    pixels = np.stack(np.meshgrid(np.arange(60, 180, 10), np.arange(108, 124)), axis=-1)
-    errors, crests = [], 0
-    for pixel in pixels.reshape(-1, 2):
-        origins, directions = view.rays(pixel + _sub_pixels(10))
-        xy, crossings = _march(depth, origins, directions, 2e-5)
-        errors.append(image[pixel[1], pixel[0]] - _grey(sensor, ink, xy).mean())
-        crests += int(np.ptp(crossings) > 0)
-    assert crests > 10, "some rays of a pixel pass the crest, some meet it"
-    # Hard-edged rays of 1/10 px are off by up to half of one along the whole edge.
-    assert np.abs(errors).max() < CONTRAST / 15
-    assert np.sqrt(np.mean(np.square(errors))) < CONTRAST / 60
-
-
 def test_frames_do_not_depend_on_threads_nor_on_what_was_rendered_before(rigs, deformed, dent):
     sensor = rigs["mirror_stereo"]
     surface = deformed(sensor, dent)
@@ -270,25 +234,3 @@ def test_defects_stick_to_the_skin(rigs, deformed, dent):
             q = view.project(surface.at_material(blob))
             # 0.4 mm times 1.5 for the size and 1.27 for the shape, at 8 px/mm.
             assert np.hypot(u - q[0], v - q[1]).max() < 7
-
-
-def test_fineness_keeps_the_mean(rigs):
-    sensor = rigs["distorted"]
-    surface, ink = DeformedSurface.rest(sensor.pattern), Checkerboard(sensor.pattern)
-    frame = Renderer(sensor, ink, samples=4).render(surface)
-    assert frame.fineness == 2
-    assert frame.grey.shape == (400, 480)
-    odd = Renderer(sensor, ink, samples=3).render(surface)
-    assert odd.fineness == 1
-    assert odd.pixels.shape == frame.pixels.shape == (200, 240)
-    off = odd.pixels - frame.pixels
-    assert np.sqrt((off**2).mean()) < CONTRAST / 150
-
-
-def test_what_cannot_be_rendered_is_refused(sensor):
-    ink = Checkerboard(sensor.pattern)
-    with pytest.raises(ParameterError, match="samples: found 0, expected 1 to 32"):
-        Renderer(sensor, ink, samples=0)
-    round_top = replace(sensor.pattern, surface=PatternSurface("sphere_cap", 0.0105))
-    with pytest.raises(GeometryError, match="radius"):
-        Renderer(replace(sensor, pattern=round_top), ink)

@@ -7,21 +7,18 @@ import pytest
 
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.laws import Load, Pose
+from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.scenes.description import (
     Hold,
     Motion,
     MoveBy,
-    MoveTo,
     Phase,
-    Press,
     Release,
     Start,
     Touch,
     goal_pose,
-    load_between,
     start_pose,
     turned,
 )
@@ -66,16 +63,6 @@ def test_turns_are_about_fixed_axes_x_first():
     np.testing.assert_allclose(turned((0, 0, 90)) @ [1, 0, 0], [0, 1, 0], atol=ATOL)
 
 
-def test_moving_to_a_place_keeps_what_is_not_given(contact):
-    begin = Pose(np.array([1.0, 2.0, 3.0]), turned((10, 0, 0)))
-    there = goal_pose(MoveTo((4.0, 5.0, 6.0)), begin, contact)
-    assert there.position.tolist() == [4.0, 5.0, 6.0]
-    np.testing.assert_array_equal(there.rotation, begin.rotation)
-    turned_there = goal_pose(MoveTo(None, (0, 0, 90)), begin, contact)
-    np.testing.assert_array_equal(turned_there.position, begin.position)
-    np.testing.assert_allclose(turned_there.rotation, turned((0, 0, 90)), atol=ATOL)
-
-
 def test_moving_by_is_relative_and_turns_about_the_gels_axes(contact):
     begin = Pose(np.array([1.0, 2.0, 3.0]), turned((90, 0, 0)))
     there = goal_pose(MoveBy((0.5, 0.0, 0.0), (0, 0, 90)), begin, contact)
@@ -96,14 +83,3 @@ def test_touch_and_release_are_above_the_gels_surface(contact, clearance):
         assert pose.position[2] == pytest.approx(top + layer, abs=TOUCH_ATOL_M) or (
             pose.position[2] == pytest.approx(top, abs=TOUCH_ATOL_M)
         )
-
-
-def test_a_load_has_no_place(contact):
-    with pytest.raises(ValueError, match="expected a goal that is a place"):
-        goal_pose(Press(Load(1.0)), Pose(), contact)
-
-
-def test_loads_are_interpolated_linearly():
-    begin, goal = Load(2.0, (0.0, 4.0), -1.0), Press(Load(4.0, (1.0, 0.0), 1.0))
-    assert load_between(begin, goal, 0.25) == Load(2.5, (0.25, 3.0), -0.5)
-    assert load_between(begin, goal, 1.0) == goal.load

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from cmp_tactile_simulation.errors import SceneError
-from cmp_tactile_simulation.scenes.description import Press, Scene
+from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names, packaged_scenes
 from cmp_tactile_simulation.scenes.simulation import Simulation
 from cmp_tactile_simulation.scenes.table import renew
@@ -20,30 +20,6 @@ COARSE_NODES = 21
 REPOSITORY = Path(__file__).parents[3]
 DOCUMENT = REPOSITORY / "docs" / "scenes.md"
 NAMES = list(packaged_scene_names())
-# All scenes of the paper, and four of daily life.
-EXPECTED = {
-    "contact_sphere",
-    "contact_cylinder",
-    "contact_cube_edge",
-    "contact_ring",
-    "contact_hexagonal_bar",
-    "precision_sphere",
-    "precision_sphere_dmp",
-    "resolution_spheres",
-    *(f"ball:{diameter}mm" for diameter in range(10, 21)),
-    "probe",
-    "grasp",
-    "grasp_long",
-    "screw",
-    "key",
-    "slip",
-    "weigh",
-    "roll",
-}
-
-
-def test_the_library_is_complete():
-    assert set(NAMES) == EXPECTED
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -104,32 +80,6 @@ def test_the_grasps_knock_moves_the_gel_by_more_than_two_checkers_in_one_frame()
             break
     jump = np.linalg.norm(moved[32] - moved[31], axis=-1).max()
     assert jump > 2 * scene.sensor.pattern.pitch
-
-
-def test_the_precision_sphere_bears_the_papers_loads():
-    for name in ("precision_sphere", "precision_sphere_dmp"):
-        scene = load_scene(name)
-        last = [phase.goal.load for phase in scene.motion if isinstance(phase.goal, Press)][-1]
-        assert (last.normal, last.tangential, last.torque) == (50.0, (12.0, 0.0), 0.05)
-        assert scene.indenter.values == {"radius": 0.015}
-        assert scene.sensor.pattern.shape.corners == (18, 18)
-    assert load_scene("precision_sphere_dmp").pattern_type == "dmp"
-
-
-def test_the_five_spheres_touch_at_once():
-    scene = load_scene("resolution_spheres")
-    assert len(scene.indenter.values["centres"]) == 5
-    radius = scene.sensor.pattern.surface.radius + scene.sensor.elastomer.shading_layer.thickness
-    centres = np.array(scene.indenter.values["centres"])
-    # Distance of the centres from the middle of the gel's cap, when the highest one touches.
-    from_middle = np.linalg.norm(centres + [0, 0, radius + 0.001], axis=1)
-    assert np.ptp(from_middle) < 2e-5
-
-
-def test_the_probe_visits_25_points():
-    scene = load_scene("probe")
-    points = {phase.goal.at for phase in scene.motion if phase.name.startswith("above")}
-    assert len(points) == 25
 
 
 @pytest.mark.parametrize("text", ["nothing", "nothing:10mm", "no/such.yaml", ":"])

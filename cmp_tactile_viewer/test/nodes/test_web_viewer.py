@@ -28,7 +28,6 @@ from cmp_tactile_processing.ros.messages.conversions import (
     image_to_msg,
     surface_to_msg,
 )
-from cmp_tactile_processing.ros.services import ServiceError
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes import controls
 from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
@@ -175,19 +174,6 @@ def test_an_image_that_comes_later_than_the_force_is_shown_with_its_grid(rig, ro
     np.testing.assert_array_equal(last.left.corner_status, shown.left.corner_status)
 
 
-def test_only_the_newest_is_read(rig, ros, snapshots):
-    """Of a topic that is faster than the page; the frames that it passes over cost no reading."""
-    rig.look()
-    publisher = ros.publisher(Surface, "surface")
-    message = surface_to_msg(snapshots[-1].surface, _header(0))
-    for number in range(100):
-        message.header = _header(number)
-        publisher.publish(message)
-        ros.run(0.002)
-    ros.wait(lambda: rig.audience.snapshots[-1].stamp_ns == 99, "the last one")
-    assert len(rig.audience.snapshots) < 60
-
-
 def test_a_message_that_cannot_be_used_is_reported(rig, ros, snapshots):
     rig.look()
     publisher = ros.publisher(Surface, "surface")
@@ -244,13 +230,6 @@ def test_zero_calls_the_service_and_says_its_answer(rig, ros):
     assert str(refused) == "no frame yet"
 
 
-def test_a_service_that_is_not_there_is_named(rig, ros):
-    failed = rig.do(rig.action["inspect left print"])
-    assert isinstance(failed, ServiceError)
-    name = f"{ros.namespace}/left_gridline_tracker/inspect_print"
-    assert str(failed) == f"{name}: found no such service; is the sensor running?"
-
-
 def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
     monkeypatch.setattr(controls, "STAGES", ("stereo_triangulator",))
     node = ros.start(StereoTriangulator, sensor_description=rig.description)
@@ -265,11 +244,6 @@ def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
     assert node.get_parameter("reference_frames").value == 20
     assert isinstance(rig.do(lambda: frames.change(0)), ViewerError)
     assert node.get_parameter("reference_frames").value == 20
-
-
-def test_parameters_of_a_sensor_that_does_not_run(rig):
-    failed = rig.do(lambda: rig.live.settings("thumb"))
-    assert "left_gridline_tracker/list_parameters: found no such service" in str(failed)
 
 
 def test_a_recording_has_what_came_while_it_ran(rig, ros, snapshots, tmp_path, monkeypatch):

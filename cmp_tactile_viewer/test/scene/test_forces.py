@@ -45,8 +45,3 @@ def test_the_ellipsoid_has_the_axes_of_the_covariance():
     axes = Rotation.from_quat([x, y, z, w]).as_matrix()
     shown = axes @ np.diag(found.half_axes**2) @ axes.T
     assert shown == pytest.approx((2.0 * 2.796) ** 2 * covariance[:3, :3], rel=1e-9)
-
-
-def test_an_unknown_error_is_not_drawn():
-    contact = made_contact([0], covariance=np.full((6, 6), np.nan))
-    assert forces.error_ellipsoid(contact, 1.0) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_forces import made_contact, made_field
 
-from cmp_tactile_viewer.scene.history import MOST_POINTS, History
+from cmp_tactile_viewer.scene.history import History
 from cmp_tactile_viewer.snapshot import Snapshot
 
 STEP_NS = 10_000_000
@@ -33,12 +33,6 @@ def test_a_window_ends_where_it_is_scrolled_back_to():
     assert window["fx"] == pytest.approx(np.arange(9.0, 20.0))
 
 
-def test_no_more_points_than_a_plot_has_pixels():
-    window = filled(1000, 1000).window(100.0)
-    assert len(window["fx"]) == MOST_POINTS
-    assert window["fx"][[0, -1]] == pytest.approx([0.0, 999.0])
-
-
 def test_time_that_runs_back_begins_again():
     history = filled(20)
     history.add(Snapshot(5))
@@ -61,9 +55,3 @@ def test_contact_is_marked_and_what_is_not_known_is_nan():
     window = history.window(1.0)
     assert window["contact"] == pytest.approx([1.0, 0.0, np.nan], nan_ok=True)
     assert np.isnan(window["latency_ms"]).all()
-
-
-def test_an_empty_history_has_one_point_of_nothing():
-    window = History().window(5.0)
-    assert window["time_s"] == pytest.approx([0.0])
-    assert np.isnan(window["fz"]).all()

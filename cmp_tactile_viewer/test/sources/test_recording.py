@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import threading
 from typing import Any
 
 import cv2
@@ -16,7 +15,6 @@ from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
-from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
 from cmp_tactile_viewer.sources import recording
 from cmp_tactile_viewer.sources.recording import StoredResults, open_frames, open_source
@@ -109,10 +107,6 @@ def test_the_indenter_of_a_recording_is_where_its_truth_says(grasp_bag, results,
     assert not playing(results)[0].touches()
 
 
-def test_the_truth_in_a_recording_is_not_taken_for_results(grasp_bag, sensor):
-    assert not isinstance(open_frames(grasp_bag, sensor), StoredResults)
-
-
 def test_a_paused_recording_shows_the_frame_that_is_sought_and_steps_both_ways(results, playing):
     source, looker = playing(results, playing=False)
     playback = source.playback
@@ -150,14 +144,6 @@ def test_a_short_recording_begins_again_at_its_end(results, sensor, playing):
     assert stamps[FRAMES : 2 * FRAMES] == stamps[:FRAMES]
 
 
-def test_nothing_is_read_while_nobody_looks(results, sensor, monkeypatch):
-    read = []
-    monkeypatch.setattr(StoredResults, "read", lambda *_: read.append(1) or iter(()))
-    source = open_source(results, sensor)
-    source.close()
-    assert not read
-
-
 @pytest.mark.parametrize("frames", [0, 1])
 def test_a_recording_of_one_picture_or_none_stands_still(results, playing, monkeypatch, frames):
     """A loop would read it again and again without a pause."""
@@ -169,44 +155,6 @@ def test_a_recording_of_one_picture_or_none_stands_still(results, playing, monke
     wait_until(lambda: source.playback.ended, "the end")
     assert len(looker.snapshots) == frames
     assert ("no frame from 0.00 s on" in str(looker.lines)) == (not frames)
-
-
-def test_it_ends_although_the_last_browser_leaves_while_it_does(results, playing, monkeypatch):
-    """The source waited for another browser then, and the page for the source, without end."""
-    reading, left = threading.Event(), threading.Event()
-    read = StoredResults.read
-
-    def read_slowly(self, start_s):
-        reading.set()
-        assert left.wait(30.0)
-        yield from read(self, start_s)
-
-    monkeypatch.setattr(StoredResults, "read", read_slowly)
-    source, _ = playing(results)
-    assert reading.wait(30.0)
-    closing = threading.Thread(target=source.close, daemon=True)
-    closing.start()
-    closing.join(0.3)  # until it waits for the player
-    source.pause()
-    left.set()
-    closing.join(30.0)
-    assert not closing.is_alive()
-
-
-def test_the_pace_is_that_of_the_recording(monkeypatch):
-    """Times of frames over the speed, by a clock that the waiting moves."""
-    now = [100.0]
-
-    class Ended:
-        def wait(self, seconds):
-            now[0] += seconds
-            return False
-
-    monkeypatch.setattr(recording.time, "monotonic", lambda: now[0])
-    clock, playback = recording._Clock(), recording.Playback(1.0, speed=2.0)
-    for time_s in (0.0, 0.5, 0.6):
-        clock.wait(time_s, playback, Ended())
-    assert now[0] == pytest.approx(100.0 + 0.6 / 2.0)
 
 
 @pytest.mark.parametrize("results_kind", [recording.FORCE_FIELD, recording.SURFACE])
@@ -230,42 +178,6 @@ def test_compressed_frames_are_shown_beside_recorded_results(
     shown = [snapshot for _, snapshot in open_frames(bag, sensor).read(0.0)]
     assert len(shown) == FRAMES
     assert all(item.frame is not None and item.surface is not None for item in shown)
-
-
-def test_a_step_back_finds_the_frame_before_however_long_ago(playing, monkeypatch, results):
-    times = [0.0, 3.5, 9.7]
-    monkeypatch.setattr(
-        StoredResults,
-        "read",
-        lambda _, start_s: ((time_s, Snapshot(7)) for time_s in times if time_s >= start_s),
-    )
-    source, looker = playing(results, playing=False)
-    playback = source.playback
-    wait_until(lambda: looker.snapshots, "the first frame")
-    playback.seek_s = 9.7
-    wait_until(lambda: playback.position_s == 9.7, "the last frame")
-    playback.steps = -1
-    wait_until(lambda: playback.position_s == 3.5, "the frame before")
-
-
-def test_results_of_several_sensors_are_refused():
-    topics = {f"/{name}/surface": recording.SURFACE for name in ("left", "right")}
-    with pytest.raises(ViewerError, match="found results of several sensors: /left/surface"):
-        recording._result_topics("bag", topics)
-
-
-def test_a_damaged_message_is_left_out_and_named(results, sensor, monkeypatch):
-    frames = StoredResults(results, sensor)
-    monkeypatch.setattr(
-        frames, "_value", lambda *_: (_ for _ in ()).throw(ViewerError("corner_px: found 3"))
-    )
-    assert list(frames.read(0.0)) == []
-    assert "corner_px: found 3" in frames.problem
-
-
-def test_what_is_no_recording_is_named(sensor, tmp_path):
-    with pytest.raises(FrameSourceError, match=r"nothing\.mcap"):
-        open_source(tmp_path / "nothing.mcap", sensor)
 
 
 def test_frames_of_another_size_are_named(sensor, tmp_path):
