@@ -31,7 +31,7 @@ from hard_frames.case import PatternCase, PatternStudio, deformation_of
 DOCUMENT = Path(__file__).parent.parent / "docs" / "sensor_description.md"
 # At rest, pressed and sheared: kind of deformation and seed.
 STATES = [("rest", 0), ("press", 1), ("slide", 0), ("slide", 1), ("drag", 1)]
-TURNS_DEG = [0, 1, 5, 45]
+TURNS_DEG = [0, 1, 5, 45, 90]
 # A misnumbered corner is off by a checker of 8 to 22 px; the tracker is right to 0.1 px.
 RIGHT_PX = 1.0
 
