@@ -21,6 +21,7 @@ from cmp_tactile_bringup.container.spinning import ComponentClass, LoadedCompone
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
+from cmp_tactile_processing.ros.process import spare_the_collector
 from cmp_tactile_processing.ros.wiring import WiredNode
 
 ENTRY_POINT_GROUP = "cmp_tactile_components"
@@ -113,7 +114,7 @@ class ComponentContainer:
         # Those that are being built, too, which have no name yet.
         self._components: dict[int, LoadedComponent] = {}
         self._closed = False
-        self._collector = threading.Timer(COLLECT_AFTER, gc.collect)
+        self._collector = threading.Timer(COLLECT_AFTER, _collect)
 
     @property
     def context(self) -> Context:
@@ -150,6 +151,7 @@ class ComponentContainer:
         if component.log_level:
             logger_name = name.strip("/").replace("/", ".")
             set_logger_level(logger_name, LoggingSeverity(component.log_level))
+        spare_the_collector()
         return unique_id
 
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
@@ -276,6 +278,12 @@ class ComponentContainer:
         """
         with self._lock:
             if not (self._closed or self._collector.is_alive()):
-                self._collector = threading.Timer(COLLECT_AFTER, gc.collect)
+                self._collector = threading.Timer(COLLECT_AFTER, _collect)
                 self._collector.daemon = True
                 self._collector.start()
+
+
+def _collect() -> None:
+    gc.unfreeze()
+    gc.collect()
+    spare_the_collector()

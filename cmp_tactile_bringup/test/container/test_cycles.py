@@ -121,6 +121,7 @@ def _handles() -> int:
 
 
 def _objects() -> int:
+    gc.unfreeze()
     gc.collect()
     return len(gc.get_objects())
 
@@ -162,3 +163,11 @@ def test_components_come_and_go_beside_a_sensor_at_full_rate(cell):
     cell.wait(lambda: len(counter.seen) >= camera.sent - 5, "the frames")
     assert counter.seen == list(range(counter.seen[0], counter.seen[-1] + 1))
     assert [item.callback_errors for item in cell.container.list()] == [0, 0, 0]
+
+
+def test_no_collection_looks_through_what_was_loaded(cell):
+    """It would hold up frames for a tenth of a second and more."""
+    gc.unfreeze()
+    before = len(gc.get_objects())
+    cell.load("Camera", "stays")
+    assert len(gc.get_objects()) < before / 10

@@ -23,7 +23,7 @@ from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.reading import check_shape, stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
-from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.process import run_node, spare_the_collector
 from cmp_tactile_processing.sensor.parameters import (
     ForceParameters,
     Parameters,
@@ -146,6 +146,7 @@ class ForceReconstructor(StageNode):
                 stage.carry_on_from(self._stage)
             stage.set_slip(self._slip.value)
             self._stage = stage
+            spare_the_collector()
 
     def _on_progress(self, step: str, share: float) -> None:
         if self._gone:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import signal
@@ -90,6 +91,15 @@ def init_beside(context: Context) -> None:
     rclpy.init(args=ros_args, context=context, signal_handler_options=SignalHandlerOptions.NO)
 
 
+def spare_the_collector() -> None:
+    """Let the garbage collector pass over all that there is by now; to be called once it is built.
+
+    It would look through the libraries' objects again and again, 170,000 of them in 0.1 to 0.2 s,
+    in which no frame is worked at.  What is made from now on is collected as ever.
+    """
+    gc.freeze()
+
+
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """Spin a node until SIGINT, SIGTERM or shutdown; the exit code.  For the main thread.
 
@@ -102,6 +112,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
             with joining_ros():
                 rclpy.init(args=args)
                 node = make_node()
+            spare_the_collector()
             rclpy.spin(node)
     except (CmpTactileError, ParameterException) as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
