@@ -85,6 +85,20 @@ def live_rows(results: Results) -> list[str]:
     return rows
 
 
+def busy_rows(results: Results) -> list[str]:
+    """One and two sensors at 60 Hz each: Hz, frames passed over, median / 99 %, ms, by input."""
+    inputs = [name for name in INPUTS if name in results]
+    rows = [line(["", *(INPUTS[name] for name in inputs)]), line(["---"] * (len(inputs) + 1))]
+    for key, label in (("one_60", "one sensor at 60 Hz"), ("two_60", "two sensors at 60 Hz each")):
+        cells = [
+            f"{found['rate_hz']:.0f}; {found['lost']} of {found['sent']}; "
+            f"{found['median_ms']:.0f} / {found['p99_ms']:.0f}"
+            for found in (results[name][key] for name in inputs)
+        ]
+        rows.append(line([label, *cells]))
+    return rows
+
+
 def summary_rows(offline: Results, live: Results) -> list[str]:
     """The rows of README and docs/figures.md."""
     chosen = ("grasp", "data/grasp", "plate:20x20")
@@ -109,6 +123,7 @@ if __name__ == "__main__":
     for table in (
         summary_rows(OFFLINE_RESULTS, LIVE_RESULTS),
         live_rows(LIVE_RESULTS),
+        busy_rows(LIVE_RESULTS),
         offline_rows(OFFLINE_RESULTS),
     ):
         sys.stdout.write("\n".join(table) + "\n\n")
