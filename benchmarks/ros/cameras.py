@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from cmp_tactile_bringup.graphs.description import Argument, Component, Graph, graph
-from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
+from cmp_tactile_bringup.graphs.one_sensor import SensorSettings, sensor_components
 
 
 @graph(

@@ -39,7 +39,7 @@ TIMEOUT_S = 300.0
 GRAPH = '''
 from cmp_tactile_bringup.graphs.description import Argument
 from cmp_tactile_bringup.graphs.description import Component, graph
-from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
+from cmp_tactile_bringup.graphs.one_sensor import SensorSettings, sensor_components
 
 @graph(
     Argument("input", "recording", "recording", "grasp"),
@@ -198,7 +198,7 @@ def test_the_page_begins_and_ends_with_the_runner(way, graph_file, grasp_bag):
 
 FINGERS = """
 from cmp_tactile_bringup.graphs.description import Argument, graph
-from cmp_tactile_bringup.graphs.packaged import SensorSettings, sensor_components
+from cmp_tactile_bringup.graphs.one_sensor import SensorSettings, sensor_components
 
 @graph(Argument("input", "recording", "recording", "grasp"))
 def fingers(given):

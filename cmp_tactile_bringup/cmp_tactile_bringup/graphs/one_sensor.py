@@ -1,0 +1,364 @@
+"""What may be set of one sensor, and the nodes of a graph that follow from it.
+
+What is not set has the default of the node (docs/nodes.md) or of the sensor description.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+from cmp_tactile_bringup.errors import GraphError
+from cmp_tactile_bringup.graphs.arguments import Argument, Condition, Value
+from cmp_tactile_bringup.graphs.description import (
+    LETTERS,
+    ROS_NAME,
+    ROS_NAMESPACE,
+    Component,
+    GraphSensor,
+    absolute_name,
+)
+from cmp_tactile_bringup.recordings import library
+from cmp_tactile_driver.bags.recording import split_inputs
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.sensor.description import (
+    find_sensor_description,
+    load_sensor,
+    packaged_sensors,
+)
+
+SOURCES = ("simulated", "replay", "v4l2", "topic")
+SIMULATED, REPLAY, CAMERA, TOPIC = (Condition("source", (name,)) for name in SOURCES)
+SIMULATED_OR_CAMERA = Condition("source", ("simulated", "v4l2"))
+RECORDING, MOUNTED = Condition("record"), Condition("parent_frame")
+COMPRESSIONS = ("zstd", "png", "jpeg", "none")
+PIXEL_FORMATS = ("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
+# Time after which markers vanish that are not drawn again, s; those of a replay stay while it is
+# paused, or over.
+MARKER_LIFETIME_S, REPLAYED_MARKER_LIFETIME_S = 2.0, 0.0
+# Of the large-press correction in a frame, where the newest frame is wanted soon: 15 ms in all.
+LIVE_PRESS_STEPS = 4
+TYPE_OF = {str: "text", bool: "boolean", int: "integer", float: "number", tuple: "pose"}
+
+
+def _setting(
+    default: Any,
+    description: str,
+    only_with: Condition | None = None,
+    *,
+    kind: str = "",
+    choices: tuple[str, ...] = (),
+) -> Any:
+    conditions = () if only_with is None else (only_with,)
+    argument = Argument(
+        "", kind or TYPE_OF[type(default)], description, default, choices, conditions
+    )
+    return field(default=default, metadata={"argument": argument})
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """What may be set of one sensor; the arguments of the graphs are made from it."""
+
+    source: str = _setting(
+        "simulated",
+        "where the frames come from: a simulated sensor, a recording, a camera, or others that "
+        "publish them, such as `ros2 bag play`",
+        choices=SOURCES,
+    )
+    sensor: str = _setting(
+        "", "sensor description, file or packaged name; empty for that of scene or recording"
+    )
+    name: str = _setting(
+        "", "name of this sensor, with which its tf frames begin; empty for the description's"
+    )
+    namespace: str = _setting("", "namespace of all nodes and topics; empty for the sensor's name")
+    frame_rate: float = _setting(
+        0.0, "frames per second that are aimed at, Hz; 0 for the source's own", SIMULATED_OR_CAMERA
+    )
+    image_rate: float = _setting(30.0, "frames per second of a folder of images, Hz", REPLAY)
+    input_transport: str = _setting(
+        "raw",
+        "whether frames come on image_raw or, as PNG or JPEG, on image_raw/compressed",
+        TOPIC,
+        choices=("raw", "compressed"),
+    )
+    use_sim_time: bool = _setting(
+        False, "nodes take the time of /clock, as `ros2 bag play --clock` publishes it", TOPIC
+    )
+    scene: str = _setting(
+        "grasp", "scene file, or name of a packaged scene", SIMULATED, kind="scene"
+    )
+    autoplay: bool = _setting(
+        True, "play the scene's motion again and again until a target or load comes", SIMULATED
+    )
+    max_speed: float = _setting(0.01, "speed of the indenter towards a target, m/s", SIMULATED)
+    input: str = _setting(
+        "grasp",
+        "bag, images, video, or name of a packaged scene; several, one after another, separated by "
+        "colons",
+        REPLAY,
+        kind="recording",
+    )
+    topic: str = _setting("", "image topic of the bag; empty for the only one", REPLAY)
+    rate: float = _setting(1.0, "speed of the replay, 1 as recorded", REPLAY)
+    start: float = _setting(0.0, "time in the recording to begin at, s", REPLAY)
+    end: float = _setting(0.0, "time in the recording to end at, s; 0 for its end", REPLAY)
+    loop: bool = _setting(False, "begin again at the end, with the same stamps", REPLAY)
+    paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
+    wait_for_subscribers: int = _setting(
+        1,
+        "subscribers on image_raw before the first frame is sent; the view splitter is one, a "
+        "recorder comes on top",
+        REPLAY,
+    )
+    publish_clock: bool = _setting(
+        True, "publish /clock; false for all but one of several sensors", REPLAY
+    )
+    device: str = _setting(
+        "",
+        "camera's serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; A,B for two "
+        "cameras",
+        CAMERA,
+    )
+    pixel_format: str = _setting(
+        "auto",
+        "pixels that the camera is asked for; auto prefers uncompressed ones",
+        CAMERA,
+        choices=PIXEL_FORMATS,
+    )
+    colour: bool = _setting(
+        False, "publish colours where the camera has them, not only grey values", CAMERA
+    )
+    camera_info_url: str = _setting(
+        "", "YAML file of camera_info in place of the description's, file:// or package://", CAMERA
+    )
+    frame_queue: str = _setting(
+        "auto",
+        "frames to process where they come too quickly: every one, or the newest; auto: newest of "
+        "a camera or simulation without record",
+        choices=("auto", "every", "newest"),
+    )
+    parent_frame: str = _setting("", "tf frame that the sensor is mounted on; empty for none")
+    mount: tuple[float, ...] = _setting(
+        (0.0,) * 6,
+        'pose of the gel frame in parent_frame, "x y z roll pitch yaw" in m and rad',
+        MOUNTED,
+    )
+    record: str = _setting(
+        "",
+        "folder of a bag to record into, which must not be there yet; empty for none",
+        kind="path",
+    )
+    record_topics: str = _setting(
+        "image_raw camera_info /tf /tf_static wrench force_field",
+        "topics to record, separated by spaces, below the namespace or from / on; * for any",
+        RECORDING,
+    )
+    record_compression: str = _setting(
+        "zstd",
+        "compression of recorded frames; jpeg loses some of them, the others nothing",
+        RECORDING,
+        choices=COMPRESSIONS,
+    )
+
+    @classmethod
+    def from_arguments(
+        cls, given: Mapping[str, Any], prefix: str = "", **more: Any
+    ) -> SensorSettings:
+        """The settings among a graph's arguments, whose names begin with the prefix.
+
+        more: settings that the graph makes itself.
+        """
+        names = {item.name: prefix + item.name for item in fields(cls)}
+        found = {name: given[full] for name, full in names.items() if full in given}
+        return cls(**{**found, **more})
+
+    def some(self, *names: str) -> dict[str, Value]:
+        """Settings by name, for a node that has parameters of these names."""
+        return {name: getattr(self, name) for name in names}
+
+
+def sensor_arguments(
+    sources: Sequence[str] = SOURCES,
+    *,
+    prefix: str = "",
+    without: Collection[str] = (),
+    **defaults: Value,
+) -> tuple[Argument, ...]:
+    """The arguments of one sensor that a graph leaves to its user.
+
+    sources: between which the user chooses; where it is one, the graph sets `source` itself.
+    prefix: stands before all names.  without: names that the graph sets itself.  defaults: others
+    than those of SensorSettings, by name without prefix.
+    """
+    left_out = {*without, "source"} if len(sources) == 1 else {*without}
+    found = []
+    for item in fields(SensorSettings):
+        argument: Argument = item.metadata["argument"]
+        having_effect = tuple(name for name in sources if _has_effect(argument, name))
+        if item.name in left_out or not having_effect:
+            continue
+        if item.name == "source":
+            argument = replace(argument, default=sources[0], choices=tuple(sources))
+        conditions = (
+            Condition(prefix + some.argument, having_effect if _on_source(some) else some.values)
+            for some in argument.only_with
+            if not (_on_source(some) and len(having_effect) == len(sources))
+        )
+        default = defaults.get(item.name, argument.default)
+        name = prefix + item.name
+        found.append(replace(argument, name=name, default=default, only_with=tuple(conditions)))
+    return tuple(found)
+
+
+def _on_source(condition: Condition) -> bool:
+    return condition.argument == "source"
+
+
+def _has_effect(argument: Argument, source: str) -> bool:
+    return all(item.holds(source) for item in argument.only_with if _on_source(item))
+
+
+def sensor_components(
+    settings: SensorSettings,
+    *,
+    prefix: str = "",
+    below: str = "",
+    look: Mapping[str, Value] | None = None,
+) -> tuple[list[Component], list[Component]]:
+    """The nodes of one sensor, and the source of its frames, which is to be loaded last.
+
+    prefix: of its arguments in errors.  below: the namespace that the sensor's is relative to.
+    look: parameters of its markers, where they are not the default.
+    Raises GraphError for settings that cannot be used.
+    """
+    sensor = _find_sensor(settings, prefix, below)
+    nodes = [*_processing(sensor, settings, look or {}), *_recorder(sensor, settings)]
+    return nodes, list(_source(sensor, settings))
+
+
+def _find_sensor(settings: SensorSettings, prefix: str, below: str) -> GraphSensor:
+    try:
+        path = find_sensor_description(settings.sensor or _sensor_of_source(settings, prefix))
+        description = load_sensor(str(path.resolve()))
+    except DescriptionError as error:
+        msg = f"argument {prefix}sensor: {error}"
+        raise GraphError(msg) from None
+    for name, expression, expected in (
+        ("name", ROS_NAME, LETTERS),
+        ("namespace", ROS_NAMESPACE, f"names of {LETTERS}, joined by /"),
+    ):
+        found = getattr(settings, name)
+        if found and not expression.fullmatch(found):
+            msg = f"argument {prefix}{name}: found {found!r}, expected {expected}"
+            raise GraphError(msg)
+    own_name = settings.name
+    namespace = absolute_name(settings.namespace or own_name or description.ros_name, below)
+    views = tuple(view for view in ("left", "right") if view in description.views)
+    return GraphSensor(own_name, description.ros_name, namespace, path.resolve(), views)
+
+
+def _sensor_of_source(settings: SensorSettings, prefix: str) -> str:
+    """The sensor description of what is to be played, where none is given."""
+    if settings.source == "simulated":
+        return library.sensor_of_scene(settings.scene)
+    inputs = split_inputs(settings.input) if settings.source == "replay" else []
+    try:
+        for item in inputs:
+            library.check_source(item)
+    except library.RecordingError as error:
+        msg = f"argument {prefix}input: {error}"
+        raise GraphError(msg) from None
+    sensor = library.sensor_of_recordings(inputs)
+    if not sensor:
+        expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
+        msg = f"argument {prefix}sensor: found nothing, expected {expected}"
+        raise GraphError(msg)
+    return sensor
+
+
+def _by_clock(settings: SensorSettings) -> dict[str, Value]:
+    """Whose time the nodes take: a replay publishes /clock."""
+    return {"use_sim_time": settings.source == "replay" or settings.use_sim_time}
+
+
+def _processing(
+    sensor: GraphSensor, settings: SensorSettings, look: Mapping[str, Value]
+) -> Iterator[Component]:
+    """From camera frames to forces."""
+
+    def node(plugin: str, name: str, **parameters: Value) -> Component:
+        given = _by_clock(settings) | parameters
+        return sensor.component(f"cmp_tactile_processing::{plugin}", name, given)
+
+    is_replay = settings.source == "replay"
+    lifetime = REPLAYED_MARKER_LIFETIME_S if is_replay else MARKER_LIFETIME_S
+    # Loaded only when the force model is built (once minutes, then cached on disk), so that a
+    # recording does not begin without forces.
+    newest = _frame_queue(settings) == "newest"
+    steps = {"large_press_steps": LIVE_PRESS_STEPS} if newest else {}
+    yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True, **steps)
+    # After what a controller waits for.
+    yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
+    yield node("StereoTriangulator", "stereo_triangulator")
+    for view in sensor.views:
+        yield node("GridlineTracker", f"{view}_gridline_tracker", view=view)
+    mount = list(settings.mount if settings.parent_frame else (0.0,) * 6)
+    yield node(
+        "ViewSplitter",
+        "view_splitter",
+        input_transport=settings.input_transport,
+        frame_queue=_frame_queue(settings),
+        parent_frame=settings.parent_frame,
+        mount_position=mount[:3],
+        mount_orientation=mount[3:],
+    )
+
+
+def _frame_queue(settings: SensorSettings) -> str:
+    if settings.frame_queue != "auto":
+        return settings.frame_queue
+    live = settings.source in ("v4l2", "simulated") and not settings.record
+    return "newest" if live else "every"
+
+
+def _recorder(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:
+    if settings.record:
+        parameters = {
+            "output": settings.record,
+            "topics": settings.record_topics,
+            "compression": settings.record_compression,
+            **_by_clock(settings),
+        }
+        yield sensor.component("cmp_tactile_driver::Recorder", "recorder", parameters)
+
+
+def _records_frames(sensor: GraphSensor, settings: SensorSettings) -> bool:
+    """Whether the recorder subscribes to the images."""
+    topics = settings.record_topics.split() if settings.record else []
+    images = absolute_name("image_raw", sensor.namespace)
+    return any(fnmatchcase(images, absolute_name(item, sensor.namespace)) for item in topics)
+
+
+def _source(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:
+    """What publishes the frames; nothing where others do."""
+    camera = "cmp_tactile_driver::CameraDriver", "camera_driver"
+    if settings.source == "simulated":
+        given = settings.some("source", "frame_rate", "autoplay", "max_speed")
+        yield sensor.component(*camera, {**given, "input": settings.scene})
+    elif settings.source == "v4l2":
+        given = settings.some(
+            "source", "device", "frame_rate", "pixel_format", "colour", "camera_info_url"
+        )
+        yield sensor.component(*camera, given)
+    elif settings.source == "replay":
+        given = settings.some("input", "topic", "rate", "start", "end", "loop", "paused")
+        given |= settings.some("publish_clock")
+        awaited = settings.wait_for_subscribers + _records_frames(sensor, settings)
+        given["wait_for_subscribers"] = awaited
+        # Its diagnostics have the time of /clock, as those of the other nodes.
+        given |= {"frame_rate": settings.image_rate, "use_sim_time": True}
+        yield sensor.component("cmp_tactile_driver::Replay", "replay", given)
