@@ -114,7 +114,7 @@ class ComponentContainer:
         # Those that are being built, too, which have no name yet.
         self._components: dict[int, LoadedComponent] = {}
         self._closed = False
-        self._collector = threading.Timer(COLLECT_AFTER, _collect)
+        self._collector: threading.Timer | None = None
 
     @property
     def context(self) -> Context:
@@ -147,6 +147,7 @@ class ComponentContainer:
                 self._components.pop(unique_id, None)
             life.request_stop()
             life.join(0.0 if self._closed else STOP_TIMEOUT)
+            self._collect_later()
             raise ComponentLoadError(f"{component.label}: {error}") from None
         if component.log_level:
             logger_name = name.strip("/").replace("/", ".")
@@ -188,7 +189,8 @@ class ComponentContainer:
         with self._lock:
             self._closed = True
             lives, self._components = self._components, {}
-        self._collector.cancel()
+            if self._collector is not None:
+                self._collector.cancel()
         for life in lives.values():
             life.request_stop()
         deadline = time.monotonic() + timeout
@@ -277,13 +279,16 @@ class ComponentContainer:
         stay until Python looks for such circles by itself.
         """
         with self._lock:
-            if not (self._closed or self._collector.is_alive()):
-                self._collector = threading.Timer(COLLECT_AFTER, _collect)
-                self._collector.daemon = True
-                self._collector.start()
+            if self._closed or self._collector is not None:
+                return
+            self._collector = threading.Timer(COLLECT_AFTER, self._collect)
+            self._collector.daemon = True
+            self._collector.start()
 
-
-def _collect() -> None:
-    gc.unfreeze()
-    gc.collect()
-    spare_the_collector()
+    def _collect(self) -> None:
+        with self._lock:
+            # What is unloaded from now on is collected another time.
+            self._collector = None
+        gc.unfreeze()
+        gc.collect()
+        spare_the_collector()

@@ -133,7 +133,12 @@ def _processes_of(graphs: Sequence[Graph], ros_args: Sequence[str]) -> Iterator[
                 process.stdin.write(pickle.dumps(graph))
                 process.stdin.flush()
             processes[graph.sensors[0].name] = process
-        yield processes
+        try:
+            yield processes
+        finally:
+            # All at once, before each is waited for.
+            for process in processes.values():
+                process.terminate()
 
 
 @contextmanager

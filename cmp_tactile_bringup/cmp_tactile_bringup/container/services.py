@@ -200,7 +200,9 @@ class ContainerServices:
         try:
             response.unique_id = self._container.load(_component(request))
         except ComponentError as error:
-            response.error_message = self._refused[wanted] = str(error)
+            response.error_message = str(error)
+            if request.node_name:
+                self._refused[wanted] = str(error)
             self._node.get_logger().error(f"cannot load {error}")
             return
         self._refused.pop(wanted, None)
@@ -224,10 +226,13 @@ class ContainerServices:
 
     def _publish_diagnostics(self) -> None:
         container = status_name(self._node)
-        statuses = [_status(container, item) for item in self._container.list()]
+        running = self._container.list()
+        statuses = [_status(container, item) for item in running]
+        names = {item.full_name.strip("/") for item in running}
         statuses += [
             status_message(f"{container}: {wanted}", _sensor_of(wanted), (ERROR, reason), {})
             for wanted, reason in dict(self._refused).items()
+            if wanted not in names
         ]
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self._node.get_clock().now().to_msg()

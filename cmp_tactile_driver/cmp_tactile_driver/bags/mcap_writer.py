@@ -177,6 +177,8 @@ class McapFile:
                 self._put_end()
         finally:
             self._file.close()
+            # Of a recording in many files each stays known for its times and counts.
+            self._indices, self._schemas, self._compressor = [], {}, None
 
     def _put(self, data: bytes) -> int:
         """Write all of it, or take back what was written in part; how much it is."""

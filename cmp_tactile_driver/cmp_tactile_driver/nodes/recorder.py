@@ -232,7 +232,7 @@ class Recorder(ReportingNode):
             kind = message_class(topic.kind)
             check_for_type_support(kind)
         except (ImportError, AttributeError, NoTypeSupportImportedException):
-            text = "found no such message here, expected its package to be installed"
+            text = "found no such message here, expected its package to be built for this Python"
             self.get_logger().warning(f"{topic.name}: is not recorded: {topic.kind}: {text}")
             return
         if topic.instead_of:

@@ -95,8 +95,8 @@ class ForceModel:
         A marker with status 0, one that moved farther than the gel is large, and any component
         that is not finite count as not measured.  Too few markers give a field of NaN, and so does
         what no gel can show.  contacts: without them the contacts, their area and flags, and the
-        wrench's covariance stay unknown, which saves a third of the time.  Raises GeometryError for
-        arrays of other shapes.
+        wrench's covariance stay unknown, and `contact` is every node that is pressed, by noise too;
+        that saves a third of the time.  Raises GeometryError for arrays of other shapes.
         """
         measured = self._whitening.measurements(displacement, status, covariance)
         measured = measured._replace(contacts=contacts)

@@ -166,7 +166,9 @@ class ForceReconstructor(StageNode):
         field = stage.process(surface, stamp_ns(header.stamp), contacts=whole)
         # First what a controller waits for.
         self._wrench.publish(field, header)
-        self._field.publish(field, header)
+        # Who has come meanwhile gets the next one, with contacts.
+        if whole or not self._field.is_wanted:
+            self._field.publish(field, header)
         self.frame_out(header)
         if whole:
             self._health.add(field)
