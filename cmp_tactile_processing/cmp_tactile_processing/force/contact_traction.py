@@ -150,6 +150,10 @@ class ContactTraction:
         weighted_equations(self._normal, self._smoothness, one, 1.0, 1.0)
         add_block(self._normal, one, np.ones(1), one, np.ones(1), False, np.zeros((1, 1)))
 
+    def is_wide(self, nodes: NDArray[np.intp]) -> bool:
+        """Whether nodes (k,) are most of the surface, so that less is beside them."""
+        return len(nodes) > WIDE * len(self._smoothness)
+
     def weights(self, scale: TractionScale, noise_squared: float) -> Weights:
         """Weights for coefficients of an expected size, the nearest on the grid."""
         steps = np.round(self._steps(scale, noise_squared))
@@ -235,7 +239,7 @@ class ContactTraction:
     def _new_factor(self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData) -> Factor:
         unknowns = unknowns_of(nodes)
         gone = self._response[np.frombuffer(seen.missing, np.intp)]
-        if len(nodes) > WIDE * len(self._smoothness) and len(gone) < FEW_MISSING * len(unknowns):
+        if self.is_wide(nodes) and len(gone) < FEW_MISSING * len(unknowns):
             whole = self._inverses.get(weights, lambda: WholeSurface(self._spectrum, *weights))
             return ComplementFactor(whole, unknowns, gone)
         of_contact = gone.take(unknowns, axis=1)
@@ -264,7 +268,7 @@ class ContactTraction:
 
     def _smoothed(self, nodes: NDArray[np.intp], values: Array) -> Array:
         """Smoothness times values (k, 3) on some nodes."""
-        if len(nodes) <= WIDE * len(self._smoothness):
+        if not self.is_wide(nodes):
             return np.asarray(self._smooth_on(nodes) @ values)
         whole = np.zeros((len(self._smoothness), 3))
         whole[nodes] = values

@@ -13,7 +13,6 @@ from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
 from cmp_tactile_processing.force.contact_mask import ContactRule
 from cmp_tactile_processing.force.contact_regions import resultant_matrix
 from cmp_tactile_processing.force.contact_traction import (
-    WIDE,
     ContactTraction,
     SeenData,
     TractionPosterior,
@@ -162,7 +161,7 @@ class ForceSolver:
 
     def _with_its_scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
         """The posterior for the sizes and the noise that it shows itself."""
-        wide = len(posterior.nodes) > WIDE * self._shape[0] * self._shape[1]
+        wide = self._second.is_wide(posterior.nodes)
         for _ in range(WIDE_STEPS if wide else SCALE_STEPS):
             weights = self._second.likelier(posterior, seen)
             if weights == posterior.weights:
