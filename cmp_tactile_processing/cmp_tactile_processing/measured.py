@@ -334,7 +334,7 @@ class ForceFlag(IntFlag):
     FEW_MARKERS = 1  # too few markers were seen: all is NaN
     AT_BORDER = 2  # contact reaches the edge of the marker area and may go on beyond it
     BEYOND_MARKERS = 4  # the markers at the edge move as only a force beyond them would move them
-    HIDDEN_CONTACT = 8  # markers under the contact are missing
+    HIDDEN_CONTACT = 8  # markers under the contact or beside it are missing
     NO_DEPTH = 16  # one view: the normal force is inferred, not measured
     LARGE_PRESS = 32  # pressed so far that the linear model is wrong, and it was not corrected
     NOT_CONVERGED = 64  # the large-press correction did not settle, or not yet
