@@ -46,6 +46,17 @@ class GridFault(str, Enum):
     PARTLY_HIDDEN = "partly_hidden"
 
 
+class NumberingKind(str, Enum):
+    """What the numbers of a grid's corners hold for.
+
+    ABSOLUTE: each names one corner of the print.  RELATIVE: they name the same corners from frame
+    to frame since the first one, as far as motion between frames can be bounded.
+    """
+
+    ABSOLUTE = "absolute"
+    RELATIVE = "relative"
+
+
 @dataclass(frozen=True)
 class GridShape:
     """Number of corners along y (rows) and x (cols), and of virtual markers per segment."""
@@ -113,6 +124,7 @@ class Grid:
     confidence: 0 to 1, how surely the corners bear their right numbers; a followed grid has that of
     the detection that it goes back to.
     followed: whether the corners were looked for where the last frame had them.
+    numbering: what the numbers hold for.
     placement: the view's place in the frame, None for a grid that came without it.
     """
 
@@ -132,6 +144,7 @@ class Grid:
     col_line_std: NDArray[np.float64] | None = None
     confidence: float = float("nan")
     followed: bool = False
+    numbering: NumberingKind = NumberingKind.ABSOLUTE
 
     @classmethod
     def missing(
@@ -140,6 +153,7 @@ class Grid:
         reason: str,
         placement: ViewPlacement | None = None,
         fault: GridFault = GridFault.NO_PATTERN,
+        numbering: NumberingKind = NumberingKind.ABSOLUTE,
     ) -> Grid:
         """A grid of which nothing was seen."""
         return cls(
@@ -157,6 +171,7 @@ class Grid:
             row_line_std=np.full(shape.row_lines, np.nan),
             col_line_std=np.full(shape.col_lines, np.nan),
             confidence=0.0,
+            numbering=numbering,
         )
 
     @property

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured import Grid, GridFault, Status
+from cmp_tactile_processing.measured import Grid, GridFault, NumberingKind, Status
 
 # BGR.
 ROW_COLOUR = (80, 200, 255)
@@ -140,6 +140,8 @@ def _write(canvas: NDArray[np.uint8], grid: Grid) -> None:
     state = [f"{measured} of {grid.corner_status.size} corners"]
     state += [f"confidence {grid.confidence:.2f}"] if np.isfinite(grid.confidence) else []
     state += ["followed"] if grid.followed else []
+    relative = grid.numbering is NumberingKind.RELATIVE
+    state += ["relative numbers"] if relative else []
     trouble = grid.reason
     if grid.fault is not GridFault.NONE:
         trouble = f"{grid.fault.value}: {trouble}"

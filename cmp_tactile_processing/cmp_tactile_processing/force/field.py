@@ -217,6 +217,8 @@ class FieldBuilder:
             flags |= ForceFlag.NO_DEPTH
         if self._hidden(contacts, measured.known):
             flags |= ForceFlag.HIDDEN_CONTACT
+            if self._sensor.pattern.border == "beyond_view":
+                flags |= ForceFlag.AT_BORDER
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
         left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
         if left > POOR_NOISE and left > POOR_SHARE * whole:

@@ -194,6 +194,13 @@ def _read_roi(section: YamlSection, image: parts.ImageSize) -> parts.Roi:
 
 
 def _check_gel(top: YamlSection, pattern: parts.Pattern, elastomer: parts.Elastomer) -> None:
+    for key, count in (("rows", pattern.rows), ("cols", pattern.cols)):
+        if pattern.border == "in_view" and count > parts.MAX_CORNERS:
+            expected = (
+                f"a whole number from {parts.MIN_CORNERS} to {parts.MAX_CORNERS}; of a pattern "
+                f"with border: beyond_view up to {parts.MAX_BEYOND_VIEW} can be numbered"
+            )
+            raise top.error(f"pattern.{key}", count, expected)
     if not np.isfinite(pattern.corners()).all():
         expected = "a radius that spans the pattern"
         raise top.error("pattern.surface", pattern.surface.radius, expected)

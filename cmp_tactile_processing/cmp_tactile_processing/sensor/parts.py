@@ -28,7 +28,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
 )
 
 MAX_IMAGE_SIDE = 16384
-MIN_CORNERS, MAX_CORNERS = 4, 60
+MIN_CORNERS, MAX_CORNERS, MAX_BEYOND_VIEW = 4, 60, 200
 MAX_POINTS_PER_SEGMENT = 20
 MAX_CALIBRATION_FRAMES = 1_000_000
 # Beyond these it is not a gel or rig that this package can measure, but mostly another unit:
@@ -211,14 +211,19 @@ class Pattern:
     """A checkerboard of rows x cols inner corners, regular in x and y with the given pitch, m.
 
     corner_checker: dark or light, the checker outside corner (0, 0).
+    border: in_view where the pattern ends within the view, beyond_view where it goes on, so that
+    rows x cols number a part of it.
     """
 
-    rows: int = field(metadata=whole(MIN_CORNERS, MAX_CORNERS))
-    cols: int = field(metadata=whole(MIN_CORNERS, MAX_CORNERS))
+    rows: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
+    cols: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
     pitch: float = field(metadata=number(*PITCH_M, "m"))
     corner_checker: str = field(metadata=choice("dark", "light"))
     points_per_segment: int = field(metadata=whole(0, MAX_POINTS_PER_SEGMENT))
     surface: PatternSurface = field(metadata=read_by(_read_surface))
+    border: str = field(
+        default="in_view", metadata=choice("in_view", "beyond_view", required=False)
+    )
 
     @property
     def shape(self) -> GridShape:

@@ -85,6 +85,8 @@ def test_a_sensor_that_is_not_there_is_named():
         ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
         ("pattern.pitch", 0.69, r"pattern\.pitch: found 0\.69, .* m: did you mean 0\.00069\?"),
         ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
+        ("pattern.rows", 80, r"pattern\.rows: found 80, .* 4 to 60; .* beyond_view up to 200"),
+        ("pattern.border", "none", r"pattern\.border: found 'none', expected one of in_view, bey"),
         ("camera.fx", 2.6, r"camera\.fx: found 2\.6, expected px, at least 34\.1 .* 2\.6 mm"),
         ("optics.T_camera_gel", [1, 2], r"optics\.T_camera_gel: .*expected 3 lists of 4"),
         ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),

@@ -140,6 +140,7 @@ class MessageMaker:
             residual_px=float(grid.residual_px),
             confidence=float(grid.confidence),
             followed=bool(grid.followed),
+            numbering=grid.numbering.value,
             fault=grid.fault.value,
             reason=grid.reason,
         )

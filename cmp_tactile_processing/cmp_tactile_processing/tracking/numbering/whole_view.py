@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
 from cmp_tactile_processing.tracking.detector import (
     Component,
     CornerGraph,
-    NominalAxes,
     NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.component_placement import (
@@ -27,16 +25,16 @@ from cmp_tactile_processing.tracking.numbering.component_placement import (
     ComponentPlacement,
 )
 from cmp_tactile_processing.tracking.numbering.components import (
-    GridlinePointers,
     drop_loose_corners,
     in_order,
     joined,
 )
+from cmp_tactile_processing.tracking.numbering.connected_corners import ConnectedCorners
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
-    turn_of,
+    turned_reason,
 )
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     continues,
@@ -49,8 +47,6 @@ from cmp_tactile_processing.tracking.numbering.torn_view import (
 SMALLEST_ANCHORED = 0.1
 # On a cluttered image without pattern corners connect by chance: up to this share of those.
 BY_CHANCE = 0.5
-# Components of fewer corners are clutter as often as they are part of the pattern.
-SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
 OTHER_PATTERN = 0.1
 # Checkers that differ by more than this from those of the pattern, in sides, are another one's.
@@ -66,11 +62,6 @@ OF_THE_DESCRIPTION = {
 FEWEST_PIECE = 9
 # Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
 FEWEST_STRAYS = 6
-# Checkers without sharp edges, and with less contrast than this, may be light where they should be
-# dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
-# leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
-# where neither has exchanged the colours, blur of a third of a side leaves more contrast.
-LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 # A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
 # of the whole; of the whole see `faulty_view.py`.
 LARGEST_TURN_OF_PART = 0.25
@@ -114,28 +105,6 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
 
 
-def _without_blurred(
-    components: list[Component], image: PreparedImage
-) -> tuple[list[Component], str]:
-    """The components in which light and dark can be trusted, and what speaks against the largest.
-
-    Components that are too small to be judged go with the largest.
-    """
-    kept: list[Component] = []
-    reason = ""
-    for index, component in enumerate(components):
-        if len(component.position) < FEWEST_CORNERS:
-            return kept if reason else kept + components[index:], reason
-        sharpness, contrast = blur_evidence(image.grey, *component.lattice())
-        if not (sharpness < LEAST_SHARPNESS and contrast < LEAST_CONTRAST):
-            kept.append(component)
-        elif index == 0:
-            reason = (
-                f"out of focus or smeared: checkers without sharp edges, of {contrast:.0%} contrast"
-            )
-    return kept, reason
-
-
 class GridNumbering:
     """Numbers the corners that a detector found in one view; keeps its buffers.
 
@@ -151,8 +120,7 @@ class GridNumbering:
     ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
-        self._axes = NominalAxes(nominal)
-        self._pointers = GridlinePointers()
+        self._connected = ConnectedCorners(nominal)
         self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
 
@@ -188,18 +156,12 @@ class GridNumbering:
         self, graph: CornerGraph, image: PreparedImage, previous: NDArray[np.float64] | None
     ) -> Numbering:
         """A graph without regard to tears."""
-        components, reason = self._components(graph, image)
+        components, reason = self._connected.components(graph, image)
         if components:
             return self._numbered(components, image, previous)
         if reason:
             return self._missing(GridFault.NO_CONTRAST, reason)
         return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
-
-    def _components(self, graph: CornerGraph, image: PreparedImage) -> tuple[list[Component], str]:
-        """Sets of connected corners, and why some of them are not to be believed."""
-        steps = self._axes.near(graph.position)
-        components = self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
-        return _without_blurred(components, image) if components else ([], "")
 
     def _parts_of(
         self,
@@ -214,7 +176,9 @@ class GridNumbering:
 
         proven: gridlines jump there; without that, parts are one unless they contradict each other.
         """
-        components, _ = self._components(cut_at(graph, tears, self._nominal.side_px), image)
+        components, _ = self._connected.components(
+            cut_at(graph, tears, self._nominal.side_px), image
+        )
         bounds = [-np.inf, *tears, np.inf]
         parts: list[list[Component]] = [[] for _ in bounds[1:]]
         for component in components:
@@ -340,12 +304,10 @@ class GridNumbering:
         number, position = number[inside], component.position[inside]
         fault, reason = self._others.seen_in(position, number, previous)
         if fault is GridFault.NONE and len(position) >= FEWEST_CORNERS:
-            angle = turn_of(position, number, self._nominal)
             few = len(position) < TURNED_SHARE * self._nominal.corners[..., 0].size
-            if abs(angle) > (LARGEST_TURN_OF_PART if few else LARGEST_TURN):
-                fault = GridFault.TURNED
-                reason = f"the pattern is turned in the image by {np.degrees(angle):.0f} degrees"
-                reason += " against the sensor's description"
+            largest = LARGEST_TURN_OF_PART if few else LARGEST_TURN
+            reason = turned_reason(position, number, self._nominal, largest)
+            fault = GridFault.TURNED if reason else GridFault.NONE
         if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
             fault = GridFault.TWO_PATTERNS
             reason = "two patterns seen, each of which could be the sensor's"
@@ -386,7 +348,7 @@ class GridNumbering:
         lattice, _ = component.lattice()
         known = np.isfinite(lattice[..., 0])
         off = []
-        for axis, nominal in enumerate(self._axes.near(lattice[known])):
+        for axis, nominal in enumerate(self._connected.axes.near(lattice[known])):
             steps = np.full_like(lattice, np.nan)
             if lattice.shape[axis] > 1:
                 steps = np.gradient(lattice, axis=axis)
