@@ -60,6 +60,7 @@ def test_good_grids_give_no_text():
         "tracked fraction": "1.0000",
         "confidence": "0.800",
         "followed": "0.75",
+        "numbering": "absolute",
         "fault": "",
         "frames with a fault": "0 of 4",
     }
