@@ -48,6 +48,7 @@ MAX_COEFFICIENT = 1e30
 UNIT_TOLERANCE = 1e-5
 # What is a unit vector to this is not scaled: it would change in its last bits at every reading.
 UNIT_ROUNDING = 1e-15
+NO_OPTICS = "none"
 DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
 SURFACE_KEYS = {
     "plane": ("type",),
@@ -62,6 +63,10 @@ class ImageSize:
 
     width: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
     height: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
+
+
+# That of a sensor without a camera.
+NO_IMAGE = ImageSize(0, 0)
 
 
 def _read_distortion(section: YamlSection, key: str) -> tuple[float, ...]:
@@ -126,9 +131,12 @@ def _read_layers(section: YamlSection, key: str) -> tuple[RefractingLayer, ...]:
 
 @dataclass(frozen=True)
 class Optics:
-    """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view."""
+    """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view.
 
-    type: str = field(metadata=choice("mirror_stereo", "two_view", "monocular"))
+    type none: markers' positions come from elsewhere, and nothing is known of a camera.
+    """
+
+    type: str = field(metadata=choice("mirror_stereo", "two_view", "monocular", NO_OPTICS))
     T_camera_gel: NDArray[np.float64] | None = field(metadata=read_by(read_pose))
     layers: tuple[RefractingLayer, ...] = field(metadata=read_by(_read_layers))
 
