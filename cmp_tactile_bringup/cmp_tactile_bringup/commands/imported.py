@@ -20,7 +20,7 @@ class Tac3d(Command):
     """Take over recordings of Tac3D sensors: folders with 3D_Positions.npy, 3D_Displacements.npy
     and what else its recorder writes. Force and slip are worked out from the displacements.
     Written are SERIAL.mcap (surface, force field and wrench as the nodes publish them, and the
-    sensor's own as tac3d/force_field and tac3d/wrench), SERIAL_wrench.csv, and SERIAL.yaml, the
+    sensor's own as tac3d/wrench and tac3d/force_points), SERIAL_wrench.csv, and SERIAL.yaml, the
     description with pitch and surface of this very sensor. `cmp_tactile view SERIAL.mcap` shows
     the result, `ros2 bag play` sends it to nodes and RViz.
     """

@@ -11,7 +11,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from cmp_tactile_bringup.offline.identity import software_version
-from cmp_tactile_bringup.offline.outputs import ResultBag, csv_table
+from cmp_tactile_bringup.offline.outputs import (
+    WRENCH_STAMPED,
+    NamedMessage,
+    ResultBag,
+    csv_table,
+)
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_bringup.recordings.tac3d import Agreement, Tac3dRecording, agreement
@@ -19,6 +24,8 @@ from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, Surface
 from cmp_tactile_processing.pipeline import PipelineResult
+from cmp_tactile_processing.ros.messages import making
+from cmp_tactile_processing.ros.messages.definitions import bag_messages
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     sensor_description_text,
@@ -27,8 +34,7 @@ from cmp_tactile_processing.sensor.description import (
 from cmp_tactile_processing.surface.displacement import surface_of_positions
 
 NS_PER_S = 10**9
-# What the sensor says itself lies below this name.
-OWN = "tac3d"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 REFERENCE = "markers at rest, as the sensor has them"
 NO_IMAGE = np.zeros((0, 0), np.uint8)
 
@@ -75,8 +81,9 @@ def write_import(
             append_row = stack.enter_context(csv_table(table))
             facts = {"software": software_version(), "reference": REFERENCE}
             bag.describe(facts, sensor_description_text(sensor).encode())
-            for frame, surface, field, own in _frames(recording, sensor):
-                bag.append(frame, PipelineResult(None, None, surface, field), {OWN: own})
+            for number, (frame, surface, field) in enumerate(_frames(recording, sensor)):
+                own = _own_messages(recording, number, making.gel_frame(sensor))
+                bag.append(frame, PipelineResult(None, None, surface, field), own)
                 append_row(results.table_row(frame.stamp_ns, frame.time_s, field, ""))
                 ours.append(field.wrench[:3])
         write_sensor_description(Path(beside) / f"{recording.serial}.yaml", sensor)
@@ -87,10 +94,20 @@ def write_import(
 
 def _frames(
     recording: Tac3dRecording, sensor: SensorDescription
-) -> Iterator[tuple[RecordedFrame, Surface, ForceField, ForceField]]:
-    """Time, surface, our force field and the sensor's own of each frame."""
+) -> Iterator[tuple[RecordedFrame, Surface, ForceField]]:
+    """Time, surface and our force field of each frame."""
     stamps = recording.stamp_ns.tolist()
-    for number, (surface, field) in enumerate(forces_of(recording, sensor)):
-        time_s = (stamps[number] - stamps[0]) / NS_PER_S
-        frame = RecordedFrame(time_s, stamps[number], stamps[number], "", NO_IMAGE)
-        yield frame, surface, field, recording.own_field(number, sensor)
+    for stamp, (surface, field) in zip(stamps, forces_of(recording, sensor), strict=True):
+        time_s = (stamp - stamps[0]) / NS_PER_S
+        yield RecordedFrame(time_s, stamp, stamp, "", NO_IMAGE), surface, field
+
+
+def _own_messages(recording: Tac3dRecording, number: int, gel_frame: str) -> Iterator[NamedMessage]:
+    """What the sensor itself says of the force in a frame."""
+    make = bag_messages()
+    header = make.header(int(recording.stamp_ns[number]), gel_frame)
+    wrench = make.wrench(recording.wrench[number])
+    yield "tac3d/wrench", WRENCH_STAMPED, make.new(WRENCH_STAMPED, header=header, wrench=wrench)
+    force = recording.force[number]
+    cloud = make.cloud(header, recording.reference, force, ("fx", "fy", "fz"))
+    yield "tac3d/force_points", POINT_CLOUD, cloud

@@ -7,7 +7,7 @@ types and units.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache, partial
 from pathlib import Path
@@ -32,7 +32,6 @@ from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_o
 from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
-from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
@@ -55,6 +54,8 @@ LATCHED = Qos(
     avoid_ros_namespace_conventions=False,
 )
 Row = Sequence[float | str]
+# Name below the sensor's namespace, type, message.
+NamedMessage = tuple[str, str, Any]
 
 
 class ResultBag:
@@ -88,21 +89,20 @@ class ResultBag:
         self,
         frame: RecordedFrame,
         result: PipelineResult,
-        others: Mapping[str, ForceField] | None = None,
+        more: Iterable[NamedMessage] = (),
     ) -> None:
-        """Write what the next frame showed; others: what others say of its force, by name."""
+        """Write what the next frame showed, and more messages about it."""
         if not self._has_transforms:
             transforms = making.static_transforms(self._make, self._sensor, self._rectification)
             message = self._make.new(TF_MESSAGE, transforms=transforms)
             self._write("/tf_static", TF_MESSAGE, message, frame)
             self._has_transforms = True
-        beside = self._of_others(frame.stamp_ns, others or {})
-        for name, kind, message in (*self._messages(frame.stamp_ns, result), *beside):
+        for name, kind, message in (*self._messages(frame.stamp_ns, result), *more):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
         if self._file.chunk_is_full:
             self._file.flush()
 
-    def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
+    def _messages(self, stamp: int, result: PipelineResult) -> Iterator[NamedMessage]:
         make, sensor = self._make, self._sensor
         gel = make.header(stamp, making.gel_frame(sensor))
         for view, grid in (("left", result.left), ("right", result.right)):
@@ -117,14 +117,6 @@ class ResultBag:
         yield "surface", SURFACE, make.surface(result.surface, gel)
         yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)
         yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
-
-    def _of_others(
-        self, stamp: int, others: Mapping[str, ForceField]
-    ) -> Iterator[tuple[str, str, Any]]:
-        gel = self._make.header(stamp, making.gel_frame(self._sensor))
-        for name, field in others.items():
-            yield f"{name}/force_field", FORCE_FIELD, self._make.force_field(field, gel)
-            yield f"{name}/wrench", WRENCH_STAMPED, self._make.wrench_stamped(field, gel)
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
         latched = topic == "/tf_static" or topic.endswith("/camera_info")

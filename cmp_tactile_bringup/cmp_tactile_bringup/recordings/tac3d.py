@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError
-from cmp_tactile_processing.measured import ForceField, SlipState
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -69,27 +68,6 @@ class Tac3dRecording:
             surface = PatternSurface("sphere_cap", round(1 / bend, 5))
         pattern = replace(sensor.pattern, pitch=round(self.pitch, 7), surface=surface)
         return replace(sensor, name=self.serial, pattern=pattern)
-
-    def own_field(self, number: int, sensor: SensorDescription) -> ForceField:
-        """What the sensor itself says of the force in a frame."""
-        rows, cols = self.reference.shape[:2]
-        force, wrench = self.force[number].reshape(-1, 3), self.wrench[number]
-        return ForceField(
-            rows=rows,
-            cols=cols,
-            position=self.reference.reshape(-1, 3),
-            force=force,
-            contact=np.zeros(len(force), dtype=bool),
-            wrench=wrench,
-            contact_area=float("nan"),
-            centre_of_pressure=np.full(3, np.nan),
-            reference_point=np.zeros(3),
-            slip_state=SlipState.UNKNOWN,
-            valid_fraction=float(np.isfinite(force).all(axis=1).mean()),
-            regularization=float("nan"),
-            young=sensor.elastomer.young,
-            poisson=sensor.elastomer.poisson,
-        )
 
 
 def tac3d_folders(folder: Path) -> list[Path]:
