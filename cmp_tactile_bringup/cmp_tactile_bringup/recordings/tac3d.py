@@ -30,7 +30,8 @@ MILLI = 1e-3
 # Markers are so far apart, mm; else lengths are in another unit.
 PITCH_MM = 0.1, 20.0
 # The surface is flat where its radius is larger, m.
-LARGEST_RADIUS_M = 2.0
+LARGEST_RADIUS_M = 1.0
+SPHERE_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,11 @@ class Tac3dRecording:
     def described(self, sensor: SensorDescription) -> SensorDescription:
         """The description with pitch and surface of this very sensor, from its markers at rest."""
         x, y, z = self.reference.reshape(-1, 3).T
-        terms = np.column_stack([np.ones_like(x), (x**2 + y**2) / 2])
-        bend = float(-np.linalg.lstsq(terms, z, rcond=None)[0][1])
+        # Depth of a sphere below its apex: q = s / 2R + s^2 / 8R^3, s = x^2 + y^2.
+        s, bend = x**2 + y**2, 0.0
+        for _ in range(SPHERE_STEPS):
+            terms = np.column_stack([np.ones_like(s), s / 2 + s**2 * bend**2 / 8])
+            bend = float(-np.linalg.lstsq(terms, z, rcond=None)[0][1])
         surface = PatternSurface()
         if bend > 1 / LARGEST_RADIUS_M:
             surface = PatternSurface("sphere_cap", round(1 / bend, 5))

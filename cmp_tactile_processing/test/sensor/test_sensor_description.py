@@ -239,3 +239,15 @@ def test_other_rigs_load(content, load):
 def test_name_becomes_a_legal_ros_name(content, load):
     assert load(changed(content, "name", "finger-2 left")).ros_name == "finger_2_left"
     assert load(changed(content, "name", "3rd")).ros_name == "sensor_3rd"
+
+
+def test_a_sensor_that_measures_its_markers_itself_has_neither_camera_nor_views(content, load):
+    for key in ("image", "camera", "views"):
+        del content[key]
+    content["optics"] = {"type": "none"}
+    sensor = load(content)
+    assert not sensor.views
+    assert sensor.camera is None
+    content["views"] = {"left": {"roi": [0, 0, 100, 100]}}
+    with pytest.raises(DescriptionError, match=r"views: found .* no such key"):
+        load(content)
