@@ -37,6 +37,7 @@ SUBCOMMANDS = {
     "record": ("record.Record", "record a sensor that runs"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),
+    "init": ("init.Init", "describe a new sensor from one picture of its pattern"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
     "info": ("description.Info", "show a sensor and the installation"),
 }

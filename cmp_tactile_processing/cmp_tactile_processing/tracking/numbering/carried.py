@@ -41,9 +41,9 @@ AROUND, VOTING = 3, 400
 # RMS, in a quick press.  More may be another number's motion, if it leaves no more than so many
 # times that: after a jump by whole checkers their shapes do not lie on one another.
 USUAL_CHANGE, AS_WELL = 0.03, 1.15
-# The largest set of connected corners has so many at least, also as a share of the grid, as on an
-# image without a pattern small ones connect by chance; any other has so many.
-FEWEST, BY_CHANCE, FEWEST_MORE = 12, 0.05, 4
+# On an image without a pattern corners connect by chance, up to such a share of the grid's, and to
+# so many; any further set has so many at least.
+BY_CHANCE, FEWEST, MOST_BY_CHANCE, FEWEST_MORE = 0.05, 12, 36, 4
 # A set of fewer corners than this lies at most so many checkers from those that are numbered.
 ACROSS_A_GAP, GAP = 40, 3.0
 # What a number is worth that neither border nor code confirms.
@@ -107,7 +107,7 @@ class CarriedNumbering:
         jumps = [tear for tear in tears if is_torn(graph, tear, side)]
         graph = cut_at(graph, jumps, side) if jumps else graph
         components, reason = self._connected.components(graph, image)
-        fewest = max(FEWEST, BY_CHANCE * self._side.size)
+        fewest = np.clip(BY_CHANCE * self._side.size, FEWEST, MOST_BY_CHANCE)
         if not components or len(components[0].position) < fewest:
             fault = GridFault.NO_CONTRAST if reason else GridFault.NO_PATTERN
             return self._none(fault, reason or "no checker pattern seen")
