@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
+from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
@@ -27,6 +27,10 @@ from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
 
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TRUE_TOPICS = ("truth/surface", "truth/force_field")
+SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
+FrameBytes = dict[str, bytes]
+"""CDR bytes of a frame's messages by topic, below the sensor's namespace."""
 # Camera noise leaves PNG's dictionary nothing to find: entropy coding alone is both the smallest
 # (21.9 MB against 23.8 MB for 60 frames) and seven times as fast.  OpenCV uses the strategy only
 # where a compression level is given too.
@@ -74,7 +78,7 @@ class FrameMessages:
         self._topics = recorded_topics(sensor)
         self._info = making.whole_frame_info(sensor)
 
-    def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, memoryview]]:
+    def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, bytes]]:
         """Topic (below the namespace) and CDR bytes of all messages of a frame, in order."""
         make = self._make
         camera = make.header(frame.stamp_ns, camera_frame(self._sensor))
@@ -98,7 +102,7 @@ class FrameMessages:
             "truth/indenter_pose": self._pose(frame.pose, gel),
         }
         for topic, kind in self._topics.types.items():
-            yield topic, simulation_typestore().serialize_cdr(messages[topic], kind)
+            yield topic, bytes(simulation_typestore().serialize_cdr(messages[topic], kind))
 
     def _pose(self, pose: Pose, header: Any) -> Any:
         place = self._make.new(
@@ -107,10 +111,6 @@ class FrameMessages:
             orientation=self._make.quaternion(Rotation.from_matrix(pose.rotation)),
         )
         return self._make.new(POSE_STAMPED, header=header, pose=place)
-
-
-TOPICS = ("truth/surface", "truth/force_field")
-SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def read_truth(bag: Path) -> RecordedTruth:
     """
     sensor = SensorDescription.load(bag / "sensor.yaml")
     views = build_views(sensor)
-    topics = [*TOPICS, *(f"truth/{view}/grid" for view in views)]
+    topics = [*TRUE_TOPICS, *(f"truth/{view}/grid" for view in views)]
     rows = [
         _row(stamp_ns, frame, sensor) for stamp_ns, frame in recorded_frames(bag, sensor, topics)
     ]
@@ -194,12 +194,14 @@ def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
     sensor = SensorDescription.load(bag / "sensor.yaml")
     for stamp, frame in recorded_frames(bag, sensor, ("truth/force_field",)):
         if stamp == stamp_ns:
-            return _force_field(deserialised(frame, "truth/force_field", sensor))
+            return force_field(frame, sensor)
     msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
     raise OutputError(msg)
 
 
-def _force_field(message: Any) -> ForceField:
+def force_field(frame: FrameBytes, sensor: SensorDescription) -> ForceField:
+    """The true force field of a recorded frame."""
+    message = deserialised(frame, "truth/force_field", sensor)
     return ForceField(
         rows=message.rows,
         cols=message.cols,
@@ -234,44 +236,6 @@ def _wrench(message: Any) -> list[float]:
     return [force.x, force.y, force.z, torque.x, torque.y, torque.z]
 
 
-# Where simulated frames go: what a bag and a folder of images have in common.
-
-
-@dataclass(frozen=True)
-class WrittenFrame:
-    """What the video shows of a frame that was written.
-
-    image (H, W) uint8.  corners_m, displacement (rows, cols, 3) m, NaN where missing.
-    force_position (M, 3) m, force (M, 3) N, wrench (6,) N and N m, contact_area m^2.
-    """
-
-    image: NDArray[np.uint8]
-    corners_m: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    force_position: NDArray[np.float64]
-    force: NDArray[np.float64]
-    wrench: NDArray[np.float64]
-    contact_area: float
-
-
-class FrameOutput(Protocol):
-    """Takes the frames of one scene in order."""
-
-    def append(self, frame: SimulatedFrame) -> None:
-        """Write the next frame."""
-
-    def close(self) -> None:
-        """Make what was written readable for others; nothing may be appended afterwards."""
-
-    def frames(self) -> Iterator[WrittenFrame]:
-        """What was written, once it is closed."""
-
-
-# Reads the frames of a simulated recording back, whole or interrupted, without ROS.
-
-FrameBytes = dict[str, bytes]
-
-
 def recorded_frames(
     bag: Path, sensor: SensorDescription, topics: Sequence[str] = ()
 ) -> Iterator[tuple[int, FrameBytes]]:
@@ -293,6 +257,14 @@ def recorded_frames(
         yield stamp_ns, frame
 
 
+def count_frames(bag: Path, sensor: SensorDescription) -> int:
+    """How many whole frames a bag has; 0 where there is none yet."""
+    try:
+        return sum(1 for _ in recorded_frames(bag, sensor))
+    except BagError:
+        return 0
+
+
 def deserialised(frame: FrameBytes, topic: str, sensor: SensorDescription) -> Any:
     """One message of a frame."""
     return simulation_typestore().deserialize_cdr(
@@ -300,27 +272,5 @@ def deserialised(frame: FrameBytes, topic: str, sensor: SensorDescription) -> An
     )
 
 
-def written_frame(frame: FrameBytes, sensor: SensorDescription) -> WrittenFrame:
-    """What the video shows of a recorded frame."""
-    image = deserialised(frame, "image_raw/compressed", sensor)
-    surface = deserialised(frame, "truth/surface", sensor)
-    force = deserialised(frame, "truth/force_field", sensor)
-    grid = surface.rows, surface.cols, 3
-    total, moment = force.wrench.force, force.wrench.torque
-    return WrittenFrame(
-        image=decode_compressed(image.format, image.data),
-        corners_m=_doubles(surface.position, grid),
-        displacement=_doubles(surface.displacement, grid),
-        force_position=_doubles(force.position, (-1, 3)),
-        force=_doubles(force.force, (-1, 3)),
-        wrench=np.array([total.x, total.y, total.z, moment.x, moment.y, moment.z]),
-        contact_area=float(force.contact_area),
-    )
-
-
 def _time_ns(message: StoredMessage) -> int:
     return message.time_ns
-
-
-def _doubles(values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    return np.asarray(values, np.float64).reshape(shape)
