@@ -16,7 +16,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import NoTypeSupportImportedException
-from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rclpy.type_support import check_for_type_support
 from sensor_msgs.msg import CompressedImage, Image
@@ -115,9 +114,10 @@ class Recorder(ReportingNode):
 
     Each message has two times: when it came here, and the stamp of its header.  Frames are
     compressed as `compression` says: png and jpeg go to `image_raw/compressed`; where only that is
-    published, it is recorded for `image_raw`.  `sensor.yaml`
-    beside the files is the sensor description.  What the disk is too slow for is dropped and
-    counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
+    published, it is recorded for `image_raw`.  A topic is recorded reliably where those who publish
+    it when it is found do.  `sensor.yaml` beside the files is the sensor description.  What the
+    disk is too slow for is dropped and counted; a bag that cannot be written ends, with what it
+    has, and the diagnostics say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
     `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched)
     reports state and counts.
@@ -160,7 +160,7 @@ class Recorder(ReportingNode):
         self._watch = TopicWatch(self, topics)
         # Of the recording.
         self.bag: Path | None = None
-        self._taps: dict[str, tuple[Tap, Input]] = {}
+        self._taps: list[tuple[Tap, Input]] = []
         self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._reported: RecorderState | None = None
@@ -200,7 +200,7 @@ class Recorder(ReportingNode):
 
     def _stop(self) -> None:
         self._count_pushed_out()
-        for _, end in self._taps.values():
+        for _, end in self._taps:
             self.disconnect_input(end)
         self._taps.clear()
         self._pushed_out.clear()
@@ -223,7 +223,7 @@ class Recorder(ReportingNode):
 
     def _look_for_topics(self) -> None:
         recorder = self._recorder
-        if recorder is not None and self._is_recording():
+        if recorder is not None and self._is_recording() and not self._watch.is_over:
             for topic in self._watch.new_topics():
                 self._subscribe(topic, recorder)
 
@@ -238,11 +238,10 @@ class Recorder(ReportingNode):
         if topic.instead_of:
             text = f"is not published, {topic.name} is recorded in its place"
             self.get_logger().warning(f"{topic.instead_of}: {text}")
-        known = self._taps.get(topic.name)
-        tap = known[0] if known else self._tap(topic)
-        self._taps[topic.name] = tap, self._listen(tap, kind, topic.qos, recorder)
-        if known:
-            self._replaced(tap, known[1])
+        tap = self._tap(topic)
+        end = Input(lambda given: partial(self._on_message, tap, given))
+        self.connect_counting(end, kind, tap.topic, topic.qos, partial(recorder.lost, tap))
+        self._taps.append((tap, end))
 
     def _tap(self, topic: FoundTopic) -> Tap:
         codec = self._settings.compression
@@ -252,28 +251,13 @@ class Recorder(ReportingNode):
             encode = message_encoder(topic.name, topic.kind)
         return Tap(topic.name, encode, topic.offered)
 
-    def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Input:
-        end = Input(lambda given: partial(self._on_message, tap, given))
-        self.connect_counting(end, kind, tap.topic, qos, partial(recorder.lost, tap))
-        return end
-
-    def _replaced(self, tap: Tap, before: Input) -> None:
-        self._count_pushed_out_of(tap, before)
-        del self._pushed_out[tap.topic]
-        self.disconnect_input(before)
-        text = "is recorded best effort from now on, as a new publisher offers no more"
-        self.get_logger().warning(f"{tap.topic}: {text}; messages of this moment may be missing")
-
     def _count_pushed_out(self) -> None:
         """Of frames of the same container the middleware knows no losses."""
-        for tap, end in self._taps.values():
-            self._count_pushed_out_of(tap, end)
-
-    def _count_pushed_out_of(self, tap: Tap, end: Input) -> None:
-        new = end.dropped - self._pushed_out[tap.topic]
-        if new and self._recorder is not None:
-            self._pushed_out[tap.topic] += new
-            self._recorder.lost(tap, new)
+        for tap, end in self._taps:
+            new = end.dropped - self._pushed_out[tap.topic]
+            if new and self._recorder is not None:
+                self._pushed_out[tap.topic] += new
+                self._recorder.lost(tap, new)
 
     def _on_message(self, tap: Tap, given: Given) -> None:
         message = given.message

@@ -152,25 +152,6 @@ def test_other_topics_latched_ones_and_patterns(ros, output):
     assert STORE.deserialize_cdr(data, connection.msgtype).wrench.force.z == -1.5
 
 
-def test_a_best_effort_publisher_that_comes_later_is_recorded_with_the_reliable_one(ros, output):
-    reliable = ros.node.create_publisher(WrenchStamped, "wrench", 10)
-    node = ros.start(Recorder, output=str(output), topics="wrench")
-    recorded(ros, node, reliable, [WrenchStamped()])
-    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    later = ros.node.create_publisher(WrenchStamped, "wrench", best_effort)
-    ros.wait(lambda: later.get_subscription_count() == 1, "the recorder's new subscription")
-    ros.wait(lambda: reliable.get_subscription_count() == 1, "the end of the old one")
-    recorded(ros, node, later, [WrenchStamped()])
-    recorded(ros, node, reliable, [WrenchStamped()])
-
-    def reliabilities():
-        return [end.qos_profile.reliability for end in node.subscriptions]
-
-    ros.wait(lambda: reliabilities() == [ReliabilityPolicy.BEST_EFFORT], "one subscription")
-    node._stop()
-    assert node.progress.messages == {f"{ros.namespace}/wrench": 3}
-
-
 def test_a_middleware_that_reports_no_losses_is_recorded_from(ros, output, monkeypatch):
     create = Recorder.create_subscription
 
