@@ -31,7 +31,7 @@ setup(
         "cmp_tactile_frame_sources": [
             f"bag = {package_name}.bags.recording:bag_source",
             f"images = {package_name}.bags.recording:image_source",
-            f"v4l2 = {package_name}.v4l2.source:open_cameras",
+            f"v4l2 = {package_name}.v4l2.pair:open_cameras",
             f"video = {package_name}.bags.recording:video_source",
         ],
         "cmp_tactile_components": [

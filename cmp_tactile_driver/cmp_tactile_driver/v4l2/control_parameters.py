@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame
-from cmp_tactile_driver.v4l2.devices import CameraControls, Control, ControlKind, ControlValue
+from cmp_tactile_driver.v4l2.controls import CameraControls, Control, ControlKind, ControlValue
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.parameters import declare_checked
 
