@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_driver.errors import BagError
-from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState
-from cmp_tactile_processing.ros.messages import making
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.ros.messages import making, reading
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
 from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -145,47 +145,33 @@ def read_truth(bag: Path) -> RecordedTruth:
     views = build_views(sensor)
     topics = [*TRUE_TOPICS, *(f"truth/{view}/grid" for view in views)]
     rows = [
-        _row(stamp_ns, frame, sensor) for stamp_ns, frame in recorded_frames(bag, sensor, topics)
+        _row(stamp_ns, frame, sensor, views)
+        for stamp_ns, frame in recorded_frames(bag, sensor, topics)
     ]
     if not rows:
         msg = f"{bag}: found no truth, expected the topics {', '.join(topics)}"
         raise OutputError(msg)
-    shape = sensor.pattern.shape.corners
-
-    def column(name: str, dtype: Any = np.float64) -> NDArray[Any]:
-        return np.array([row[name] for row in rows], dtype)
-
-    def corners_px(view: str) -> NDArray[np.float64]:
-        if view not in views:
-            return np.full((len(rows), *shape, 2), np.nan)
-        return views[view].placement.to_frame(column(view).reshape(-1, *shape, 2))
-
-    return RecordedTruth(
-        stamp_ns=column("stamp_ns", np.int64),
-        corners_left_px=corners_px("left"),
-        corners_right_px=corners_px("right"),
-        corners_m=column("position").reshape(-1, *shape, 3),
-        wrench=column("wrench"),
-        contact_area=column("contact_area"),
-        slip_state=column("slip_state", np.uint8),
-        **{name: column(name) for name in SLIP_FIGURES},
-    )
+    return RecordedTruth(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 
-def _row(stamp_ns: int, frame: FrameBytes, sensor: SensorDescription) -> dict[str, Any]:
-    """What is kept of a frame."""
-    force = deserialised(frame, "truth/force_field", sensor)
+def _row(
+    stamp_ns: int, frame: FrameBytes, sensor: SensorDescription, views: Mapping[str, ViewGeometry]
+) -> dict[str, Any]:
+    """The values of RecordedTruth for a frame."""
+    shape, force = sensor.pattern.shape, true_force(frame, sensor)
+    pixels = dict.fromkeys(("left", "right"), np.full((*shape.corners, 2), np.nan))
+    for name, view in views.items():
+        message = deserialised(frame, f"truth/{name}/grid", sensor)
+        pixels[name] = reading.grid_from_msg(message, shape, view.placement).corners_frame
     return {
         "stamp_ns": stamp_ns,
-        "position": deserialised(frame, "truth/surface", sensor).position,
-        **{
-            view: deserialised(frame, f"truth/{view}/grid", sensor).corner_px
-            for view in sensor.views
-        },
-        "wrench": _wrench(force.wrench),
+        "corners_left_px": pixels["left"],
+        "corners_right_px": pixels["right"],
+        "corners_m": true_surface(frame, sensor).position,
+        "wrench": force.wrench,
         "contact_area": force.contact_area,
-        "slip_state": force.slip_state,
-        **{name: getattr(force, name) for name in SLIP_FIGURES},
+        "slip_state": np.uint8(force.slip_state),
+        **{name: getattr(force.slip, name) for name in SLIP_FIGURES},
     }
 
 
@@ -194,46 +180,20 @@ def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
     sensor = SensorDescription.load(bag / "sensor.yaml")
     for stamp, frame in recorded_frames(bag, sensor, ("truth/force_field",)):
         if stamp == stamp_ns:
-            return force_field(frame, sensor)
+            return true_force(frame, sensor)
     msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
     raise OutputError(msg)
 
 
-def force_field(frame: FrameBytes, sensor: SensorDescription) -> ForceField:
-    """The true force field of a recorded frame."""
-    message = deserialised(frame, "truth/force_field", sensor)
-    return ForceField(
-        rows=message.rows,
-        cols=message.cols,
-        position=np.asarray(message.position, np.float64).reshape(-1, 3),
-        force=np.asarray(message.force, np.float64).reshape(-1, 3),
-        contact=np.asarray(message.contact, np.uint8) != 0,
-        wrench=np.array(_wrench(message.wrench)),
-        contact_area=message.contact_area,
-        centre_of_pressure=_point(message.centre_of_pressure),
-        reference_point=_point(message.reference_point),
-        slip_state=SlipState(message.slip_state),
-        slip=SlipEstimate(
-            SlipState(message.slip_state),
-            message.slip_ratio,
-            message.traction_ratio,
-            message.friction_coefficient,
-            message.friction_std,
-        ),
-        valid_fraction=message.valid_fraction,
-        regularization=message.regularization,
-        young=message.young,
-        poisson=message.poisson,
-    )
+def true_force(frame: FrameBytes, sensor: SensorDescription) -> ForceField:
+    """The force field of a recorded frame."""
+    return reading.force_field_from_msg(deserialised(frame, "truth/force_field", sensor))
 
 
-def _point(message: Any) -> NDArray[np.float64]:
-    return np.array([message.x, message.y, message.z])
-
-
-def _wrench(message: Any) -> list[float]:
-    force, torque = message.force, message.torque
-    return [force.x, force.y, force.z, torque.x, torque.y, torque.z]
+def true_surface(frame: FrameBytes, sensor: SensorDescription) -> Surface:
+    """The surface of a recorded frame."""
+    message = deserialised(frame, "truth/surface", sensor)
+    return reading.surface_from_msg(message, sensor.pattern.shape)
 
 
 def recorded_frames(

@@ -16,9 +16,9 @@ from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.writer import BagTopic, write_metadata
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_processing.cache.files import atomic_path
-from cmp_tactile_processing.image.compressed import decode_compressed
-from cmp_tactile_processing.measured import Grid, Surface
+from cmp_tactile_processing.measured import Grid, Surface, gridline_points
 from cmp_tactile_processing.ros.messages.definitions import simulation_definition
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.recording import truth
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
@@ -105,13 +105,12 @@ class RecordingWriter:
 
     def _written(self, frame: truth.FrameBytes) -> WrittenFrame:
         image = truth.deserialised(frame, "image_raw/compressed", self._sensor)
-        surface = truth.deserialised(frame, "truth/surface", self._sensor)
-        force = truth.force_field(frame, self._sensor)
-        grid = surface.rows, surface.cols, 3
+        surface = truth.true_surface(frame, self._sensor)
+        force = truth.true_force(frame, self._sensor)
         return WrittenFrame(
-            image=decode_compressed(image.format, image.data),
-            corners_m=np.asarray(surface.position, np.float64).reshape(grid),
-            displacement=np.asarray(surface.displacement, np.float64).reshape(grid),
+            image=image_from_msg(image),
+            corners_m=surface.position,
+            displacement=surface.displacement,
             force_position=force.position,
             force=force.force,
             wrench=force.wrench,
@@ -194,8 +193,10 @@ def _pixels(grid: Grid, view: str) -> dict[str, NDArray[np.float64]]:
     corners = grid.corners_frame
     return {
         f"corners_{view}_px": corners,
-        f"row_lines_{view}_px": _line(corners, grid.row_lines_frame),
-        f"col_lines_{view}_px": _line(corners.swapaxes(0, 1), grid.col_lines_frame.swapaxes(0, 1)),
+        f"row_lines_{view}_px": gridline_points(corners, grid.row_lines_frame),
+        f"col_lines_{view}_px": gridline_points(
+            corners.swapaxes(0, 1), grid.col_lines_frame.swapaxes(0, 1)
+        ),
     }
 
 
@@ -204,19 +205,9 @@ def _points(surface: Surface) -> dict[str, NDArray[np.float64]]:
     return {
         "corners_m": corners,
         "displacement_m": surface.displacement,
-        "row_lines_m": _line(corners, surface.row_position),
-        "col_lines_m": _line(corners.swapaxes(0, 1), surface.col_position.swapaxes(0, 1)),
+        "row_lines_m": gridline_points(corners, surface.row_position),
+        "col_lines_m": gridline_points(corners.swapaxes(0, 1), surface.col_position.swapaxes(0, 1)),
     }
-
-
-def _line(corners: NDArray[np.float64], between: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points along each gridline, (lines, (m - 1) (n + 1) + 1, d): every (n + 1)th is a corner.
-
-    corners (lines, m, d).  between (lines, m - 1, n, d).
-    """
-    lines, _, dimension = corners.shape
-    segments = np.concatenate([corners[:, :-1, None], between], axis=2)
-    return np.concatenate([segments.reshape(lines, -1, dimension), corners[:, -1:]], axis=1)
 
 
 def _write(path: Path, data: memoryview) -> None:
