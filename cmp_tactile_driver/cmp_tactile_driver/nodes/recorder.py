@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import array
 import sys
 from collections import Counter
-from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import NoTypeSupportImportedException
-from rclpy.serialization import serialize_message
 from rclpy.type_support import check_for_type_support
-from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
+from cmp_tactile_driver.bags.reader import IMAGE
 from cmp_tactile_driver.bags.recorder import (
     BagRecorder,
-    EncodedMessage,
     RecorderState,
     RecordingProgress,
     Tap,
@@ -32,78 +26,18 @@ from cmp_tactile_driver.bags.recorder import (
 from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits, put_sensor_beside
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
+from cmp_tactile_driver.nodes.encoding import frame_encoder, message_encoder
 from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
-from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.connections import other_transport
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import message_class
-from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.wiring import Given, Input
 from cmp_tactile_processing.sensor.description import load_sensor
-
-ENCODED = ("mono8", "bgr8", "rgb8")
-# Camera noise leaves PNG's dictionary nothing to find, and of its filters only the fixed ones are
-# quick: 8 ms a frame of 1024 x 768 px instead of 15 to 150, at 5 % more bytes than the best.
-PNG_OPTIONS = (
-    cv2.IMWRITE_PNG_COMPRESSION,
-    1,
-    cv2.IMWRITE_PNG_STRATEGY,
-    cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
-    cv2.IMWRITE_PNG_FILTER,
-    cv2.IMWRITE_PNG_FILTER_AVG,
-)
-
-
-def message_encoder(topic: str, kind: str) -> Callable[[Any], EncodedMessage]:
-    """Encodes messages of a topic as they are."""
-
-    def encode(message: Any) -> EncodedMessage:
-        return EncodedMessage(topic, kind, serialize_message(message), _stamp_ns(message))
-
-    return encode
-
-
-def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], EncodedMessage]:
-    """Encodes Images as CompressedImages on TOPIC/compressed.  codec: "png" or "jpeg".
-
-    Frames in other encodings than mono8, bgr8 and rgb8 stay as they are, on their own topic.
-    """
-    options = PNG_OPTIONS if codec == "png" else (cv2.IMWRITE_JPEG_QUALITY, quality)
-    suffix = ".png" if codec == "png" else ".jpg"
-    as_it_is = message_encoder(topic, IMAGE)
-
-    def encode(message: Image) -> EncodedMessage:
-        if message.encoding not in ENCODED:
-            return as_it_is(message)
-        done, content = cv2.imencode(suffix, image_from_msg(message), options)
-        if not done:
-            msg = f"width, height: {message.width} x {message.height} px cannot be made a {codec}"
-            raise FrameError(msg)
-        target = "" if message.encoding == "mono8" else "bgr8"
-        compressed = CompressedImage(
-            header=message.header, format=f"{message.encoding}; {codec} compressed {target}"
-        )
-        compressed.data = array.array("B", content.tobytes())
-        return EncodedMessage(
-            topic + COMPRESSED,
-            COMPRESSED_IMAGE,
-            serialize_message(compressed),
-            _stamp_ns(message),
-        )
-
-    return encode
-
-
-def _stamp_ns(message: Any) -> int | None:
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return None if stamp is None else stamp_ns(stamp)
-
 
 SEARCH_PERIOD_S = 0.2
 EARLY_LIMIT = 1000

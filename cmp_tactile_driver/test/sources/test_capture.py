@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.capture import Worker
 from cmp_tactile_driver.sources.timing import CATCH_UP, STEP_NS, ClockOffset, Pacer
+from cmp_tactile_driver.sources.worker import Worker
 
 
 class _Clock:

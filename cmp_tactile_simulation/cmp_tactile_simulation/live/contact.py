@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_driver.sources.capture import Worker
 from cmp_tactile_driver.sources.timing import Pacer
+from cmp_tactile_driver.sources.worker import Worker
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
