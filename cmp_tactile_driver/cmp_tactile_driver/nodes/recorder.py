@@ -132,7 +132,8 @@ class Recorder(ReportingNode):
         self._look_for_topics()
         self.get_logger().info(f"recording to {folder}")
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """End the recording: what waits is written, and the bag is closed."""
         self._count_pushed_out()
         for _, end in self._taps:
             self.disconnect_input(end)
@@ -213,10 +214,10 @@ class Recorder(ReportingNode):
         response.success = True
         try:
             if request.data and not self._is_recording():
-                self._stop()
+                self.stop()
                 self._start()
             elif not request.data:
-                self._stop()
+                self.stop()
         except (BagError, BagWriteError) as error:
             response.success = False
             response.message = str(error)
@@ -258,7 +259,7 @@ class Recorder(ReportingNode):
         state = progress.state if progress is not None else None
         if progress is not None and state is not self._reported:
             if state is RecorderState.FAILED:
-                self._stop()
+                self.stop()
                 self.get_logger().error(f"recording ended: {progress.problem}")
             elif state is RecorderState.FINISHED:
                 self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")
