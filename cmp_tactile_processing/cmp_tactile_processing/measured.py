@@ -296,6 +296,18 @@ class Surface(Markers3D):
         )
 
 
+def gridline_points(
+    corners: NDArray[np.float64], between: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points along each gridline, (lines, (m - 1) (n + 1) + 1, d): every (n + 1)th is a corner.
+
+    corners (lines, m, d).  between (lines, m - 1, n, d): virtual markers.
+    """
+    lines, _, dimension = corners.shape
+    segments = np.concatenate([corners[:, :-1, None], between], axis=2)
+    return np.concatenate([segments.reshape(lines, -1, dimension), corners[:, -1:]], axis=1)
+
+
 @dataclass(frozen=True)
 class SurfaceGrid:
     """A regular grid centred on the gel frame's z axis; point (i, j) is number i * cols + j.

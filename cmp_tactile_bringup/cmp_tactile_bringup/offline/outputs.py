@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,11 @@ from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
-from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.definitions import (
+    bag_messages,
+    simulation_definition,
+    simulation_typestore,
+)
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, FORCE_FIELD, GRID, SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -120,14 +124,10 @@ class ResultBag:
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
         latched = topic == "/tf_static" or topic.endswith("/camera_info")
-        self._file.add_topic(topic, kind, _definition(kind), [LATCHED] if latched else [])
+        definition = simulation_definition(kind).text
+        self._file.add_topic(topic, kind, definition, [LATCHED] if latched else [])
         data = bytes(simulation_typestore().serialize_cdr(message, kind))
         self._file.write(topic, frame.time_ns, frame.stamp_ns, data)
-
-
-@cache
-def _definition(kind: str) -> str:
-    return simulation_typestore().generate_msgdef(kind, ros_version=2)[0]
 
 
 @contextmanager
