@@ -308,12 +308,13 @@ def test_no_node_changes_what_it_gave_away_or_was_given(fingers, monkeypatch, tm
     def digest(value):
         return hashlib.sha256(b"\0".join(parts(value))).digest()
 
-    class Watched(wiring.Made):
-        def __init__(self, value, header, to_msg):
-            super().__init__(value, header, to_msg)
-            given.append((value, digest(value)))
+    class Watched(wiring.Given):
+        def __init__(self, *args):
+            super().__init__(*args)
+            if self.info is None:
+                given.append((self.value, digest(self.value)))
 
-    monkeypatch.setattr(wiring, "Made", Watched)
+    monkeypatch.setattr(wiring, "Given", Watched)
     fingers.load("left", "SurfaceVisualizer", "surface_visualizer")
     output = str(tmp_path / "bag")
     fingers.load("left", "Recorder", "recorder", package="cmp_tactile_driver", output=output)
