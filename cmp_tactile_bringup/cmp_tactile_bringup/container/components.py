@@ -32,9 +32,6 @@ ComponentLookup = Callable[[str, str], ComponentClass]
 STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
 
-COLLECT_AFTER = 0.5
-"""How long after an unloading its memory is freed, s; all components wait for that 0.1 s."""
-
 
 def find_component(package: str, plugin: str) -> ComponentClass:
     """The class that `package` registers as `plugin` in the group cmp_tactile_components.
@@ -97,6 +94,7 @@ class ComponentContainer:
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
     namesakes: where given, no component is loaded under the name of a node of another process.
+    threads_before: those that ran before the container.
     """
 
     namesakes: Namesakes | None = None
@@ -108,23 +106,17 @@ class ComponentContainer:
         self._lookup = lookup
         self._spinners: dict[str, Spinner] = {}
         self._ending: list[Spinner] = []
-        self._threads_before = frozenset(threading.enumerate())
+        self.threads_before = frozenset(threading.enumerate())
         self._lock = threading.Lock()
         self._ids = itertools.count(1)
         # Those that are being built, too, which have no name yet.
         self._components: dict[int, LoadedComponent] = {}
         self._closed = False
-        self._collector: threading.Timer | None = None
 
     @property
     def context(self) -> Context:
         """The ROS context of all components."""
         return self._context
-
-    @property
-    def has_threads(self) -> bool:
-        """Whether a thread runs that was not there before the container, of whoever."""
-        return bool(frozenset(threading.enumerate()) - self._threads_before)
 
     def load(self, component: Component) -> int:
         """Build a component and run it; returns its id once it runs.
@@ -147,7 +139,7 @@ class ComponentContainer:
                 self._components.pop(unique_id, None)
             life.request_stop()
             life.join(0.0 if self._closed else STOP_TIMEOUT)
-            self._collect_later()
+            _free_memory()
             raise ComponentLoadError(f"{component.label}: {error}") from None
         if component.log_level:
             logger_name = name.strip("/").replace("/", ".")
@@ -173,7 +165,7 @@ class ComponentContainer:
         if not life.join(timeout):
             msg = f"{life.full_name}: a callback still runs after {timeout} s"
             raise ComponentError(msg)
-        self._collect_later()
+        _free_memory()
 
     def list(self) -> tuple[LoadedComponent, ...]:
         """The running components, in the order in which they were loaded."""
@@ -189,8 +181,6 @@ class ComponentContainer:
         with self._lock:
             self._closed = True
             lives, self._components = self._components, {}
-            if self._collector is not None:
-                self._collector.cancel()
         for life in lives.values():
             life.request_stop()
         deadline = time.monotonic() + timeout
@@ -272,23 +262,13 @@ class ComponentContainer:
                     raise ComponentLoadError(msg)
             self._components[unique_id].full_name = name
 
-    def _collect_later(self) -> None:
-        """Free what is unloaded, once for all that is unloaded together.
 
-        A node and its callbacks refer to one another; its arrays, some 30 MB of a sensor, would
-        stay until Python looks for such circles by itself.
-        """
-        with self._lock:
-            if self._closed or self._collector is not None:
-                return
-            self._collector = threading.Timer(COLLECT_AFTER, self._collect)
-            self._collector.daemon = True
-            self._collector.start()
+def _free_memory() -> None:
+    """Free what is unloaded; all components wait for that 0.1 s.
 
-    def _collect(self) -> None:
-        with self._lock:
-            # What is unloaded from now on is collected another time.
-            self._collector = None
-        gc.unfreeze()
-        gc.collect()
-        spare_the_collector()
+    A node and its callbacks refer to one another; its arrays, some 30 MB of a sensor, would
+    stay until Python looks for such circles by itself.
+    """
+    gc.unfreeze()
+    gc.collect()
+    spare_the_collector()
