@@ -155,13 +155,6 @@ def test_exchanged_grids_of_two_cameras(gel_rig, gel_grids, two_view_rig):
     assert finding.advice.startswith("Exchange the cameras' cables")
 
 
-def test_exchanged_parts_in_the_description(gel_rig, gel_frames, real):
-    left, right = gel_rig.views["left"], gel_rig.views["right"]
-    views = {"left": replace(left, roi=right.roi), "right": replace(right, roi=left.roi)}
-    with pytest.raises(CalibrationError, match=r"exchange views\.left\.roi and views\.right\.roi"):
-        calibrate_gel(replace(gel_rig, views=views), gel_frames(real, 1))
-
-
 def test_a_frame_of_another_size_is_named(gel_rig, gel_frames, real):
     frames = gel_frames(real, 2)
     match = "frame 2 of 2: found 1024 x 700 px, expected 1024 x 768 px"
