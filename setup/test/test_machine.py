@@ -69,12 +69,6 @@ def test_old_cmake_is_named_with_the_version_needed(tools, version):
         check_build_tools()
 
 
-@pytest.mark.parametrize("version", ["3.20.0", "3.100.1", "4.0.2"])
-def test_newer_cmake_is_accepted(tools, version):
-    write_cmake(tools, version)
-    check_build_tools()
-
-
 @pytest.mark.parametrize(
     ("name", "named"), [("my robot", "a space"), ("a:b", "':'"), ("it's", '"\'"'), ("$HOME", r"\$")]
 )
@@ -89,13 +83,6 @@ def test_ordinary_paths_are_accepted(path):
     machine.check_checkout_path(Path(path))
     with pytest.raises(SetupError):
         machine.check_checkout_path(Path(path + " "))
-
-
-def test_a_moved_checkout_reports_both_places_and_what_to_do(tmp_path):
-    with pytest.raises(SetupError, match=rf"/old/place.*now at {tmp_path}.*'make clean'"):
-        machine.check_not_moved(tmp_path, "/old/place")
-    machine.check_not_moved(tmp_path, str(tmp_path))
-    machine.check_not_moved(tmp_path, None)
 
 
 def test_an_old_python_is_refused_and_a_new_one_tried_with_a_warning(capsys):

@@ -59,14 +59,6 @@ def test_grids_that_do_not_belong_together(gel_rig, rest):
                 refuse(gel_rig, grids)
 
 
-def test_grids_of_unknown_deviations(gel_rig, rest):
-    unknown = {name: [replace(grid, corner_std=None) for grid in rest[name]] for name in rest}
-    outcome = calibrate_gel_grids(gel_rig, unknown)
-    assert outcome.findings == ()
-    for item in outcome.estimates:
-        assert np.isfinite([item.before, item.after, item.std]).all(), item.name
-
-
 def test_nothing_to_fit(gel_rig, rest):
     held = GelCalibrationParameters(turn=0.0, shift=0.0, focal=0.0, principal_point=0.0)
     with pytest.raises(CalibrationError, match="found every optical value held"):

@@ -67,10 +67,7 @@ class LoadedComponent:
 
         The one thing of a component that is asked for on other threads.
         """
-        try:
-            return self.ending or str(getattr(self.node, "failure", ""))
-        except Exception as error:  # noqa: BLE001  whoever asks must not pay for it
-            return f"cannot tell whether it failed: {type(error).__name__}: {error}"
+        return self.ending or str(getattr(self.node, "failure", ""))
 
     def start(self) -> None:
         """Begin to build the component."""

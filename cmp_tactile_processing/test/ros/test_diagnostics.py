@@ -178,15 +178,6 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
     ros.wait(lambda: "type cmp_tactile_msgs/msg/Grid, expected" in wrong()[0], "another type")
 
 
-def test_a_topic_that_asks_for_less_is_connected_as_the_documentation_says(ros, outside):
-    name = f"qos_overrides.{ros.namespace}/surface.subscription.reliability"
-    node = ros.start(_Slow, **{name: "best_effort"})
-    unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = outside.create_publisher(Surface, "surface", unreliable)
-    ros.wait(lambda: publisher.get_subscription_count() == 1, "the connection")
-    assert _values(node._status())["wrong connections"] == "none"
-
-
 def test_a_clock_that_stands_still_silences_nobody(ros):
     """As in a simulation that is paused: ros/diagnostics 210, 458 (stale, or of another clock)."""
     ros.start(_Slow, use_sim_time=True)

@@ -7,7 +7,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 import math
-import threading
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -209,16 +208,6 @@ def test_each_threshold_has_its_say(clock, limits, frames, level, text):
     assert (report.level, report.message) == (level, text)
 
 
-def test_a_pattern_that_is_mostly_lost_is_warned_of(clock):
-    diagnostics = _stage(tracked_error=0.1)
-    levels = []
-    for diagnostics.tracked in (0.6, 0.4, 0.05):
-        report = _second(diagnostics, clock)
-        levels.append(report.level)
-    assert levels == [OK, WARN, ERROR]
-    assert report.message == "5% of the pattern tracked"
-
-
 @pytest.mark.parametrize(("is_first", "level"), [(True, WARN), (False, OK)])
 def test_frames_missing_before_are_reported_where_they_come_from_a_camera(clock, is_first, level):
     """Each later stage would repeat what the one before it reports."""
@@ -325,14 +314,6 @@ def test_thresholds_that_contradict_each_other_are_refused(values, reason):
 LIMITS = DiagnosticsParameters(report_after=1, clear_after=1, rate_warn=20.0, rate_error=5.0)
 
 
-def test_who_is_not_to_send_is_not_checked(clock):
-    frames = SentFrames()
-    clock[0] += 1.0
-    assert frames.close_period(LIMITS, working=False).findings == ()
-    clock[0] += 1.0
-    assert frames.close_period(LIMITS).findings[0].level == ERROR
-
-
 def test_a_report_between_two_others_has_no_rate_of_few_frames(clock):
     frames = SentFrames()
     for _ in range(30):
@@ -344,19 +325,3 @@ def test_a_report_between_two_others_has_no_rate_of_few_frames(clock):
     assert frames.close_period(LIMITS) == before
     clock[0] += 0.9
     assert frames.close_period(LIMITS).values["rate (Hz)"] == "1.00"
-
-
-def test_frames_are_counted_while_another_thread_reports():
-    frames, ended, counted = SentFrames(), threading.Event(), []
-
-    def send():
-        for _ in range(20_000):
-            frames.sent(0.01, 0.1)
-        ended.set()
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    while not ended.is_set():
-        counted.append(frames.close_period(LIMITS))
-    thread.join()
-    assert counted
