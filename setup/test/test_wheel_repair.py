@@ -52,10 +52,3 @@ def test_tinyxml2_is_linked_from_the_wheel_that_bundles_it(prefix):
     (libraries / "libtinyxml2-1592532c.so.6.0.0").touch()
     repair_prefix(prefix, "/usr/include/py", "/venv/numpy")
     assert f"dl;{libraries / 'libtinyxml2-1592532c.so.6.0.0'};rt" in targets.read_text()
-
-
-def test_tinyxml2_of_the_system_where_no_wheel_bundles_it(prefix):
-    targets = prefix / "share" / "fastdds" / "cmake" / "fastdds-shared-targets.cmake"
-    targets.write_text('INTERFACE_LINK_LIBRARIES "dl;/usr/lib64/libtinyxml2.so;rt"\n')
-    repair_prefix(prefix, "/usr/include/py", "/venv/numpy")
-    assert "dl;tinyxml2;rt" in targets.read_text()

@@ -250,31 +250,6 @@ def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_sl
         assert (line.scale.x, line.scale.y, line.scale.z) == (0.001, 0.0, 0.001)
 
 
-@pytest.mark.parametrize(
-    "up", [(0, 1, 0), (0, -1, 0), (1, 0, 0), (-1, 0, 0), (0, 0, -1), (0.3, 0.8, 0.5), (0, 0, 0)]
-)
-def test_lines_and_colour_bar_follow_what_is_up(up):
-    """However the sensor is mounted: a turned finger shows no text and no bar upside down."""
-    contact = _contact(SlipEstimate(SlipState.STICK), (1e-3, 2e-3, -1e-4))
-    look = MarkerParameters(up=tuple(map(float, up)))
-    drawn = [*surface_markers(_surface(), look), *force_markers(_pressed(contact), look)]
-    unit = np.array(up) / np.linalg.norm(up) if any(up) else np.array([0.0, 0.0, 1.0])
-    texts = [m for m in drawn if m.text]
-    for lines in ([m for m in texts if m.namespace == "contact_text"], texts[2:6]):
-        heights = np.array([line.position for line in lines]) @ unit
-        assert (-np.diff(heights) > look.text_size).all()
-    zero, deep = texts[:2]
-    assert (zero.text, deep.text) == ("0", "1 mm deep")
-    (bar,) = (m for m in drawn if m.namespace == "legend" and len(m.points))
-    pale, dark = bar.points[bar.colours[:, 1].argmax()], bar.points[bar.colours[:, 1].argmin()]
-    assert (pale - dark) @ (np.array(deep.position) - zero.position) > 0
-    # Where the gel does not lie flat, the pale end is above.
-    assert (pale - dark) @ unit > 0 or abs(unit[2]) == 1
-    # The bar is on the right for who looks at the gel with this up.
-    right = np.cross(np.array(deep.position) - zero.position, (0.0, 0.0, 1.0))
-    assert (bar.points @ right).min() > (PATTERN.corners() @ right).max()
-
-
 def test_eight_contacts_have_texts_which_can_be_switched_off(ros):
     many = [_contact(SlipEstimate(), (1e-3 * k, 0.0, 0.0)) for k in range(11)]
     scene = Scene(ros)

@@ -162,28 +162,6 @@ def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
     np.testing.assert_array_equal(T[:3, 3], MOUNT["mount_position"])
 
 
-def test_fingers_of_one_description_do_not_overwrite_each_others_frames(ros):
-    """One listener, late, as tf2's: it gets the frames of both, one tree below the robot's."""
-    for name in ("left_finger", "right_finger"):
-        mount = MOUNT | {"parent_frame": f"{name}_tip"}
-        ros.start(ViewSplitter, name=f"{name}_splitter", sensor_name=name, **mount)
-    statics = ros.listen(TFMessage, "/tf_static", latched=True)
-    ros.wait(lambda: len(statics) == 2, "static tf of both")
-    parents = {
-        item.child_frame_id: item.header.frame_id for msg in statics for item in msg.transforms
-    }
-    assert parents == {
-        child: parent
-        for name in ("left_finger", "right_finger")
-        for child, parent in {
-            f"{name}_gel_frame": f"{name}_tip",
-            f"{name}_camera_optical_frame": f"{name}_gel_frame",
-            f"{name}_left_optical_frame": f"{name}_gel_frame",
-            f"{name}_right_optical_frame": f"{name}_gel_frame",
-        }.items()
-    }
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [

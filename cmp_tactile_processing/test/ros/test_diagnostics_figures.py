@@ -252,33 +252,6 @@ def test_lasting_failure_is_an_error_whatever_comes_in(clock):
     assert (report.level, report.message) == (ERROR, "no model")
 
 
-def test_figures_have_stable_names_and_name_what_they_count(clock):
-    """Tools plot and filter by these keys."""
-    diagnostics = _stage()
-    diagnostics.calibrations = {"calibration": None}
-    report = _second(diagnostics, clock, lost=3, passed_over=2, late=1)
-    assert report.values == {
-        "frames in": "30",
-        "frames out": "30",
-        "bad frames": "0",
-        "lost on the way": "3",
-        "passed over": "2",
-        "dropped frames": "5",
-        "late frames": "1",
-        "missing before": "0",
-        "stamps back": "0",
-        "stamps repeated": "0",
-        "stamps zero": "0",
-        "started again": "0",
-        "rate (Hz)": "30.00",
-        "latency median (ms)": "10.0",
-        "latency p99 (ms)": "357.9",
-        "calibration age (days)": "no date recorded",
-        "last error": "",
-    }
-    assert list(_second(diagnostics, clock).values) == list(report.values)
-
-
 def test_age_of_the_calibration_is_reported_and_warned_of(clock, monkeypatch):
     assert age_in_days("2026-01-01T00:00:00Z", 1767225600.0 + 36 * 3600) == 1.5
     assert math.isnan(age_in_days(None))

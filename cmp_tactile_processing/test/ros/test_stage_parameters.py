@@ -36,17 +36,6 @@ def node(ros):
     return ros.node
 
 
-def test_good_values_set_together_arrive_together(node):
-    seen = []
-    parameters = StageParameters(node, Settings(), seen.append)
-    node.set_parameters_atomically(
-        [Parameter("gain", value=2.0), Parameter("method", value="exact")]
-    )
-    expected = Settings(gain=2.0, method="exact")
-    assert seen == [expected]
-    assert parameters.value == expected
-
-
 def test_parameters_that_nobody_hears_of_are_read_only(node):
     declare_parameters(node, Settings())
     (result,) = node.set_parameters([Parameter("gain", value=0.5)])

@@ -13,14 +13,6 @@ def pairing() -> StampPairing:
     return StampPairing(("left", "right"), capacity=4)
 
 
-def test_pair_comes_in_the_order_of_the_sides(pairing):
-    assert pairing.add("left", 1, "l1") is None
-    assert pairing.add("right", 1, "r1") == ("l1", "r1")
-    assert pairing.add("right", 2, "r2") is None
-    assert pairing.add("left", 2, "l2") == ("l2", "r2")
-    assert pairing.unpaired == {"left": 0, "right": 0}
-
-
 def test_the_oldest_is_given_up_when_a_side_stays_away(pairing):
     for stamp in range(100):
         assert pairing.add("left", stamp, stamp) is None
