@@ -81,8 +81,6 @@ def _surface(stamp_ns: int) -> Surface:
     return Surface(header=Header(stamp=stamp))
 
 
-
-
 def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
     node = ros.start(_Slow)
     results = ros.listen(Surface, "result")
