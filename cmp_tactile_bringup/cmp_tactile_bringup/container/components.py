@@ -7,7 +7,6 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -49,7 +48,7 @@ def find_component(package: str, plugin: str) -> ComponentClass:
         raise ComponentLoadError(msg)
     try:
         found: Any = matches[0].load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         msg = f"{matches[0].value} cannot be imported: {type(error).__name__}: {error}"
         raise ComponentLoadError(msg) from error
     if not (isinstance(found, type) and issubclass(found, Node)):
@@ -128,24 +127,24 @@ class ComponentContainer:
         arguments = node_arguments(component)
         if self._context is not get_default_context():
             arguments["context"] = self._context
-        find, spinner_of = partial(self._find, component), partial(self._spinner_of, component)
-        life = LoadedComponent(find, arguments, spinner_of)
-        unique_id = self._register(life)
+        life = self._register()
         try:
-            name = life.ready.result()
-            self._take_name(unique_id, name)
+            found = self._find(component)
+            spinner = self._spinner_of(component, found)
+            self._take_name(life, life.build(found, arguments, spinner))
+            life.run(spinner)
         except ComponentLoadError as error:
             with self._lock:
-                self._components.pop(unique_id, None)
+                self._components.pop(life.unique_id, None)
             life.request_stop()
             life.join(0.0 if self._closed else STOP_TIMEOUT)
             _free_memory()
             raise ComponentLoadError(f"{component.label}: {error}") from None
         if component.log_level:
-            logger_name = name.strip("/").replace("/", ".")
+            logger_name = life.full_name.strip("/").replace("/", ".")
             set_logger_level(logger_name, LoggingSeverity(component.log_level))
         spare_the_collector()
-        return unique_id
+        return life.unique_id
 
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy a component.
@@ -182,7 +181,9 @@ class ComponentContainer:
             self._closed = True
             lives, self._components = self._components, {}
         for life in lives.values():
-            life.request_stop()
+            # What is being built is stopped by `load`.
+            if life.full_name:
+                life.request_stop()
         deadline = time.monotonic() + timeout
         late = [
             life.full_name or "a component that is being built"
@@ -241,26 +242,28 @@ class ComponentContainer:
             self._ending = [item for item in self._ending if not item.join(0)] + [spinner]
         spinner.do(spinner.end)
 
-    def _register(self, life: LoadedComponent) -> int:
+    def _register(self) -> LoadedComponent:
+        life = LoadedComponent()
         with self._lock:
             if self._closed:
                 raise ComponentLoadError(ENDING)
-            unique_id = life.unique_id = next(self._ids)
-            self._components[unique_id] = life
-            # In here, as `shutdown` joins whatever is registered.
-            life.start()
-        return unique_id
+            life.unique_id = next(self._ids)
+            self._components[life.unique_id] = life
+        return life
 
-    def _take_name(self, unique_id: int, name: str) -> None:
+    def _take_name(self, life: LoadedComponent, name: str) -> None:
         """Keep the name, unless another component has it: ROS would let them share it."""
         with self._lock:
-            if unique_id not in self._components:
+            if life.unique_id not in self._components:
                 raise ComponentLoadError(ENDING)
-            for other, life in self._components.items():
-                if life.full_name == name:
-                    msg = f"id {unique_id}: the name {name} is that of id {other} already"
+            for other in self._components.values():
+                if other.full_name == name:
+                    msg = (
+                        f"id {life.unique_id}: the name {name} is that of id {other.unique_id} "
+                        "already"
+                    )
                     raise ComponentLoadError(msg)
-            self._components[unique_id].full_name = name
+            life.full_name = name
 
 
 def _free_memory() -> None:

@@ -82,16 +82,3 @@ def test_a_callback_that_asks_for_the_end_is_counted_and_ends_nothing(box, capfd
     (status,) = (s for s in box.container.list() if s.full_name.endswith("quits"))
     assert (status.callback_errors, status.last_error) == (2, "SystemExit: enough")
     assert "in _on_text" in capfd.readouterr().err
-
-
-def test_a_component_that_is_ready_as_the_container_ends_is_not_listed(box, monkeypatch):
-    """Else every later list would look for a thread that has ended."""
-    take_name = box.container._take_name
-
-    def ends_before(unique_id: int, name: str) -> None:
-        box.container.shutdown()
-        take_name(unique_id, name)
-
-    monkeypatch.setattr(box.container, "_take_name", ends_before)
-    assert box.request_load("Talks").error_message.endswith("the container is shutting down")
-    assert _listed(box) == []
