@@ -8,7 +8,7 @@ import pytest
 from cmp_tactile_bringup.calibration.practice_rig import changed_rig
 from cmp_tactile_processing.calibration.check import check_grids
 from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
-from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
+from cmp_tactile_processing.calibration.gel.fit import GelCalibrationParameters
 from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status

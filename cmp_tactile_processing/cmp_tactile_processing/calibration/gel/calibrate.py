@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import observation
 from cmp_tactile_processing.calibration.gel.fit import (
+    GelCalibrationParameters,
     GelFit,
     GelShape,
     count_findings,
@@ -28,7 +29,6 @@ from cmp_tactile_processing.calibration.gel.fit import (
     sight_findings,
     view_residuals,
 )
-from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
 from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
