@@ -191,7 +191,7 @@ def read_motion(
 def _read_images(
     path: Path, topic: str, sensor: SensorDescription, rest_s: tuple[float, float] | None
 ) -> GelMotion:
-    size = (sensor.image.width, sensor.image.height)
+    size = sensor.frame_size
     recording = open_recording(
         path, topic=topic, frame_rate=FOLDER_RATE_HZ, frame_id="", expected_size=size
     )

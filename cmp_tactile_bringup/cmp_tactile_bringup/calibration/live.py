@@ -149,7 +149,7 @@ class LiveReference(LiveFrames):
     def __init__(
         self, sensor: SensorDescription, topic: str, wrench_topic: str, timeout_s: float
     ) -> None:
-        size = (sensor.image.width, sensor.image.height)
+        size = sensor.frame_size
         super().__init__(topic, size, timeout_s, sensor.tracking.grey_weights)
         self._sensor = sensor
         self._wrench_topic = wrench_topic

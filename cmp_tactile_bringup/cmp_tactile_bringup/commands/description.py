@@ -230,7 +230,8 @@ class Info(Command):
         facts = {"File": str(find_sensor_description(name)), **description_facts(sensor)}
         console = output_console()
         console.print(facts_table(f"Sensor {sensor.name}", facts))
-        console.print(facts_table("What follows from it", geometry_facts(sensor)))
+        if sensor.views:
+            console.print(facts_table("What follows from it", geometry_facts(sensor)))
         packaged = {key: str(path) for key, path in packaged_sensors().items()}
         console.print(facts_table("Packaged sensors", packaged))
         console.print(facts_table("Installation", {**machine_facts(), **ros_facts()}))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MAX_CORNERS, MIN_CORNERS, Pattern
@@ -47,9 +48,16 @@ def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]
     """Sides (N,) px of all checkers between inner corners at rest, by view.
 
     NaN where a view's lens has no pixel for a corner.  Raises DescriptionError where a view does
-    not show the pattern.
+    not show the pattern, and where there is none.
     """
-    return _sides(sensor.pattern, build_views(sensor))
+    return _sides(sensor.pattern, _views_of(sensor))
+
+
+def _views_of(sensor: SensorDescription) -> dict[str, ViewGeometry]:
+    if not sensor.views:
+        msg = f"{sensor.origin}: views: found none, expected those in which the pattern is seen"
+        raise DescriptionError(msg)
+    return build_views(sensor)
 
 
 def advise(sensor: SensorDescription) -> PatternAdvice:
@@ -58,7 +66,7 @@ def advise(sensor: SensorDescription) -> PatternAdvice:
     The sensor's camera, optics, skin and size of the print count, not its present rows, columns
     and pitch.  Raises DescriptionError where a view does not show the present pattern.
     """
-    views = build_views(sensor)
+    views = _views_of(sensor)
     least_pitch = LEAST_PITCH_OVER_SKIN * sensor.elastomer.shading_layer.thickness
     chosen, side = sensor.pattern, _least(sensor.pattern, views)
     by_skin = False

@@ -95,6 +95,14 @@ class SensorDescription:
         return self.file or self.name
 
     @property
+    def frame_size(self) -> tuple[int, int]:
+        """Width and height of the camera frame, px; DescriptionError where there is no camera."""
+        if self.optics.type == parts.NO_OPTICS:
+            msg = f"{self.origin}: optics.type: found none, expected a camera where frames are used"
+            raise DescriptionError(msg)
+        return self.image.width, self.image.height
+
+    @property
     def ros_name(self) -> str:
         """The name as a ROS namespace and frame prefix: other characters become underscores."""
         name = re.sub(r"[^A-Za-z0-9_]", "_", self.name)

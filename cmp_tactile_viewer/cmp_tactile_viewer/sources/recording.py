@@ -71,7 +71,7 @@ class ProcessedFrames:
 
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
-        size = sensor.image.width, sensor.image.height
+        size = sensor.frame_size
         self._recording = open_recording(
             path, topic=topic, frame_rate=DEFAULT_RATE_HZ, frame_id="", expected_size=size
         )

@@ -270,7 +270,7 @@ def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSampl
 
     with shown_stages() as on_stage:
         sources.prepare_tracker(sensor, on_stage)
-    size = (sensor.image.width, sensor.image.height)
+    size = sensor.frame_size
     weights = sensor.tracking.grey_weights
     with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
         count = max(arguments.frames, LIVE_FRAMES)

@@ -288,7 +288,7 @@ def calibrate_mirror_rig(
         target,
         on_progress,
         cut=lambda view, frame: split_frame(frame, described[view].placement),
-        size=(sensor.image.width, sensor.image.height),
+        size=sensor.frame_size,
     )
     found = findings_of_images(images)
     if outcome.errors_in(found):
