@@ -27,6 +27,7 @@ setup(
             "camera_driver = cmp_tactile_driver.nodes.camera_driver:main",
             "recorder = cmp_tactile_driver.nodes.recorder:main",
             "replay = cmp_tactile_driver.nodes.replay:main",
+            "tac3d_source = cmp_tactile_driver.nodes.tac3d_source:main",
         ],
         "cmp_tactile_frame_sources": [
             f"bag = {package_name}.bags.recording:recorded_source",

@@ -295,6 +295,41 @@ class Surface(Markers3D):
             col_std=np.zeros(shape.col_lines),
         )
 
+    @classmethod
+    def from_positions(
+        cls,
+        shape: GridShape,
+        reference: NDArray[np.float64],
+        position: NDArray[np.float64],
+        std: float = 0.0,
+    ) -> Surface:
+        """The surface of markers that something else has measured; no virtual markers.
+
+        reference, position (rows, cols, 3) m, gel frame: at rest and now, NaN where not known; z is
+        NaN where markers are known in the plane alone.  std: of each coordinate, m; 0 where it is
+        not known.  Raises GeometryError for arrays of other shapes.
+        """
+        for name, points in (("reference", reference), ("position", position)):
+            if points.shape != (*shape.corners, 3):
+                msg = f"{name}: found shape {points.shape}, expected {(*shape.corners, 3)}"
+                raise GeometryError(msg)
+        displacement = position - reference
+        known = np.isfinite(displacement[..., :2]).all(axis=-1)
+        covariance = np.broadcast_to(std**2 * np.eye(3), (*shape.corners, 3, 3))
+        return cls(
+            shape=shape,
+            reference=reference,
+            position=position,
+            displacement=displacement,
+            status=np.where(known, Status.MEASURED, Status.MISSING).astype(np.uint8),
+            fault=np.where(known, MarkerFault.NONE, MarkerFault.NOT_SEEN).astype(np.uint8),
+            covariance=covariance.copy(),
+            ray_gap=np.full(shape.corners, np.nan),
+            **no_virtual_markers(shape),
+            reference_id=0,
+            reference_stamp_ns=0,
+        )
+
 
 def gridline_points(
     corners: NDArray[np.float64], between: NDArray[np.float64]

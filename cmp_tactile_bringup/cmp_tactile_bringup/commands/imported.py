@@ -11,7 +11,8 @@ from cmp_tactile_bringup.commands.options import Command, argument, option
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cmp_tactile_bringup.recordings.tac3d import Agreement, Tac3dRecording
+    from cmp_tactile_bringup.recordings.agreement import Agreement
+    from cmp_tactile_driver.sources.tac3d import Tac3dRecording
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 
@@ -37,8 +38,8 @@ class Tac3d(Command):
     def run(self) -> int:
         """Import each sensor's recording, and print how the two forces agree."""
         from cmp_tactile_bringup.offline.imported import with_own_modulus, write_import
-        from cmp_tactile_bringup.recordings.tac3d import read_tac3d, tac3d_folders
         from cmp_tactile_bringup.terminal.output import output_console
+        from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
         from cmp_tactile_processing.sensor.description import load_sensor
 
         console, sensor = output_console(), load_sensor(self.sensor)

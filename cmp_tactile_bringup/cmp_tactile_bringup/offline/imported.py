@@ -18,9 +18,10 @@ from cmp_tactile_bringup.offline.outputs import (
     csv_table,
 )
 from cmp_tactile_bringup.recordings import results
+from cmp_tactile_bringup.recordings.agreement import Agreement, agreement
 from cmp_tactile_bringup.recordings.library import RecordingError
-from cmp_tactile_bringup.recordings.tac3d import Agreement, Tac3dRecording, agreement
 from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.sources.tac3d import Tac3dRecording
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, Surface
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -31,7 +32,6 @@ from cmp_tactile_processing.sensor.description import (
     sensor_description_text,
     write_sensor_description,
 )
-from cmp_tactile_processing.surface.displacement import surface_of_positions
 
 NS_PER_S = 10**9
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -45,7 +45,7 @@ def forces_of(
     """Surface and force field of each frame."""
     stage, shape = ForceStage(sensor), sensor.pattern.shape
     for moved, stamp in zip(recording.displacement, recording.stamp_ns.tolist(), strict=True):
-        surface = surface_of_positions(shape, recording.reference, recording.reference + moved)
+        surface = Surface.from_positions(shape, recording.reference, recording.reference + moved)
         yield surface, stage.process(surface, stamp)
 
 

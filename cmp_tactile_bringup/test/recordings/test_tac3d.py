@@ -9,8 +9,9 @@ import pytest
 from mcap.reader import make_reader
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.recordings.library import RecordingError
-from cmp_tactile_bringup.recordings.tac3d import agreement, read_tac3d, tac3d_folders
+from cmp_tactile_bringup.recordings.agreement import agreement
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
 from cmp_tactile_processing.elastic.model import ElasticModel
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
@@ -156,7 +157,7 @@ def test_frames_out_of_order_and_repeated_ones_are_put_right(folder, arrays):
 )
 def test_what_cannot_be_used_is_named(folder, arrays, name, change, expected):
     np.save(folder / f"{name}.npy", change(arrays[name]), allow_pickle=True)
-    with pytest.raises(RecordingError, match=expected):
+    with pytest.raises(FrameSourceError, match=expected):
         read_tac3d(folder)
 
 
@@ -168,5 +169,7 @@ def test_files_that_are_cut_or_absent_are_named_and_nothing_is_written(folder, t
     assert "3D_Positions.npy: found a file that is no array" in capsys.readouterr().err
     assert not output.exists()
     path.unlink()
-    with pytest.raises(RecordingError, match=r"expected 3D_Positions\.npy, or folders of sensors"):
+    with pytest.raises(
+        FrameSourceError, match=r"expected 3D_Positions\.npy, or folders of sensors"
+    ):
         tac3d_folders(folder)

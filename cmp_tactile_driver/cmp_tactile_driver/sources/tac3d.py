@@ -1,4 +1,4 @@
-"""Recordings of Tac3D sensors: a folder of arrays for each, as the vendor's recorder writes them.
+"""Tac3D sensors: their recordings, a folder of arrays for each, and the frames of a running one.
 
 Lengths in them are mm, forces N, moments N mm, times s.  Marker (0, 0) is the one of largest y and
 x; the gel frame has it the other way round, and begins at the gel's apex.
@@ -6,13 +6,15 @@ x; the gel frame has it the other way round, and begins at the gel's apex.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.recordings.library import RecordingError
+from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -77,7 +79,7 @@ class Tac3dRecording:
 def tac3d_folders(folder: Path) -> list[Path]:
     """The recordings of single sensors in a folder, or the folder itself where it is one.
 
-    Raises RecordingError where there is none.
+    Raises FrameSourceError where there is none.
     """
     if (folder / f"{POSITIONS}.npy").exists():
         return [folder]
@@ -85,14 +87,14 @@ def tac3d_folders(folder: Path) -> list[Path]:
     if not found:
         there = ", ".join(sorted(path.name for path in folder.glob("*"))[:6]) or "nothing"
         msg = f"{folder}: found {there}, expected {POSITIONS}.npy, or folders of sensors with it"
-        raise RecordingError(msg)
+        raise FrameSourceError(msg)
     return found
 
 
 def read_tac3d(folder: Path) -> Tac3dRecording:
     """The recording of one sensor.
 
-    Raises RecordingError, which names file, found and expected, where an array is missing, cannot
+    Raises FrameSourceError, which names file, found and expected, where an array is missing, cannot
     be read, or has another shape or unit.
     """
     names = (*REQUIRED, FORCES, RESULTANT, MOMENT, INDEX)
@@ -107,17 +109,13 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
     order, stamps = order[new], stamps[new]
 
     def on_grid(name: str) -> Array:
-        values = arrays[name].reshape(frames, side, side, 3)[order]
-        return np.asarray(values[:, ::-1, ::-1])
+        return _turned(arrays[name].reshape(frames, -1, 3)[order], (side, side))
 
     moved = on_grid(DISPLACEMENTS)
     rest = np.nanmedian(on_grid(POSITIONS) - moved, axis=0)
     _check_rest(folder, rest)
-    middle = side // 2
-    origin = rest.mean(axis=(0, 1))
-    origin[2] = rest[middle - 1 : middle + 1, middle - 1 : middle + 1, 2].mean()
+    origin = _origin(rest)
     force, moment = arrays[RESULTANT].reshape(-1, 3)[order], arrays[MOMENT].reshape(-1, 3)[order]
-    about = moment - np.cross(origin, force)
     index = arrays[INDEX].ravel()[order]
     return Tac3dRecording(
         serial=folder.resolve().name,
@@ -126,8 +124,65 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
         reference=MILLI * (rest - origin),
         displacement=MILLI * moved,
         force=on_grid(FORCES),
-        wrench=np.hstack([force, MILLI * about]),
+        wrench=_wrench(force, moment, origin),
     )
+
+
+class RunningTac3d:
+    """Turns the frames of a running sensor into the gel frame; the first one says where that is.
+
+    shape: rows, cols of markers.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
+        self._origin: Array | None = None
+        self._reference = np.zeros(0)
+
+    def read(self, frame: Mapping[str, Any]) -> tuple[Array, Array, Array]:
+        """Markers at rest and now, (rows, cols, 3) m, and the sensor's own wrench (6,) N and N m.
+
+        The wrench is NaN where the frame has none.  Raises FrameSourceError for a frame that lacks
+        markers, or has another number of them.
+        """
+        position, moved = (self._markers(frame, name) for name in (POSITIONS, DISPLACEMENTS))
+        if self._origin is None:
+            rest = position - moved
+            self._origin = _origin(rest)
+            self._reference = MILLI * (rest - self._origin)
+        unknown = np.full(3, np.nan)
+        force, moment = (np.ravel(frame.get(name, unknown)) for name in (RESULTANT, MOMENT))
+        return (
+            self._reference,
+            self._reference + MILLI * moved,
+            _wrench(force, moment, self._origin),
+        )
+
+    def _markers(self, frame: Mapping[str, Any], name: str) -> Array:
+        values = np.asarray(frame.get(name, ()), dtype=np.float64)
+        expected = (self._shape[0] * self._shape[1], 3)
+        if values.shape != expected:
+            msg = f"frame: {name}: found shape {values.shape}, expected {expected}"
+            raise FrameSourceError(msg)
+        return _turned(values, self._shape)
+
+
+def _turned(values: Array, shape: tuple[int, int]) -> Array:
+    """Values of markers (..., n, 3) on the grid (..., rows, cols, 3), y and x growing."""
+    return np.asarray(values.reshape(*values.shape[:-2], *shape, 3)[..., ::-1, ::-1, :])
+
+
+def _origin(rest: Array) -> Array:
+    """The gel frame's origin, (3,) mm in the sensor's: amid the markers, at the apex."""
+    i, j = rest.shape[0] // 2, rest.shape[1] // 2
+    origin = rest.mean(axis=(0, 1))
+    origin[2] = rest[i - 1 : i + 1, j - 1 : j + 1, 2].mean()
+    return np.asarray(origin)
+
+
+def _wrench(force: Array, moment: Array, origin: Array) -> Array:
+    """Wrench (..., 6) N and N m about the gel frame's origin; moment: N mm about the sensor's."""
+    return np.concatenate([force, MILLI * (moment - np.cross(origin, force))], axis=-1)
 
 
 def _load(folder: Path, name: str) -> Array:
@@ -176,37 +231,5 @@ def _check_rest(folder: Path, rest: Array) -> None:
         raise _error(folder, POSITIONS, found, expected)
 
 
-def _error(folder: Path, name: str, found: str, expected: str) -> RecordingError:
-    return RecordingError(f"{folder / name}.npy: found {found}, expected {expected}")
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """How two forces over time agree, along x, y and z.
-
-    correlation (3,); scale: of ours that comes nearest to theirs, all axes together; left (3,) N:
-    root mean square of the difference then; frames: that were compared.
-    """
-
-    correlation: Array
-    scale: float
-    left: Array
-    frames: int
-
-
-def agreement(ours: Array, theirs: Array) -> Agreement | None:
-    """Of forces (n, 3) N; None where there are fewer than two frames with both."""
-    known = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
-    ours, theirs = ours[known], theirs[known]
-    if len(ours) < 2 or not ours.any():
-        return None
-    scale = float(np.vdot(ours, theirs) / np.vdot(ours, ours))
-    left = np.sqrt(np.mean((scale * ours - theirs) ** 2, axis=0))
-    return Agreement(_correlations(ours, theirs), scale, left, len(ours))
-
-
-def _correlations(ours: Array, theirs: Array) -> Array:
-    """Along each axis (3,), NaN where one of the two does not change."""
-    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
-    sizes = np.sqrt((ours**2).sum(axis=0) * (theirs**2).sum(axis=0))
-    return np.asarray((ours * theirs).sum(axis=0) / np.where(sizes > 0, sizes, np.nan))
+def _error(folder: Path, name: str, found: str, expected: str) -> FrameSourceError:
+    return FrameSourceError(f"{folder / name}.npy: found {found}, expected {expected}")
