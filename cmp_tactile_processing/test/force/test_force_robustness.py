@@ -136,7 +136,7 @@ def test_missing_corners_cost_little_and_raise_no_flag(stage, seen, truth, name,
     assert not field.flags & (ForceFlag.POOR_FIT | ForceFlag.BEYOND_MARKERS)
 
 
-def test_a_contact_that_goes_on_under_what_is_hidden_is_reported(stage, seen, sample_rig):
+def test_a_contact_that_goes_on_under_what_is_hidden_is_reported(stage, seen):
     # A press of 0.3 mm that no block of this material makes: what is hidden is not inferred well,
     # and what is found of the contact ends where the markers do.
     x, y = np.moveaxis(SurfaceGrid(20, 20, (13.12e-3, 13.12e-3)).points.reshape(20, 20, 2), 2, 0)
@@ -147,6 +147,19 @@ def test_a_contact_that_goes_on_under_what_is_hidden_is_reported(stage, seen, sa
     assert not whole.flags & ForceFlag.HIDDEN_CONTACT
     assert abs(field.wrench[2]) < 0.8 * abs(whole.wrench[2])
     assert field.flags & ForceFlag.HIDDEN_CONTACT
+
+
+def test_a_contact_that_leaves_the_view_of_a_larger_pattern_is_at_its_border(
+    sample_rig, seen, truth
+):
+    beyond = replace(sample_rig, pattern=replace(sample_rig.pattern, border="beyond_view"))
+    larger = ForceStage(beyond)
+    moved = SCALE * truth["off centre"].displacement
+    # The contact is at x = 3 mm, and the view ends within it.
+    out_of_view = np.broadcast_to(np.arange(20) >= 14, (20, 20))
+    field = alone(larger, hidden(seen(moved), out_of_view))
+    assert field.flags & ForceFlag.AT_BORDER
+    assert not alone(larger, seen(moved)).flags & ForceFlag.AT_BORDER
 
 
 def test_a_hidden_contact_is_reported_and_its_deviation_is_honest(stage, seen, truth):
