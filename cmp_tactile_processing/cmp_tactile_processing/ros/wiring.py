@@ -31,8 +31,8 @@ Info = Mapping[str, Any]
 class Given:
     """What a node gives of one frame: a value of the core, and a message that says the same.
 
-    Each is made at its first use.  header: of the message.  info: None where it came by a plain
-    call, not over DDS.
+    Each is made at its first use.  header: of the message, None for one without, which is only
+    recorded.  info: None where it came by a plain call, not over DDS.
     """
 
     def __init__(
@@ -94,8 +94,8 @@ class Input:
 
     def take_message(self, message: Any, info: Info) -> None:
         """The callback of the subscription."""
-        read = partial(self._from_msg, message)
-        self.take(Given(message.header, read, lambda: message, info))
+        read, header = partial(self._from_msg, message), getattr(message, "header", None)
+        self.take(Given(header, read, lambda: message, info))
 
     def listen_to_dds(self, wanted: bool) -> None:
         """Look at the subscription from now on, at what is yet to come, or not."""
