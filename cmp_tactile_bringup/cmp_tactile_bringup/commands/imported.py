@@ -35,9 +35,15 @@ class Tac3d(Command):
         bool, option("take Young's modulus from the sensor's own resultant force")
     ] = False
 
+    overwrite: Annotated[bool, option("replace files that are there already")] = False
+
     def run(self) -> int:
         """Import each sensor's recording, and print how the two forces agree."""
-        from cmp_tactile_bringup.offline.imported import with_own_modulus, write_import
+        from cmp_tactile_bringup.offline.imported import (
+            check_free,
+            with_own_modulus,
+            write_import,
+        )
         from cmp_tactile_bringup.terminal.output import output_console
         from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
         from cmp_tactile_processing.sensor.description import load_sensor
@@ -45,6 +51,9 @@ class Tac3d(Command):
         console, sensor = output_console(), load_sensor(self.sensor)
         output = self.output.expanduser()
         recordings = [read_tac3d(folder) for folder in tac3d_folders(self.folder.expanduser())]
+        for recording in recordings:
+            if not self.overwrite:
+                check_free(recording, output)
         output.mkdir(parents=True, exist_ok=True)
         for recording in recordings:
             own = recording.described(sensor)

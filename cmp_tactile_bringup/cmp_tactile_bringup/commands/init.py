@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from cmp_tactile_processing.calibration.proposal import Proposal
 
+PITCH = Number(0.01, 50, "mm")
 # Keys of a description that no picture shows.
 ASSUMED = ("size:", "young:", "poisson:", "shading_layer:", "fx:", "fy:")
 # A camera adjusts its exposure in the first frames.
@@ -42,7 +43,7 @@ class Init(Command):
     ]
     pitch: Annotated[
         float | None,
-        option("side of a checker; asked for where it is not given", Number(0.01, 50, "mm")),
+        option("side of a checker; asked for where it is not given", PITCH),
     ] = None
     output: Annotated[
         Path, option("file to write, which must not be there yet", metavar="FILE", short="-o")
@@ -60,6 +61,8 @@ class Init(Command):
         from cmp_tactile_bringup.errors import OutputError
         from cmp_tactile_processing.cache.files import write_whole
         from cmp_tactile_processing.calibration.proposal import propose
+        from cmp_tactile_processing.sensor.description import sensor_description_of
+        from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
         output = self.output.expanduser()
         if output.exists():
@@ -68,7 +71,10 @@ class Init(Command):
         image, pitch = _picture(self.picture), self.pitch or _asked_pitch()
         print("counting the corners ...", file=sys.stderr)
         found = propose(image, pitch / 1e3, output.stem, self.angle_of_view)
-        write_whole(output, _text(found))
+        text = _text(found)
+        # As a file is read: what its reader refuses is not written.
+        sensor_description_of(parse_yaml(output, text))
+        write_whole(output, text)
         _report(found, output)
         return 0
 
@@ -76,7 +82,7 @@ class Init(Command):
 def _asked_pitch() -> float:
     if sys.stdin is None or not sys.stdin.isatty():
         misuse("--pitch: found nothing, expected the side of a checker, mm")
-    answer: float = typer.prompt("Side of a checker, mm", type=float)
+    answer: float = typer.prompt("Side of a checker, mm", value_proc=PITCH.parse)
     return answer
 
 

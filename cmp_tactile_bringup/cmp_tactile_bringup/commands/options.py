@@ -42,8 +42,9 @@ class Number:
         except ValueError:
             value = float("nan")
         if not self.low <= value <= self.high:
-            span = f"from {self.low:{form}} to {self.high:{form}}"
-            span = span if math.isfinite(self.high) else f"of at least {self.low:{form}}"
+            span = f"of at least {self.low:{form}}"
+            if math.isfinite(self.high):
+                span = f"from {self.low:{form}} to {self.high:{form}}"
             expected = f"{what} {span} {self.unit}".rstrip()
             msg = f"found {text!r}, expected {expected}"
             raise typer.BadParameter(msg)

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.identity import software_version
 from cmp_tactile_bringup.offline.outputs import (
     WRENCH_STAMPED,
@@ -34,6 +35,7 @@ from cmp_tactile_processing.sensor.description import (
 )
 
 NS_PER_S = 10**9
+SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 REFERENCE = "markers at rest, as the sensor has them"
 NO_IMAGE = np.zeros((0, 0), np.uint8)
@@ -63,6 +65,14 @@ def with_own_modulus(recording: Tac3dRecording, sensor: SensorDescription) -> Se
     layer = replace(gel.shading_layer, young=float(round(found.scale * gel.shading_layer.young)))
     gel = replace(gel, young=float(round(found.scale * gel.young)), shading_layer=layer)
     return replace(sensor, elastomer=gel)
+
+
+def check_free(recording: Tac3dRecording, folder: Path) -> None:
+    """Raise OutputError where one of the files to be written is there already."""
+    for suffix in SUFFIXES:
+        path = folder / f"{recording.serial}{suffix}"
+        if path.exists():
+            raise OutputError(f"{path}: exists already; --overwrite replaces it")
 
 
 def write_import(

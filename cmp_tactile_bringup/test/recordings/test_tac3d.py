@@ -108,6 +108,11 @@ def test_the_force_is_found_again_and_lies_beside_the_sensors_own(folder, tmp_pa
     space = f"/{load_sensor(str(output / f'{SERIAL}.yaml')).ros_name}"
     assert topics >= {f"{space}/{name}" for name in ("surface", "force_field", "tac3d/wrench")}
     assert "correlation" in capsys.readouterr().out
+    # What was made before is kept, unless asked otherwise.
+    again = ["import", "tac3d", str(folder), "--output", str(output)]
+    assert main(again) == 1
+    assert "--overwrite replaces it" in capsys.readouterr().err
+    assert main([*again, "--overwrite"]) == 0
 
 
 def test_calibrating_takes_the_modulus_from_the_sensors_own_force(folder, arrays, tmp_path):
@@ -132,6 +137,11 @@ def test_markers_that_are_no_numbers_are_missing_and_what_is_not_recorded_is_unk
     assert np.isnan(recording.wrench).all()
     assert recording.lost == 0
     assert agreement(np.ones((12, 3)), recording.wrench[:, :3]) is None
+
+
+def test_an_index_that_begins_again_counts_nothing_as_lost(folder):
+    np.save(folder / "index.npy", np.array([100, 101, 103, 0, 1, 2, 3, 4, 5, 6, 7, 8]))
+    assert read_tac3d(folder).lost == 1
 
 
 def test_frames_out_of_order_and_repeated_ones_are_put_right(folder, arrays):

@@ -41,15 +41,17 @@ class Tac3dSource(StageNode):
 
     default_name = "tac3d_source"
 
+    def __init__(self, **node_kwargs: Any) -> None:
+        # Frames come on a thread of the client's, which nothing ends.
+        self._at_work, self._ended = threading.Lock(), False
+        super().__init__(**node_kwargs)
+
     def _set_up(self) -> None:
         self._options = declare_parameters(self, Tac3dSourceParameters())
         shape = self.sensor.pattern.shape
         self._running = RunningTac3d(shape.corners)
         self._surface = self.add_result(SurfaceMsg, "surface", conversions.surface_to_msg)
         self._wrench = self.add_publisher(WrenchStamped, "tac3d/wrench")
-        # Frames come on a thread of the client's, which nothing ends.
-        self._at_work = threading.Lock()
-        self._ended = False
         self._client = _client()(recvCallback=self._on_frame, port=self._options.port)
 
     def destroy_node(self) -> None:

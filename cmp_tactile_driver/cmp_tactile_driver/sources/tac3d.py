@@ -113,14 +113,15 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
 
     moved = on_grid(DISPLACEMENTS)
     rest = np.nanmedian(on_grid(POSITIONS) - moved, axis=0)
-    _check_rest(folder, rest)
+    wrong = _wrong_at_rest(rest)
+    if wrong:
+        raise FrameSourceError(f"{folder / POSITIONS}.npy: {wrong}")
     origin = _origin(rest)
     force, moment = arrays[RESULTANT].reshape(-1, 3)[order], arrays[MOMENT].reshape(-1, 3)[order]
-    index = arrays[INDEX].ravel()[order]
     return Tac3dRecording(
         serial=folder.resolve().name,
         stamp_ns=stamps,
-        lost=int(np.nan_to_num(index[-1] - index[0] + 1 - len(index))),
+        lost=_lost(arrays[INDEX].ravel()[np.argsort(arrays[STAMPS].ravel(), kind="stable")]),
         reference=MILLI * (rest - origin),
         displacement=MILLI * moved,
         force=on_grid(FORCES),
@@ -148,15 +149,22 @@ class RunningTac3d:
         position, moved = (self._markers(frame, name) for name in (POSITIONS, DISPLACEMENTS))
         if self._origin is None:
             rest = position - moved
+            wrong = _wrong_at_rest(rest)
+            if wrong:
+                raise FrameSourceError(f"frame: {POSITIONS}: {wrong}")
             self._origin = _origin(rest)
             self._reference = MILLI * (rest - self._origin)
-        unknown = np.full(3, np.nan)
-        force, moment = (np.ravel(frame.get(name, unknown)) for name in (RESULTANT, MOMENT))
+        force, moment = (self._vector(frame.get(name)) for name in (RESULTANT, MOMENT))
         return (
             self._reference,
             self._reference + MILLI * moved,
             _wrench(force, moment, self._origin),
         )
+
+    @staticmethod
+    def _vector(value: Any) -> Array:
+        known = value is not None and np.size(value) == 3
+        return np.ravel(np.asarray(value, dtype=np.float64)) if known else np.full(3, np.nan)
 
     def _markers(self, frame: Mapping[str, Any], name: str) -> Array:
         values = np.asarray(frame.get(name, ()), dtype=np.float64)
@@ -219,16 +227,24 @@ def _checked_shapes(folder: Path, arrays: dict[str, Array]) -> tuple[int, int]:
     return frames, markers
 
 
-def _check_rest(folder: Path, rest: Array) -> None:
-    """Whether markers at rest are mm apart, with x and y as this reader takes them."""
+def _wrong_at_rest(rest: Array) -> str:
+    """What is wrong with markers (rows, cols, 3) mm at rest; empty where nothing is."""
     steps = rest[:, 1:, 0] - rest[:, :-1, 0], rest[1:, :, 1] - rest[:-1, :, 1]
-    least, greatest = (float(limit(np.nan_to_num(np.concatenate([step.ravel() for step in steps]))))
-                       for limit in (np.min, np.max))  # fmt: skip
+    every = np.concatenate([step.ravel() for step in steps])
     low, high = PITCH_MM
-    if least < low or greatest > high:
-        found = f"neighbours that are {least:.4g} to {greatest:.4g} apart along x and y"
-        expected = f"{low:g} to {high:g} mm, x and y falling from the first marker to the last"
-        raise _error(folder, POSITIONS, found, expected)
+    # Not as "below or above": NaN is neither.
+    if not (every.min() >= low and every.max() <= high and np.isfinite(rest).all()):
+        return (
+            f"found neighbours that are {every.min():.4g} to {every.max():.4g} apart along x and "
+            f"y, expected {low:g} to {high:g} mm, falling from the first marker to the last"
+        )
+    return ""
+
+
+def _lost(index: Array) -> int:
+    """Frames that are missing between those of some numbers (n,); NaN where there are none."""
+    steps = np.diff(index)
+    return int(np.sum(steps[steps > 1] - 1))
 
 
 def _error(folder: Path, name: str, found: str, expected: str) -> FrameSourceError:

@@ -19,6 +19,7 @@ from geometry_msgs.msg import WrenchStamped
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.tac3d_source import Tac3dSource
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.ros.messages.reading import surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -88,6 +89,25 @@ def test_frames_become_surfaces_in_the_gel_frame(ros, client):
     assert (wrench.force.z, wrench.torque.y) == pytest.approx((-2.0, 0.01), abs=1e-3)
     assert MADE[0].port == 9988
     assert node.diagnostics.bad_frames == 1
+
+
+def test_a_first_frame_that_lacks_markers_says_nothing_of_where_the_gel_is(ros, client):
+    surfaces = ros.listen(SurfaceMsg, "surface")
+    node = ros.start(Tac3dSource, sensor_description="tac3d_ad2")
+    ros.wait_subscribed(node, "surface")
+    torn = frame(pressed=False)
+    torn["3D_Positions"] = torn["3D_Positions"].copy()
+    torn["3D_Positions"][7] = np.nan
+    MADE[0].callback(torn, None)
+    MADE[0].callback(frame(pressed=False) | {"3D_ResultantForce": None}, None)
+    ros.wait(lambda: len(surfaces) == 1, "a surface")
+    assert np.isfinite(surfaces[0].position).all()
+    assert node.diagnostics.bad_frames == 1
+
+
+def test_a_description_that_is_not_there_is_named(ros, client):
+    with pytest.raises(DescriptionError, match="nowhere"):
+        ros.start(Tac3dSource, sensor_description="/nowhere.yaml")
 
 
 def test_without_the_vendors_client_the_error_says_how_to_get_it(ros, monkeypatch):

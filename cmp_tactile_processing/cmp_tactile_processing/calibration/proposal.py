@@ -26,7 +26,8 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 Float = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# The spectrum has so many samples along a side; light that changes over so many px is taken out.
+# Of a larger picture the spectrum is that of a smaller one, of so many px at most along a side;
+# light that changes over so many px of that is taken out.
 SAMPLES, LIGHT_PX = 1024, 25.0
 # Checkers are looked for from this many px a side to a quarter of the picture.
 SMALLEST_SIDE_PX = 4.0
@@ -35,6 +36,8 @@ SMALLEST_SIDE_PX = 4.0
 ACROSS_DEG, AS_LONG = 25.0, 0.4
 # A line of corners counts where so large a share of it is seen.
 LEAST_SEEN = 0.5
+# A description has so many rows and columns at least and, with a border in sight, at most.
+LEAST_LINES, MOST_LINES = parts.MIN_CORNERS, parts.MAX_CORNERS
 # With fewer corners, or where the description that is made finds fewer of them again, it is none.
 FEWEST_CORNERS, FOUND_AGAIN = 36, 0.9
 # Angles of view that are tried, the usual one first: another one must be so much nearer.
@@ -85,8 +88,9 @@ def propose(image: Image, pitch: float, name: str, angle_of_view: float | None =
     even = dark == ((part[0].start + part[1].start) % 2 == 0)
     prepared = Prefilter(image.shape, side).prepare(image)
     sides = border_sides(prepared, corners, even, corners.shape[:2])
+    _check_lines(corners.shape[:2])
     angles = USUAL_ANGLES_DEG if angle_of_view is None else (angle_of_view,)
-    ends = all(side.ends for side in sides)
+    ends = all(side.ends for side in sides) and max(corners.shape[:2]) <= MOST_LINES
     sensor = _described(wide, corners, even=even, ends=ends, angles=angles)
     found = GridTracker(sensor).track(image)
     share = found.found_fraction
@@ -104,6 +108,16 @@ def propose(image: Image, pitch: float, name: str, angle_of_view: float | None =
     return Proposal(sensor, found, side, sharpness, prepared.contrast, noise, std)
 
 
+def _check_lines(found: tuple[int, ...]) -> None:
+    # Two more: a pattern that goes on beyond the picture loses a line at each side.
+    if min(found) < LEAST_LINES + 2:
+        msg = (
+            f"picture: found {found[0]} x {found[1]} corners, expected at least {LEAST_LINES + 2} "
+            "along either side"
+        )
+        raise FrameError(msg)
+
+
 def lattice_step(image: Image) -> Float:
     """The way, (2,) px, from a corner to the next one along the rows of a checkerboard.
 
@@ -111,13 +125,18 @@ def lattice_step(image: Image) -> Float:
     cross is the wave along its rows.  Raises FrameError where there are none.
     """
     grey = image.astype(np.float32)
+    shrunk = min(1.0, SAMPLES / max(image.shape))
+    if shrunk < 1:
+        grey = np.asarray(
+            cv2.resize(grey, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA)
+        )
     grey -= cv2.GaussianBlur(grey, (0, 0), LIGHT_PX)
-    window = np.outer(np.hanning(image.shape[0]), np.hanning(image.shape[1]))
+    window = np.outer(np.hanning(grey.shape[0]), np.hanning(grey.shape[1]))
     power = np.abs(np.fft.rfft2(grey * window, (SAMPLES, SAMPLES)))
     fy, fx = np.fft.fftfreq(SAMPLES)[:, None], np.fft.rfftfreq(SAMPLES)[None]
     length = np.hypot(fx, fy)
     longest = np.sqrt(0.5) / SMALLEST_SIDE_PX
-    shortest = np.sqrt(0.5) / (min(image.shape) / 4)
+    shortest = np.sqrt(0.5) / (min(grey.shape) / 4)
     power[(length < shortest) | (length > longest)] = 0.0
     power = cv2.GaussianBlur(power, (0, 0), 2.0)
 
@@ -137,7 +156,7 @@ def lattice_step(image: Image) -> Float:
     waves = np.array([first + second, first - second])
     wave = waves[np.abs(waves[:, 0]).argmax()]
     wave = wave if wave[0] > 0 else -wave
-    return np.asarray(wave / (wave @ wave))
+    return np.asarray(wave / (wave @ wave) / shrunk)
 
 
 def _wide_description(image: Image, step: Float, pitch: float, name: str) -> SensorDescription:

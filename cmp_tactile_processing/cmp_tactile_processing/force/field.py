@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, binary_propagation
 
 from cmp_tactile_processing.elastic.model import ElasticModel
 from cmp_tactile_processing.force.contact_regions import (
@@ -30,6 +30,8 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 # Share of the markers under a contact, or of those around it, that may be missing before it is
 # reported.
 HIDDEN_SHARE = 0.2
+# A node is seen where so large a share of the markers around it is.
+MOSTLY_SEEN = 0.5
 # The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
 # Of what model_error says, so much is in directions in which no force acts: near the border the
@@ -215,10 +217,13 @@ class FieldBuilder:
             flags |= ForceFlag.AT_BORDER
         if not measured.known[2::3].any():
             flags |= ForceFlag.NO_DEPTH
-        if self._hidden(contacts, measured.known):
+        seen = self._seen(measured.known)
+        if self._hidden(contacts, seen):
             flags |= ForceFlag.HIDDEN_CONTACT
-            if self._sensor.pattern.border == "beyond_view":
-                flags |= ForceFlag.AT_BORDER
+        if self._sensor.pattern.border == "beyond_view" and self._hidden(
+            contacts, ~_reaching_border(~seen)
+        ):
+            flags |= ForceFlag.AT_BORDER
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
         left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
         if left > POOR_NOISE and left > POOR_SHARE * whole:
@@ -230,18 +235,27 @@ class FieldBuilder:
         bearing = self._solver.rule.bearing(solution.force, solution.force_std[:, 2])
         return solution.loaded and bool((bearing & self._regions.border).any())
 
-    def _hidden(self, contacts: tuple[Contact, ...], known: Mask) -> bool:
-        """Whether much of a contact is hidden, or of what is around it: it may be larger."""
-        if known.all():
-            return False
-        seen = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
+    def _seen(self, known: Mask) -> Mask:
+        """Nodes (rows, cols) about which at least half of the markers are known, (3 markers,)."""
         nodes = self._elastic.nodes
+        if known.all():
+            return np.ones((nodes.rows, nodes.cols), dtype=bool)
+        share = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
+        return np.asarray(share.reshape(nodes.rows, nodes.cols) >= MOSTLY_SEEN)
+
+    def _hidden(self, contacts: tuple[Contact, ...], seen: Mask) -> bool:
+        """Whether much of a contact is hidden, or of what is around it: it may be larger.
+
+        seen (rows, cols): of the nodes.
+        """
+        if seen.all():
+            return False
         for item in contacts:
-            inside = np.zeros((nodes.rows, nodes.cols), dtype=bool)
+            inside = np.zeros_like(seen)
             inside.ravel()[item.nodes] = True
             around = binary_dilation(inside, np.ones((3, 3))) & ~inside
             for part in (inside, around):
-                if part.any() and float(seen[part.ravel()].mean()) < 1 - HIDDEN_SHARE:
+                if part.any() and float(seen[part].mean()) < 1 - HIDDEN_SHARE:
                     return True
         return False
 
@@ -256,6 +270,13 @@ class FieldBuilder:
             poisson=elastomer.poisson,
             **values,  # type: ignore[arg-type]
         )
+
+
+def _reaching_border(hidden: Mask) -> Mask:
+    """Of hidden nodes (rows, cols) those that hang together with hidden ones at the edge."""
+    edge = np.ones_like(hidden)
+    edge[1:-1, 1:-1] = False
+    return np.asarray(binary_propagation(hidden & edge, mask=hidden))
 
 
 def doubted(field: ForceField, relative: float) -> ForceField:

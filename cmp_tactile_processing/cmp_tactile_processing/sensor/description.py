@@ -285,7 +285,8 @@ def _lines(part: Any, above: str, shared: parts.Camera | None) -> Iterator[_Line
         value = getattr(part, item.name)
         repeated = isinstance(value, parts.Camera) and isinstance(part, parts.ViewDescription)
         repeated = repeated and value == shared
-        absent = value is None or value is parts.NO_IMAGE or (item.name == "views" and not value)
+        no_image = isinstance(value, parts.ImageSize) and value == parts.NO_IMAGE
+        absent = value is None or no_image or (item.name == "views" and not value)
         if item.compare and not absent and not repeated and not _goes_without(item, value):
             key = item.metadata.get("key") or item.name
             comment = COMMENTS.get(key, "")

@@ -65,6 +65,21 @@ def test_a_pattern_that_goes_on_beyond_the_picture_is_described_so():
     assert found.grid.found_fraction == 1
 
 
+def test_a_picture_of_many_pixels_is_looked_at_whole():
+    found = propose(board(12, 16, 60.0, size=(1920, 1440)), PITCH_M, "mine")
+    assert (found.sensor.pattern.rows, found.sensor.pattern.cols) == (12, 16)
+
+
+def test_more_corners_than_a_description_can_have_with_a_border_go_on_beyond_it():
+    found = propose(board(64, 64, 11.0, size=(800, 800)), PITCH_M, "mine")
+    assert found.sensor.pattern.border == "beyond_view"
+
+
+def test_too_few_lines_are_named():
+    with pytest.raises(FrameError, match=r"picture: found 5 x 16 corners, expected at least 6"):
+        propose(board(5, 16, 20.0), PITCH_M, "mine")
+
+
 def test_the_picture_is_judged():
     sharp = propose(board(12, 16, 20.0), PITCH_M, "mine")
     image = cv2.GaussianBlur(board(12, 16, 20.0), (0, 0), 4.0)

@@ -107,6 +107,15 @@ def test_a_jump_by_whole_checkers_loses_the_numbers_until_the_gel_is_back(
     assert wrong(grid, whole, press) == (0, NUMBERED**2)
 
 
+def test_a_quick_press_keeps_its_numbers_while_it_is_held(tracker, photograph, whole):
+    i, j = np.mgrid[-9.5:10, -9.5:10]
+    size = 4.0 * np.exp(-(i**2 + j**2) / 8)
+    press = size[..., None] * np.array([1.0, 0.3])
+    tracker.track(photograph(0.0))
+    for _ in range(2):
+        assert wrong(tracker.track(photograph(press)), whole, press) == (0, NUMBERED**2)
+
+
 def test_pieces_beside_what_hides_the_middle_bear_the_same_numbers(tracker, photograph, whole):
     image = photograph(0.0)
     y = int(whole.corners[10, 10, 1])

@@ -35,12 +35,15 @@ Whole = NDArray[np.intp]
 # Median distance of corners from where they are expected, in sides, up to which their numbers are
 # certain: those of the next possible numbers lie beyond 0.9; and where the pattern was lost.
 CARRIED, COME_BACK = 0.5, 0.25
-# Numbers are tried so far around the one that most corners vote for, by so many corners.
-AROUND, VOTING = 3, 400
-# From frame to frame a gel moves as a whole, turned and stretched alike, but for so much, in sides,
-# RMS, in a quick press.  More may be another number's motion, if it leaves no more than so many
-# times that: after a jump by whole checkers their shapes do not lie on one another.
-USUAL_CHANGE, AS_WELL = 0.03, 1.15
+# Numbers are tried so far around the one that most corners vote for: so many of those that lie so
+# near, in sides, to where one is expected.
+AROUND, VOTING, NEAR = 3, 400, 1.5
+# From frame to frame most of a gel moves as a whole, turned and stretched alike, but for so much,
+# in sides, in a quick press.  More may be another number's motion, if that leaves no more than so
+# many times as much: after a jump by whole checkers the shapes do not lie on one another.  Numbers
+# of which fewer corners than such a share are on the grid are no rivals.
+USUAL_CHANGE, AS_WELL, AS_MANY = 0.03, 1.15, 0.8
+ROUNDS, LEAST_LEFT = 5, 1e-4
 # On an image without a pattern corners connect by chance, up to such a share of the grid's, and to
 # so many; any further set has so many at least.
 BY_CHANCE, FEWEST, MOST_BY_CHANCE, FEWEST_MORE = 0.05, 12, 36, 4
@@ -173,8 +176,8 @@ class CarriedNumbering:
         best = min(tried, key=lambda place: place.off, default=None)
         if best is None or best.off > limit:
             return None
-        change = best.change()
-        rivals = (place for place in tried if place is not best)
+        change, count = best.change(), AS_MANY * len(best.number)
+        rivals = (place for place in tried if place is not best and len(place.number) >= count)
         if change > USUAL_CHANGE and any(rival.change() <= AS_WELL * change for rival in rivals):
             return None
         return best.shift
@@ -190,11 +193,14 @@ class CarriedNumbering:
 
     def _tried(self, component: Component, expected: Float) -> list[_Place]:
         """Places around the one that most corners vote for, with the colours that they have."""
-        count = len(component.position)
-        chosen = np.linspace(0, count - 1, min(VOTING, count)).astype(np.intp)
-        position, number = component.position[chosen], component.number[chosen]
         size = np.array(self._side.shape)
-        nearest = cKDTree(expected.reshape(-1, 2)).query(position)[1]
+        away, nearest = cKDTree(expected.reshape(-1, 2)).query(component.position)
+        near = np.flatnonzero(away <= NEAR * self._nominal.side_px)
+        if not len(near):
+            return []
+        chosen = near[np.linspace(0, len(near) - 1, min(VOTING, len(near))).astype(np.intp)]
+        position, number = component.position[chosen], component.number[chosen]
+        nearest = nearest[chosen]
         votes = np.stack(np.divmod(nearest, size[1]), axis=1) - number
         values, counts = np.unique(votes, axis=0, return_counts=True)
         voted = values[counts.argmax()]
@@ -264,7 +270,12 @@ class _Place(NamedTuple):
         return float(np.median(np.linalg.norm(self.moved, axis=1)))
 
     def change(self) -> float:
-        """RMS of the motion in sides, less that of a whole that turns and stretches alike."""
+        """Median of the motion in sides, less that of most as a whole that turns and stretches."""
         terms = np.column_stack([self.number, np.ones(len(self.number))])
-        left = self.moved - terms @ np.linalg.lstsq(terms, self.moved, rcond=None)[0]
-        return float(np.sqrt((left**2).sum(axis=1).mean()))
+        weight, left = np.ones((len(terms), 1)), np.zeros(len(terms))
+        for _ in range(ROUNDS):
+            fit = np.linalg.lstsq(weight * terms, weight * self.moved, rcond=None)[0]
+            left = np.linalg.norm(self.moved - terms @ fit, axis=1)
+            # What is pressed aside counts less.
+            weight = 1 / np.hypot(1.0, left / max(float(np.median(left)), LEAST_LEFT))[:, None]
+        return float(np.median(left))
