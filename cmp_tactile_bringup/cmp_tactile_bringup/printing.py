@@ -141,7 +141,8 @@ def _kind(printed: PrintedPattern) -> str:
         width = options.dot_diameter * pattern.pitch * 1e3
         return f"{pattern.rows} x {pattern.cols} dots of {width:.6g} mm, {pitch}"
     outside = f"{pattern.corner_checker} checker outside corner (0, 0)"
-    return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}"
+    code = f", code: {pattern.code}, seed {pattern.code_seed}" if pattern.code != "none" else ""
+    return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}{code}"
 
 
 def _ink(options: PrintOptions) -> str:
