@@ -32,7 +32,7 @@ MAX_IMAGE_SIDE = 16384
 MIN_CORNERS, MAX_CORNERS = 4, 60
 MAX_POINTS_PER_SEGMENT = 20
 MAX_CALIBRATION_FRAMES = 1_000_000
-CODES = ("none", "dots")
+CODES, FEWEST_CODED = ("none", "dots"), 42
 # Beyond these it is not a gel or rig that this package can measure, but mostly another unit:
 # mm for m, kPa or MPa for Pa.
 PITCH_M = 1e-5, 0.05
@@ -208,6 +208,18 @@ def _read_surface(section: YamlSection, key: str) -> PatternSurface:
     return read_fields(surface, PatternSurface, **unused)
 
 
+def _read_code(section: YamlSection, key: str) -> str:
+    code = section.choice(key, CODES)
+    rows, cols = (section.integer(side, MIN_CORNERS, MAX_CORNERS) for side in ("rows", "cols"))
+    if code == "dots" and (rows + 1) * (cols + 1) < FEWEST_CODED:
+        expected = (
+            f"none, or at least {FEWEST_CODED} checkers: the dots of {rows + 1} x {cols + 1} are "
+            "too few to show for certain which ones they are"
+        )
+        raise section.error(key, code, expected)
+    return code
+
+
 def _read_code_seed(section: YamlSection, key: str) -> int:
     seed = section.integer(key, 0, LARGEST_SEED)
     if "code" not in section or section.choice("code", CODES) == "none":
@@ -230,7 +242,7 @@ class Pattern:
     corner_checker: str = field(metadata=choice("dark", "light"))
     points_per_segment: int = field(metadata=whole(0, MAX_POINTS_PER_SEGMENT))
     surface: PatternSurface = field(metadata=read_by(_read_surface))
-    code: str = field(default="none", metadata=choice(*CODES))
+    code: str = field(default="none", metadata=read_by(_read_code))
     code_seed: int = field(default=0, metadata=read_by(_read_code_seed))
 
     @property

@@ -25,21 +25,19 @@ from cmp_tactile_processing.tracking.corners.measured_markers import (
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
     GridlineDetector,
+    ImageWindow,
     NominalGrid,
     draw_nominal,
     spoilt_pictures,
 )
+from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     is_torn,
     lattice_graph,
     suspected_tears,
     torn_rows,
 )
-from cmp_tactile_processing.tracking.numbering.whole_view import (
-    GridNumbering,
-    Numbering,
-    without_strays,
-)
+from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
@@ -73,6 +71,9 @@ class GridTracker:
         full = NominalGrid.of_view(sensor.pattern, self._view)
         place = self._view.placement
         self._window = full.window(place.width, place.height)
+        if sensor.pattern.code != "none":
+            # Any part of the pattern may be anywhere.
+            self._window = ImageWindow(0, 0, place.width, place.height)
         self._nominal = full.seen_through(self._window)
         self._grey = np.empty((self._window.height, self._window.width), dtype=np.uint8)
         dark_first = sensor.pattern.corner_checker == "dark"
@@ -81,7 +82,7 @@ class GridTracker:
         beside = [
             other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
         ]
-        self._numbering = GridNumbering(self._nominal, dark_first, beside)
+        self._numbering = GridNumbering(self._nominal, dark_first, beside, sensor.pattern.dots())
         self._markers = MeasuredMarkers(self._nominal, dark_first)
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
@@ -134,7 +135,7 @@ class GridTracker:
             self._markers.repair_outliers(image, corners), numbering.between
         )
         corners, strays = self._markers.without_strays(corners)
-        if not self._markers.is_bounded(image, corners.position):
+        if not numbering.by_code and not self._markers.is_bounded(image, corners.position):
             numbering, corners = self._numbering.unbounded(), corners.none()
         numbering = without_strays(numbering, strays, corners.missing)
         self._confidence = numbering.confidence
@@ -269,7 +270,8 @@ class GridTracker:
         picture = np.zeros((place.height, place.width), dtype=np.uint8)
         part = self._window.cut(picture)
         self.track(picture)
-        drawn = draw_nominal(self._nominal, self._grey.shape, dark_first)
+        dots = self._pattern.dots()
+        drawn = draw_nominal(self._nominal, self._grey.shape, dark_first, dots)
         for image in (drawn, drawn, *spoilt_pictures(drawn, self._nominal)):
             part[:] = image
             self.track(picture)

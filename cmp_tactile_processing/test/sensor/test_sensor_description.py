@@ -77,6 +77,14 @@ def test_a_sensor_that_is_not_there_is_named():
         load_sensor("nowhere.yaml")
 
 
+def test_a_pattern_too_small_for_a_code_is_refused(content, load):
+    content["pattern"] |= {"rows": 4, "cols": 7, "code": "dots"}
+    with pytest.raises(DescriptionError, match=r"pattern\.code: found 'dots', .*5 x 8 are too few"):
+        load(content)
+    content["pattern"] |= {"rows": 5, "cols": 6}
+    assert load(content).pattern.dots().shape == (6, 7)
+
+
 @pytest.mark.parametrize(
     ("key_path", "value", "expected"),
     [

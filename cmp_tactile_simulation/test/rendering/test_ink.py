@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
@@ -63,11 +64,14 @@ def test_the_dots_of_a_code_have_the_other_colour(corner_checker):
     grey, plain = (Checkerboard(pattern).grey(xy) for pattern in (coded, _pattern(corner_checker)))
     changed = grey != plain
     np.testing.assert_array_equal(grey[changed] == LIGHT_GREY, plain[changed] == DARK_GREY)
+    # Points of a lattice of 5 um, counted in dots of 240 um.
     area = np.count_nonzero(changed) * (PITCH / 200) ** 2
-    assert area == pytest.approx(coded.dots().sum() * np.pi / 4 * (0.32 * PITCH) ** 2, rel=5e-3)
+    assert area == pytest.approx(
+        coded.dots().sum() * np.pi / 4 * (DOT_DIAMETER * PITCH) ** 2, rel=5e-3
+    )
     middles = coded.checker_middles()
     beyond = np.linalg.norm(xy[changed][:, None] - middles[coded.dots()], axis=-1).min(axis=1)
-    assert beyond.max() <= 0.16 * PITCH * (1 + 1e-9)
+    assert beyond.max() <= DOT_DIAMETER / 2 * PITCH * (1 + 1e-9)
     # Discrete markers have no checkers, so no code either.
     np.testing.assert_array_equal(Dots(coded).grey(xy), Dots(_pattern()).grey(xy))
 

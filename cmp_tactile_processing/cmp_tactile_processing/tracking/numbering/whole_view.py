@@ -6,7 +6,7 @@ Rows or columns that rest on one border alone may be wrong: their confidence is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -21,6 +21,7 @@ from cmp_tactile_processing.tracking.detector import (
     NominalAxes,
     NominalGrid,
 )
+from cmp_tactile_processing.tracking.numbering.coded_view import CodedView
 from cmp_tactile_processing.tracking.numbering.component_placement import (
     FEWEST_CORNERS,
     Anchor,
@@ -38,6 +39,7 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     OtherViews,
     turn_of,
 )
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     continues,
     cut_at,
@@ -64,8 +66,6 @@ OF_THE_DESCRIPTION = {
     GridFault.TURNED,
 }
 FEWEST_PIECE = 9
-# Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
-FEWEST_STRAYS = 6
 # Checkers without sharp edges, and with less contrast than this, may be light where they should be
 # dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
 # leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
@@ -80,38 +80,6 @@ UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
 # And where rows or columns rest on one border alone, the other one out of sight: something along a
 # gridline that is as bright as the margin looks the same.
 ONE_BORDER = 0.5
-
-
-@dataclass(frozen=True)
-class Numbering:
-    """corners (rows, cols, 2) px, NaN where missing; reason, fault: why some are, else empty.
-
-    confidence: 1 for a complete grid that was seen to end on all four sides and fits the nominal
-    projection; each missing piece of evidence takes a fixed share.  It orders numberings by their
-    evidence and is not a measured probability.  0.5 and less: rows or columns rest on one
-    border alone.  0 where nothing is numbered.
-    between: the image rows between which the corners lie, px; beyond them the image is torn.
-    """
-
-    corners: NDArray[np.float64]
-    reason: str
-    fault: GridFault = GridFault.NONE
-    confidence: float = 0.0
-    between: tuple[float, float] = (-np.inf, np.inf)
-
-
-def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
-    """What is to be said where so many numbered corners turned out to be another pattern's.
-
-    missing: corners without a position in the end.
-    """
-    if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
-        return numbering
-    reason = (
-        f"{missing} corners not seen, and {strays} that do not continue the others: another "
-        "pattern, or pieces of this one beside something that hides the rest"
-    )
-    return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
 
 
 def _without_blurred(
@@ -140,7 +108,8 @@ class GridNumbering:
     """Numbers the corners that a detector found in one view; keeps its buffers.
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
-    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views.
+    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views; dots
+    (rows + 1, cols + 1): the checkers that bear one, of a pattern with a code.
     """
 
     def __init__(
@@ -148,6 +117,7 @@ class GridNumbering:
         nominal: NominalGrid,
         dark_first: bool,
         beside: Sequence[NDArray[np.float64]] = (),
+        dots: NDArray[np.bool_] | None = None,
     ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
@@ -155,6 +125,9 @@ class GridNumbering:
         self._pointers = GridlinePointers()
         self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
+        self._code: CodedView | None = None
+        if dots is not None and dots.any():
+            self._code = CodedView(nominal, self._axes, dots, dark_first)
 
     def number(
         self,
@@ -196,10 +169,15 @@ class GridNumbering:
         return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
 
     def _components(self, graph: CornerGraph, image: PreparedImage) -> tuple[list[Component], str]:
-        """Sets of connected corners, and why some of them are not to be believed."""
+        """Sets of connected corners, and why some of them are not to be believed.
+
+        Dots are read first: they show themselves whether light and dark can be trusted.
+        """
         steps = self._axes.near(graph.position)
         components = self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
-        return _without_blurred(components, image) if components else ([], "")
+        if self._code is not None or not components:
+            return components, ""
+        return _without_blurred(components, image)
 
     def _parts_of(
         self,
@@ -258,6 +236,22 @@ class GridNumbering:
         previous: NDArray[np.float64] | None,
     ) -> Numbering:
         """The components of an image, or of one part of it, largest first."""
+        if self._code is not None:
+            by_code = self._code.number(components, image)
+            if by_code is not None:
+                return by_code
+            components, reason = _without_blurred(components, image)
+            if not components:
+                return self._missing(GridFault.NO_CONTRAST, reason)
+        return self._numbered_by_border(components, image, previous)
+
+    def _numbered_by_border(
+        self,
+        components: list[Component],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering:
+        """The components in which light and dark can be trusted, by where the pattern ends."""
         anchors = self._anchors(components, image, previous)
         corners = np.full_like(self._nominal.corners, np.nan)
         placed = []
