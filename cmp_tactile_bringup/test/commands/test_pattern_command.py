@@ -175,7 +175,7 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         (["--format", "svg,png"], 2, "found 'svg,png', expected one or more of svg, pdf and dxf"),
         (["--paper", "A3"], 2, "--paper: found 'A3', expected one of A4, letter, fit"),
         (["--code-seed", "5"], 1, "found 5, expected no such key without code: dots (with"),
-        (["--code", "dots", "--ink-gain", "120"], 1, "expected 0 to less than 82.86 um"),
+        (["--code", "dots", "--ink-gain", "120"], 1, "expected 0 to less than 62.14 um"),
         (["--advised", "--rows", "9"], 2, "--advised stands in the place of --rows, --cols and"),
         (["--dot-diameter", "0.3"], 2, "--dot-diameter goes with --type dmp"),
         (["-o", "."], 1, "error: .: is a folder, expected a name, as my_pattern"),

@@ -18,7 +18,7 @@ WINDOW = 4
 LARGEST_SHEET = 61
 LARGEST_SEED = 65535
 # Of a dot, as a share of the pitch.
-DOT_DIAMETER = 0.24
+DOT_DIAMETER = 0.18
 
 
 def dot_map(rows: int, cols: int, seed: int = 0) -> NDArray[np.bool_]:

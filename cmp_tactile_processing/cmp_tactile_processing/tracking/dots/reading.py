@@ -14,7 +14,7 @@ from cmp_tactile_processing.tracking.dots.cells import Cells
 Float = NDArray[np.float64]
 # Where a checker's grey levels are looked at, in sides from its middle: on the dot, beside it, and
 # close to the sides.
-ON_DOT = np.array([(0, 0), (-0.06, 0), (0.06, 0), (0, -0.06), (0, 0.06)])
+ON_DOT = np.array([(0, 0), (-0.05, 0), (0.05, 0), (0, -0.05), (0, 0.05)])
 BESIDE = 0.25 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 0), (1, 0), (0, -1), (0, 1)])
 BESIDE[4:] *= 1.15
 CLOSE = 0.36 * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
