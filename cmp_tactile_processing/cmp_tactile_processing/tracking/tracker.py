@@ -134,10 +134,12 @@ class GridTracker:
         corners = self._markers.between(
             self._markers.repair_outliers(image, corners), numbering.between
         )
-        corners, strays = self._markers.without_strays(corners)
-        if not numbering.by_code and not self._markers.is_bounded(image, corners.position):
-            numbering, corners = self._numbering.unbounded(), corners.none()
-        numbering = without_strays(numbering, strays, corners.missing)
+        if not numbering.by_code:
+            # Pieces that do not continue each other, and what lies beyond a border, are doubtful.
+            corners, strays = self._markers.without_strays(corners)
+            if not self._markers.is_bounded(image, corners.position):
+                numbering, corners = self._numbering.unbounded(), corners.none()
+            numbering = without_strays(numbering, strays, corners.missing)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)
 
