@@ -151,7 +151,7 @@ class GridTracker:
         the gel moves in them, FrameError for a wrong one; what was known before is then kept.
         """
         kept, self._defects = self._defects, None
-        inspection = PrintInspection(self._pattern.shape)
+        inspection = PrintInspection(self._pattern.shape, self._pattern.dots())
         origin = (float(self._window.x), float(self._window.y))
         try:
             for half_image in half_images:

@@ -161,6 +161,18 @@ def test_a_second_pattern_of_another_code_beside_a_part_of_ours(tracker, draw, n
     assert grid.fault is GridFault.TWO_PATTERNS
 
 
+def test_dots_are_no_defects_of_the_print(tracker, draw, nominal):
+    image = draw()
+    x, y = np.rint(nominal.corners[5, 6]).astype(int)
+    image[y - 3 : y + 4, x - 3 : x + 4] = 190
+    defects = tracker.inspect_print([image]).defects
+    tracker.use_print_defects(None)
+    places = np.array([(defect.row, defect.col) for defect in defects])
+    assert np.linalg.norm(places - (5, 6), axis=1).min() < 0.3
+    in_the_middle = np.linalg.norm(places + 0.5 - np.rint(places + 0.5), axis=1) < 0.2
+    assert not in_the_middle.any(), places[in_the_middle]
+
+
 def test_checkers_too_small_for_dots_are_an_error(sensor):
     pattern = replace(sensor.pattern, rows=55, cols=55, pitch=sensor.pattern.pitch * 21 / 56)
     GridTracker(replace(sensor, pattern=pattern), "left")
