@@ -29,6 +29,7 @@ from cmp_tactile_processing.printing.pattern import (
     PrintOptions,
     advise,
     checker_sides_px,
+    code_advice,
 )
 from cmp_tactile_processing.printing.sheet import (
     LAYERS,
@@ -87,6 +88,8 @@ def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str
         return {distance: _not_known(sensor, error)}
     facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
     facts["Advised"] = _advised(sensor)
+    if sensor.pattern.code != "none" and pattern_type == "cmp":
+        facts["Code"] = code_advice(sensor)
     return facts
 
 

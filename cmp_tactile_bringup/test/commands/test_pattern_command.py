@@ -77,7 +77,9 @@ def test_changes_are_laid_into_the_description(folder):
 
 def test_a_code_is_laid_into_the_description_and_taken_out_again(folder, capsys):
     assert pattern("my_sensor.yaml", "--code", "dots", "--code-seed", 5, "--format", "svg") == 0
-    assert "code: dots, seed 5" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "code: dots, seed 5" in shown
+    assert "checkers of 15.1 px at their smallest dots are read in focus" in shown
     coded = SensorDescription.load("my_sensor_pattern.yaml").pattern
     assert (coded.code, coded.code_seed) == ("dots", 5)
     assert pattern("my_sensor_pattern.yaml", "--code", "none", "--format", "svg", "-o", "bare") == 0
