@@ -27,12 +27,13 @@ setup(
             "camera_driver = cmp_tactile_driver.nodes.camera_driver:main",
             "recorder = cmp_tactile_driver.nodes.recorder:main",
             "replay = cmp_tactile_driver.nodes.replay:main",
+            "tac3d_source = cmp_tactile_driver.nodes.tac3d_source:main",
         ],
         "cmp_tactile_frame_sources": [
-            f"bag = {package_name}.bags.recording:bag_source",
-            f"images = {package_name}.bags.recording:image_source",
-            f"v4l2 = {package_name}.v4l2.source:open_cameras",
-            f"video = {package_name}.bags.recording:video_source",
+            f"bag = {package_name}.bags.recording:recorded_source",
+            f"images = {package_name}.bags.recording:recorded_source",
+            f"v4l2 = {package_name}.v4l2.pair:open_cameras",
+            f"video = {package_name}.bags.recording:recorded_source",
         ],
         "cmp_tactile_components": [
             f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver:CameraDriver",

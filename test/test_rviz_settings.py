@@ -26,7 +26,6 @@ from cmp_tactile_processing.drawing.looks import DEPTH_PALETTE
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.rviz.markers import (
-    MarkerParameters,
     force_markers,
     surface_markers,
 )
@@ -293,12 +292,9 @@ def test_gels_are_large_and_whole_in_each_view(name):
             assert (one[1] <= other[0]).any() or (other[1] <= one[0]).any()
 
 
-def test_each_kind_of_marker_can_be_switched_on_and_off(settings):
+def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):
     """The list of namespaces is there before the first message comes."""
-    sensor = load_sensor("sample_rig")
-    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
-    look = MarkerParameters()
-    drawn = [*surface_markers(surface, look), *force_markers(made_field(0, 0), look)]
+    drawn, *_ = _shown(name, _touch(0.0, 0.0))
     for kind, display in _displays(settings["Visualization Manager"]):
         if kind == "MarkerArray":
             expected = {marker.namespace: True for marker in drawn}

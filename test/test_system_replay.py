@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +20,6 @@ from waiting import wait_until
 from cmp_tactile_bringup.demo import (
     RESULTS,
     Collector,
-    ContainerError,
     ContainerProcess,
     PlayOptions,
     PlayProgress,
@@ -141,38 +138,6 @@ def test_topics_carry_what_the_pipeline_computes(played, frames):
 def test_the_container_ends_cleanly_and_without_complaint(played):
     assert "Traceback" not in played.log
     assert "ERROR" not in played.log
-
-
-def test_a_truncated_bag_gives_the_frames_it_has_and_one_clear_line(recording, tmp_path):
-    bag = tmp_path / "cut"
-    shutil.copytree(recording.bag, bag)
-    (mcap,) = bag.glob("*.mcap")
-    os.truncate(mcap, mcap.stat().st_size * 2 // 5)
-    whole = [frame.stamp_ns for frame in BagReader(bag).frames()]
-    assert 5 < len(whole) < 10
-    cut = play_once(replace(recording, bag=bag), tmp_path / "container.log")
-    for topic in RESULTS:
-        assert [stamp_ns(m.header.stamp) for m in cut.messages[topic]] == whole
-    complaints = [line for line in cut.log.splitlines() if "WARN" in line]
-    assert len(complaints) == 1
-    assert f"{bag}: damaged" in complaints[0]
-    assert "Traceback" not in cut.log
-
-
-def test_an_empty_folder_ends_the_start_with_one_line_that_names_it(tmp_path):
-    empty = tmp_path / "empty"
-    empty.mkdir()
-    log = tmp_path / "container.log"
-    arguments = {"input": str(empty), "sensor": "sample_rig"}
-    with (
-        pytest.raises(ContainerError, match=r"ended with code 1: .*found no image"),
-        ContainerProcess("replay", arguments, log) as container,
-    ):
-        container.wait_for(lambda: False, 60.0, "end of the container")
-    errors = [line for line in log.read_text().splitlines() if str(empty) in line]
-    assert len(errors) == 1
-    assert errors[0].startswith("error: ")
-    assert "Traceback" not in log.read_text()
 
 
 def command(*arguments):

@@ -47,6 +47,17 @@ class GridFault(str, Enum):
     PARTLY_HIDDEN = "partly_hidden"
 
 
+class NumberingKind(str, Enum):
+    """What the numbers of a grid's corners hold for.
+
+    ABSOLUTE: each names one corner of the print.  RELATIVE: they name the same corners from frame
+    to frame since the first one, as far as motion between frames can be bounded.
+    """
+
+    ABSOLUTE = "absolute"
+    RELATIVE = "relative"
+
+
 @dataclass(frozen=True)
 class GridShape:
     """Number of corners along y (rows) and x (cols), and of virtual markers per segment."""
@@ -114,6 +125,7 @@ class Grid:
     confidence: 0 to 1, how surely the corners bear their right numbers; a followed grid has that of
     the detection that it goes back to.
     followed: whether the corners were looked for where the last frame had them.
+    numbering: what the numbers hold for.
     placement: the view's place in the frame, None for a grid that came without it.
     """
 
@@ -133,6 +145,7 @@ class Grid:
     col_line_std: NDArray[np.float64] | None = None
     confidence: float = float("nan")
     followed: bool = False
+    numbering: NumberingKind = NumberingKind.ABSOLUTE
 
     @classmethod
     def missing(
@@ -141,6 +154,7 @@ class Grid:
         reason: str,
         placement: ViewPlacement | None = None,
         fault: GridFault = GridFault.NO_PATTERN,
+        numbering: NumberingKind = NumberingKind.ABSOLUTE,
     ) -> Grid:
         """A grid of which nothing was seen."""
         return cls(
@@ -158,6 +172,7 @@ class Grid:
             row_line_std=np.full(shape.row_lines, np.nan),
             col_line_std=np.full(shape.col_lines, np.nan),
             confidence=0.0,
+            numbering=numbering,
         )
 
     @property
@@ -281,6 +296,53 @@ class Surface(Markers3D):
             col_std=np.zeros(shape.col_lines),
         )
 
+    @classmethod
+    def from_positions(
+        cls,
+        shape: GridShape,
+        reference: NDArray[np.float64],
+        position: NDArray[np.float64],
+        std: float = 0.0,
+    ) -> Surface:
+        """The surface of markers that something else has measured; no virtual markers.
+
+        reference, position (rows, cols, 3) m, gel frame: at rest and now, NaN where not known; z is
+        NaN where markers are known in the plane alone.  std: of each coordinate, m; 0 where it is
+        not known.  Raises GeometryError for arrays of other shapes.
+        """
+        for name, points in (("reference", reference), ("position", position)):
+            if points.shape != (*shape.corners, 3):
+                msg = f"{name}: found shape {points.shape}, expected {(*shape.corners, 3)}"
+                raise GeometryError(msg)
+        displacement = position - reference
+        known = np.isfinite(displacement[..., :2]).all(axis=-1)
+        covariance = np.broadcast_to(std**2 * np.eye(3), (*shape.corners, 3, 3))
+        return cls(
+            shape=shape,
+            reference=reference,
+            position=position,
+            displacement=displacement,
+            status=np.where(known, Status.MEASURED, Status.MISSING).astype(np.uint8),
+            fault=np.where(known, MarkerFault.NONE, MarkerFault.NOT_SEEN).astype(np.uint8),
+            covariance=covariance.copy(),
+            ray_gap=np.full(shape.corners, np.nan),
+            **no_virtual_markers(shape),
+            reference_id=0,
+            reference_stamp_ns=0,
+        )
+
+
+def gridline_points(
+    corners: NDArray[np.float64], between: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points along each gridline, (lines, (m - 1) (n + 1) + 1, d): every (n + 1)th is a corner.
+
+    corners (lines, m, d).  between (lines, m - 1, n, d): virtual markers.
+    """
+    lines, _, dimension = corners.shape
+    segments = np.concatenate([corners[:, :-1, None], between], axis=2)
+    return np.concatenate([segments.reshape(lines, -1, dimension), corners[:, -1:]], axis=1)
+
 
 @dataclass(frozen=True)
 class SurfaceGrid:
@@ -335,7 +397,7 @@ class ForceFlag(IntFlag):
     FEW_MARKERS = 1  # too few markers were seen: all is NaN
     AT_BORDER = 2  # contact reaches the edge of the marker area and may go on beyond it
     BEYOND_MARKERS = 4  # the markers at the edge move as only a force beyond them would move them
-    HIDDEN_CONTACT = 8  # markers under the contact are missing
+    HIDDEN_CONTACT = 8  # markers under the contact or beside it are missing
     NO_DEPTH = 16  # one view: the normal force is inferred, not measured
     LARGE_PRESS = 32  # pressed so far that the linear model is wrong, and it was not corrected
     NOT_CONVERGED = 64  # the large-press correction did not settle, or not yet

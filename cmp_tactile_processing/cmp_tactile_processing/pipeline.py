@@ -111,8 +111,8 @@ class Pipeline:
         self._force.reset()
 
     def _measure(self, frame: NDArray[np.uint8]) -> tuple[dict[str, Grid], Markers3D]:
-        frame, image = np.asarray(frame), self._sensor.image
-        check_image(frame, image.width, image.height, "frame")
+        frame = np.asarray(frame)
+        check_image(frame, *self._sensor.frame_size, "frame")
         tracked = self._threads.map(lambda view: view.track(frame), self._views)
         grids = {view.name: grid for view, grid in zip(self._views, tracked, strict=True)}
         return grids, self._rig.triangulate(grids.get("left"), grids.get("right"))

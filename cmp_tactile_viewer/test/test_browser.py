@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import threading
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pytest
-import viser
-import websockets
 
 from cmp_tactile_viewer.errors import ViewerError
-from cmp_tactile_viewer.page.page import Page
-from cmp_tactile_viewer.page.server import Access
 from cmp_tactile_viewer.snapshot import (
     Action,
     HealthLine,
@@ -148,46 +139,3 @@ def test_the_slider_seeks_and_the_end_is_said(grasp_bag, sensor, serve, opened):
     tab.wait(at_the_end, "the last frame")
     tab.tab.get_by_text("play", exact=True).click()
     tab.sees("at the end")
-
-
-def test_a_browser_finds_the_page_again(source, sensor, serve, opened, snapshots):
-    page = serve(source)
-    page.show("thumb", snapshots[0])
-    tab = opened(page)
-    tab.wait(lambda: tab.meshes()[0] > 0, "the surface")
-    port = page.port
-    page.close()
-    again = Page(PassiveSource((ShownSensor("thumb", sensor),)), Access(port=port))
-    try:
-        again.show("thumb", snapshots[-1])
-        tab.wait(lambda: again.viewers == 1, "the browser's return")
-        expected = 1e3 * np.nanmax(snapshots[-1].surface.position[..., 2])
-        tab.wait(lambda: abs(tab.meshes()[1] - expected) < 0.05, "what the new page shows")
-    finally:
-        again.close()
-
-
-def test_a_browser_that_reads_nothing_delays_no_other(source, serve, opened, snapshots):
-    page = serve(source)
-    ended = threading.Event()
-
-    async def stall() -> None:
-        address = page.url.replace("http", "ws")
-        protocol: Any = [f"viser-v{viser.__version__}"]
-        async with websockets.connect(address, subprotocols=protocol, max_queue=1):
-            while not ended.is_set():
-                await asyncio.sleep(0.05)
-
-    stalled = threading.Thread(target=lambda: asyncio.run(stall()))
-    stalled.start()
-    try:
-        tab = opened(page)
-        for number in range(40):
-            item = snapshots[-1 if number % 2 else 0]
-            page.show("thumb", replace(item, stamp_ns=number))
-            tab.tab.wait_for_timeout(40)
-        expected = 1e3 * np.nanmax(snapshots[-1].surface.position[..., 2])
-        tab.wait(lambda: abs(tab.meshes()[1] - expected) < 0.05, "the newest surface")
-    finally:
-        ended.set()
-        stalled.join()

@@ -108,7 +108,7 @@ def draw(axes: Axes, markers: list[DrawnMarker], view: View) -> None:
     colours: list[Float] = []
     depths: list[Float] = []
     for marker in markers:
-        if marker.action == Marker.DELETE or marker.kind == Marker.TEXT_VIEW_FACING:
+        if not marker.shows or marker.kind == Marker.TEXT_VIEW_FACING:
             continue
         own = marker.colours if len(marker.colours) else np.array([marker.colour])
         own = np.broadcast_to(own, (len(marker.points), 4)).astype(np.float64)
@@ -190,7 +190,7 @@ def draw_picture(name: str, fingers: Sequence[list[DrawnMarker]], output: Path) 
     markers = [marker for finger in fingers for marker in finger]
     draw(axes, markers, view)
     for marker in markers:
-        if marker.kind == Marker.TEXT_VIEW_FACING and marker.action == Marker.ADD:
+        if marker.kind == Marker.TEXT_VIEW_FACING and marker.shows:
             write(axes, marker, view)
     figure.savefig(output, dpi=DPI, facecolor=figure.get_facecolor())
     fine = cv2.imread(str(output))

@@ -93,24 +93,12 @@ def test_run_hands_over_arguments_and_exit_status(ready, tmp_path):
     assert result.stdout == f"two words {ready.install}/a/python\n"
 
 
-def test_run_without_a_command_shows_its_usage(ready):
-    result = shell("sh", "setup/run", ready.root)
-    assert result.returncode == 2
-    assert "usage: setup/run" in result.stderr
-
-
 def test_a_checkout_that_is_not_set_up_says_so(ready):
     ready.environment_file.unlink()
     for script in ("setup/run true", ". setup/env.sh"):
         result = shell("bash", script, ready.root)
         assert result.returncode == 1
         assert "run 'make build' there first" in result.stderr
-
-
-def test_a_checkout_that_is_set_up_for_another_ros_says_so(ready):
-    result = shell("bash", "setup/run true", ready.root, ROS="jazzy")
-    assert result.returncode == 1
-    assert "not set up for ROS=jazzy: run 'make build ROS=jazzy' there first" in result.stderr
 
 
 def test_a_moved_checkout_says_so(ready, tmp_path):

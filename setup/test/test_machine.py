@@ -45,15 +45,6 @@ def test_all_that_is_missing_is_reported_at_once(tools, monkeypatch, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_another_compiler_counts(tools):
-    (tools / "cc").rename(tools / "clang")
-    (tools / "c++").rename(tools / "clang++")
-    check_build_tools()
-    (tools / "clang").unlink()
-    with pytest.raises(SetupError, match="not found: C compiler;"):
-        check_build_tools()
-
-
 def test_a_compiler_named_by_a_variable_must_exist(tools, monkeypatch):
     monkeypatch.setenv("CXX", f"{tools / 'c++'} -march=native")
     check_build_tools()
@@ -67,12 +58,6 @@ def test_old_cmake_is_named_with_the_version_needed(tools, version):
     write_cmake(tools, version)
     with pytest.raises(SetupError, match=r"cmake \d\.\d+ is too old: install 3\.20 or newer"):
         check_build_tools()
-
-
-@pytest.mark.parametrize("version", ["3.20.0", "3.100.1", "4.0.2"])
-def test_newer_cmake_is_accepted(tools, version):
-    write_cmake(tools, version)
-    check_build_tools()
 
 
 @pytest.mark.parametrize(
@@ -89,13 +74,6 @@ def test_ordinary_paths_are_accepted(path):
     machine.check_checkout_path(Path(path))
     with pytest.raises(SetupError):
         machine.check_checkout_path(Path(path + " "))
-
-
-def test_a_moved_checkout_reports_both_places_and_what_to_do(tmp_path):
-    with pytest.raises(SetupError, match=rf"/old/place.*now at {tmp_path}.*'make clean'"):
-        machine.check_not_moved(tmp_path, "/old/place")
-    machine.check_not_moved(tmp_path, str(tmp_path))
-    machine.check_not_moved(tmp_path, None)
 
 
 def test_an_old_python_is_refused_and_a_new_one_tried_with_a_warning(capsys):

@@ -52,19 +52,3 @@ def test_tinyxml2_is_linked_from_the_wheel_that_bundles_it(prefix):
     (libraries / "libtinyxml2-1592532c.so.6.0.0").touch()
     repair_prefix(prefix, "/usr/include/py", "/venv/numpy")
     assert f"dl;{libraries / 'libtinyxml2-1592532c.so.6.0.0'};rt" in targets.read_text()
-
-
-def test_tinyxml2_of_the_system_where_no_wheel_bundles_it(prefix):
-    targets = prefix / "share" / "fastdds" / "cmake" / "fastdds-shared-targets.cmake"
-    targets.write_text('INTERFACE_LINK_LIBRARIES "dl;/usr/lib64/libtinyxml2.so;rt"\n')
-    repair_prefix(prefix, "/usr/include/py", "/venv/numpy")
-    assert "dl;tinyxml2;rt" in targets.read_text()
-
-
-def test_other_files_are_left_alone(prefix):
-    config = prefix / "share" / "rclpy" / "cmake" / "rclpyConfig.cmake"
-    text = prefix / "share" / "std_msgs" / "notes.txt"
-    text.write_text(export_of_wheel("311"))
-    assert repair_prefix(prefix, "/usr/include/py", "/venv/numpy") == []
-    assert config.read_text() == "/opt/python/x\n"
-    assert text.read_text() == export_of_wheel("311")

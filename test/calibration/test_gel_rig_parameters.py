@@ -3,11 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
 from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import RefractingLayer
@@ -32,7 +29,7 @@ def test_no_change_is_the_description_itself(gel_rig):
 
 
 def test_every_optical_value_is_varied_and_moves_the_pattern(gel_rig, two_view_rig, one_view_rig):
-    """A parameter that `changed` forgets would look as determined as its prior."""
+    """A parameter that `sensor` forgets would look as determined as its prior."""
     mirrors, two, one = with_layers(gel_rig), two_view_rig(gel_rig), one_view_rig(gel_rig)
     # Gel 6, two mirrors of 3, camera 4 and distortion 5, two layers of 2; each view 6 + 9.
     for sensor, count in ((mirrors, 6 + 6 + 9 + 4), (two, 2 * 15), (one, 6 + 9)):
@@ -63,10 +60,3 @@ def test_changed_descriptions_can_be_written_and_read(gel_rig, tmp_path):
     write_sensor_description(path, changed)
     read = SensorDescription.load(path)
     np.testing.assert_array_equal(pixels(read), pixels(changed))
-
-
-def test_unknown_values_are_named(gel_rig):
-    with pytest.raises(KeyError, match=r"no optical value named camera\.zoom"):
-        RigParameters(gel_rig).changed({"camera.zoom": 1.0})
-    with pytest.raises(ParameterError, match=r"gel calibration\.turn: found -1"):
-        GelCalibrationParameters(turn=-1.0)

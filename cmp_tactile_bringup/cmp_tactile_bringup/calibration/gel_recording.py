@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,16 @@ from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags import reader
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.recording import is_bag, open_recording
-from cmp_tactile_driver.bags.storage import BagStorage, StoredMessage, open_storage
+from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured import Markers3D
+from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import SURFACE
+from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
@@ -191,7 +191,7 @@ def read_motion(
 def _read_images(
     path: Path, topic: str, sensor: SensorDescription, rest_s: tuple[float, float] | None
 ) -> GelMotion:
-    size = (sensor.image.width, sensor.image.height)
+    size = sensor.frame_size
     recording = open_recording(
         path, topic=topic, frame_rate=FOLDER_RATE_HZ, frame_id="", expected_size=size
     )
@@ -285,39 +285,23 @@ def _surface_topic(path: Path, topic: str) -> str:
 
 def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMotion:
     storage = open_storage(path)
-    corners = sensor.pattern.shape.corners
-    stamps, displacement, status = [], [], []
-    for message in _surfaces(storage, topic):
-        if (message.rows, message.cols) != corners:
-            msg = (
-                f"{path}: {topic}: found {message.rows} x {message.cols} corners, "
-                f"expected {corners[0]} x {corners[1]}: is {sensor.name} its sensor?"
-            )
-            raise RecordingError(msg)
-        stamp = message.header.stamp
-        stamps.append(stamp.sec * 10**9 + stamp.nanosec)
-        displacement.append(np.asarray(message.displacement, np.float64).reshape(*corners, 3))
-        status.append(np.asarray(message.status, np.uint8).reshape(corners))
-    if not stamps:
+    stamps: list[int] = []
+    surfaces: list[Surface] = []
+    for stored in storage.messages([topic]):
+        try:
+            message: Any = simulation_typestore().deserialize_cdr(stored.data, SURFACE)
+            surfaces.append(surface_from_msg(message, sensor.pattern.shape))
+        except (*reader.BAD_MESSAGE, GeometryError) as error:
+            msg = f"{path}: {topic} at {stored.time_ns} ns: no surface of {sensor.name}: {error}"
+            raise RecordingError(msg) from None
+        stamps.append(stamp_ns(message.header.stamp))
+    if not surfaces:
         msg = f"{path}: {topic}: found no surface, expected some"
         raise RecordingError(msg)
     return GelMotion(
         source=str(path),
         stamp_ns=np.array(stamps, np.int64),
-        displacement=np.stack(displacement),
-        status=np.stack(status),
+        displacement=np.stack([item.displacement for item in surfaces]),
+        status=np.stack([item.status for item in surfaces]),
         doubts=(storage.loss,) if storage.loss else (),
     )
-
-
-def _surfaces(storage: BagStorage, topic: str) -> Iterator[Any]:
-    for stored in storage.messages([topic]):
-        yield _surface(stored)
-
-
-def _surface(stored: StoredMessage) -> Any:
-    try:
-        return simulation_typestore().deserialize_cdr(stored.data, SURFACE)
-    except reader.BAD_MESSAGE as error:
-        msg = f"{stored.topic} at {stored.time_ns} ns: not a {SURFACE}: {error}"
-        raise RecordingError(msg) from None

@@ -17,8 +17,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CompressedImage, Image
 
 from cmp_tactile_bringup.calibration import gel_recording
-from cmp_tactile_bringup.calibration.loads import NS_PER_S, WrenchSeries, averaged, weight_on_gel
-from cmp_tactile_bringup.recordings.library import RecordingError
+from cmp_tactile_bringup.calibration.loads import WrenchSeries, averaged, weight_on_gel
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
@@ -28,7 +27,7 @@ from cmp_tactile_processing.geometry.split import LUMINANCE
 from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Markers3D
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
+from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -150,7 +149,7 @@ class LiveReference(LiveFrames):
     def __init__(
         self, sensor: SensorDescription, topic: str, wrench_topic: str, timeout_s: float
     ) -> None:
-        size = (sensor.image.width, sensor.image.height)
+        size = sensor.frame_size
         super().__init__(topic, size, timeout_s, sensor.tracking.grey_weights)
         self._sensor = sensor
         self._wrench_topic = wrench_topic
@@ -177,34 +176,19 @@ class LiveReference(LiveFrames):
         while (passed := time.monotonic() - begin) < duration_s or len(stamps) < 2:
             report("recording", min(passed / duration_s, 1.0))
             message = self._next()
-            stamp = message.header.stamp
-            stamps.append(stamp.sec * NS_PER_S + stamp.nanosec)
+            stamps.append(stamp_ns(message.header.stamp))
             markers.append(camera.markers(self._decoded(message)))
         report("recording", 1.0)
-        wrenches = self._series()
+        wrenches = WrenchSeries.from_rows(self._wrench_topic, dict(self._wrenches))
         rest = gel_recording.leading_frames(
             np.stack([item.position for item in markers]), MOST_REST_FRAMES
         )
         frames = np.array(stamps, np.int64), markers
         return gel_recording.displaced(self._topic, self._sensor, frames, rest), wrenches
 
-    def _series(self) -> WrenchSeries:
-        rows = dict(self._wrenches)
-        if len(rows) < 2:
-            msg = (
-                f"{self._wrench_topic}: found {len(rows)} wrenches while recording, "
-                "expected two or more: is the force sensor running?"
-            )
-            raise RecordingError(msg)
-        stamps = sorted(rows)
-        force = np.array([rows[stamp] for stamp in stamps])
-        return WrenchSeries(self._wrench_topic, np.array(stamps, np.int64), force)
-
     def _on_wrench(self, message: WrenchStamped) -> None:
-        stamp = message.header.stamp
         force = message.wrench.force
-        row = [force.x, force.y, force.z]
-        self._wrenches[stamp.sec * NS_PER_S + stamp.nanosec] = row
+        self._wrenches[stamp_ns(message.header.stamp)] = [force.x, force.y, force.z]
 
 
 @dataclass

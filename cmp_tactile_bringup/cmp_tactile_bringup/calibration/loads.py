@@ -69,6 +69,20 @@ class WrenchSeries:
     force: NDArray[np.float64]
     frame_id: str = ""
 
+    @classmethod
+    def from_rows(
+        cls, source: str, rows: Mapping[int, Sequence[float]], frame_id: str = ""
+    ) -> WrenchSeries:
+        """From forces by stamp, ns; RecordingError unless two or more of them are not NaN."""
+        stamps = sorted(rows)
+        force = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 3)
+        known = int(np.isfinite(force).all(axis=1).sum())
+        if known < 2:
+            nan = f" and {len(rows) - known} without a number" if known < len(rows) else ""
+            msg = f"{source}: found {known} messages{nan}, expected two or more"
+            raise RecordingError(msg)
+        return cls(source, np.array(stamps, np.int64), force, frame_id)
+
 
 def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     """The messages of a WrenchStamped topic, by their stamps, or log times where they have none.
@@ -98,14 +112,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         frame_id = frame_id or message.header.frame_id
         vector = message.wrench.force
         rows[stamp_ns] = [vector.x, vector.y, vector.z]
-    stamps = sorted(rows)
-    force = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 3)
-    known = int(np.isfinite(force).all(axis=1).sum())
-    if known < 2:
-        nan = f" and {len(rows) - known} without a number" if known < len(rows) else ""
-        msg = f"{bag}: {topic}: found {known} messages{nan}, expected two or more"
-        raise RecordingError(msg)
-    return WrenchSeries(f"{bag}: {topic}", np.array(stamps, np.int64), force, frame_id)
+    return WrenchSeries.from_rows(f"{bag}: {topic}", rows, frame_id)
 
 
 def at_frames(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,16 +12,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parts import (
-    Camera,
-    Mirror,
-    Pattern,
-    PatternSurface,
-    ViewDescription,
-)
+from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard
@@ -28,6 +24,8 @@ from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stre
 from cmp_tactile_simulation.rendering.renderer import Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
+# What distinguishes the names of a vector's components, as of "gel: turn about x" or "camera.cx".
+COMPONENT = re.compile(r" [xyz]$|[xy]$")
 # Directions of the changes are drawn so often until the pattern lies in all views.
 MOST_DRAWS = 200
 # The pattern keeps this distance from the sides of its view, in checkers.
@@ -49,20 +47,20 @@ def changed_rig(  # noqa: PLR0913, PLR0917 - one keyword for each thing that is 
     focal: float = 0.01,
     principal_point: float = 0.0,
 ) -> SensorDescription:
-    """The sensor with gel, mirrors and camera changed by exactly that much in random directions.
+    """The sensor with gel, mirrors and camera changed by that much in random directions.
 
-    turn: rad, of the gel about any axis and of each mirror's plane about the foot point of the
-    camera on it.  shift: m, of the gel along any direction and of each mirror along its normal.
-    focal: relative, of fx and fy alike.  principal_point: px, in any direction.  Of a two_view
-    sensor, each view's pose and camera.  The whole pattern at rest stays in all views.
+    turn: rad, of the gel about any axis and, to within a tenth, of each mirror's plane.  shift: m,
+    of the gel along any direction and of each mirror along its normal.  focal: relative, of fx and
+    fy alike.  principal_point: px, in any direction.  Of a two_view sensor, each view's pose and
+    camera.  The whole pattern at rest stays in all views.
     Raises SimulationError where no direction leaves it there.
     """
     rng = random_stream(Purpose.CHANGED_RIG, seed)
-    sizes = {"turn": turn, "shift": shift, "focal": focal, "principal_point": principal_point}
+    rig = RigParameters(sensor, RigPrior(turn, shift, focal, principal_point=principal_point))
     for _ in range(MOST_DRAWS):
-        changed = _drawn(sensor, sizes, rng)
+        changed = rig.sensor(rig.prior_std * _directions(rig.names, rng))
         if _shows_all(changed):
-            return changed
+            return replace(changed, calibration=None)
     msg = (
         f"{sensor.name}: found no change by {math.degrees(turn):g} degrees, {shift * 1e3:g} mm and "
         f"{focal:.3g} in focal length that leaves the pattern in all views"
@@ -70,64 +68,12 @@ def changed_rig(  # noqa: PLR0913, PLR0917 - one keyword for each thing that is 
     raise SimulationError(msg)
 
 
-def _drawn(
-    sensor: SensorDescription, sizes: Mapping[str, float], rng: np.random.Generator
-) -> SensorDescription:
-    optics, camera = sensor.optics, sensor.camera
-    if optics.T_camera_gel is not None:
-        optics = replace(optics, T_camera_gel=_moved(optics.T_camera_gel, sizes, rng))
-    if camera is not None and optics.type != "two_view":
-        camera = _changed_camera(camera, sizes, rng)
-    views = {name: _changed_view(view, sizes, rng) for name, view in sensor.views.items()}
-    return replace(sensor, optics=optics, camera=camera, views=views, calibration=None)
-
-
-def _changed_view(
-    view: ViewDescription, sizes: Mapping[str, float], rng: np.random.Generator
-) -> ViewDescription:
-    if view.mirror is not None:
-        view = replace(view, mirror=_changed_mirror(view.mirror, sizes, rng))
-    if view.T_view_gel is not None:
-        view = replace(view, T_view_gel=_moved(view.T_view_gel, sizes, rng))
-    if view.camera is not None:
-        view = replace(view, camera=_changed_camera(view.camera, sizes, rng))
-    return view
-
-
-def _changed_camera(camera: Camera, sizes: Mapping[str, float], rng: np.random.Generator) -> Camera:
-    scale = 1 + sizes["focal"] * rng.choice([-1.0, 1.0])
-    angle = rng.uniform(0, 2 * math.pi)
-    return replace(
-        camera,
-        fx=camera.fx * scale,
-        fy=camera.fy * scale,
-        cx=camera.cx + sizes["principal_point"] * math.cos(angle),
-        cy=camera.cy + sizes["principal_point"] * math.sin(angle),
-    )
-
-
-def _changed_mirror(mirror: Mirror, sizes: Mapping[str, float], rng: np.random.Generator) -> Mirror:
-    axis = np.cross(mirror.normal, _unit(rng))
-    axis /= np.linalg.norm(axis)
-    normal = Rotation.from_rotvec(sizes["turn"] * axis).apply(mirror.normal)
-    normal /= np.linalg.norm(normal)
-    return Mirror(normal, mirror.distance + sizes["shift"] * float(rng.choice([-1.0, 1.0])))
-
-
-def _moved(
-    T: NDArray[np.float64], sizes: Mapping[str, float], rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """T (4, 4) after the gel turned about its apex and shifted."""
-    turn, shift = sizes["turn"] * _unit(rng), sizes["shift"] * _unit(rng)
-    moved = np.eye(4)
-    moved[:3, :3] = (Rotation.from_matrix(T[:3, :3]) * Rotation.from_rotvec(turn)).as_matrix()
-    moved[:3, 3] = T[:3, 3] + T[:3, :3] @ shift
-    return moved
-
-
-def _unit(rng: np.random.Generator) -> NDArray[np.float64]:
-    direction = rng.standard_normal(3)
-    return np.asarray(direction / np.linalg.norm(direction))
+def _directions(names: Sequence[str], rng: np.random.Generator) -> NDArray[np.float64]:
+    """A random unit vector for each turn, shift and point of a rig, in the order of its values."""
+    vectors = np.array([COMPONENT.sub("", name) for name in names])
+    drawn = rng.standard_normal(len(names))
+    lengths = [np.linalg.norm(drawn[vectors == vector]) for vector in vectors]
+    return np.asarray(drawn / lengths)
 
 
 def _shows_all(sensor: SensorDescription) -> bool:

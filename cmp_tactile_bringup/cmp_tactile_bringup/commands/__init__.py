@@ -37,8 +37,12 @@ SUBCOMMANDS = {
     "record": ("record.Record", "record a sensor that runs"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),
+    "init": ("init.Init", "describe a new sensor from one picture of its pattern"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
     "info": ("description.Info", "show a sensor and the installation"),
+}
+IMPORTS = {
+    "tac3d": ("imported.Tac3d", "recordings of a Tac3D sensor, with its own forces beside ours"),
 }
 CALIBRATIONS = {
     "board": ("optics.Board", "camera and mirrors from images of a board"),
@@ -66,6 +70,9 @@ Find where camera, mirrors and gel of a sensor really are, and how stiff the gel
 docs/tutorials/calibrate.md goes through all of it,
 docs/tutorials/weigh.md through `force`.
 """
+
+
+IMPORT_HELP = "Take over recordings that other sensors and programs have made."
 
 
 def parse(words: Sequence[str]) -> Command:
@@ -103,15 +110,18 @@ def _app(words: Sequence[str]) -> Typer:
     completing = os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or ""
     named = {*words, *completing.split()}
     # Options of a group that are not given take time all the same.
-    own, own_calibrate = _begins_with_option(words), _begins_with_option(words[1:])
+    own, own_group = _begins_with_option(words), _begins_with_option(words[1:])
     app = typer.Typer(cls=_Group, help=HELP, add_completion=own, add_help_option=own)
-    calibrate = typer.Typer(cls=_Group, help=CALIBRATE_HELP, add_help_option=own_calibrate)
+    calibrate = typer.Typer(cls=_Group, help=CALIBRATE_HELP, add_help_option=own_group)
     short_help = "calibrate a sensor, or check its calibration"
     app.add_typer(calibrate, name="calibrate", short_help=short_help)
+    imports = typer.Typer(cls=_Group, help=IMPORT_HELP, add_help_option=own_group)
+    app.add_typer(imports, name="import", short_help="take over recordings of other sensors")
     if own:
         app.callback()(_program)
     for group, room, subcommands in (
         (app, "", SUBCOMMANDS),
+        (imports, "", IMPORTS),
         (calibrate, ".calibrate", CALIBRATIONS),
     ):
         for name, (place, summary) in subcommands.items():

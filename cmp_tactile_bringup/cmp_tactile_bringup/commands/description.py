@@ -184,7 +184,8 @@ class Pattern(Command):
 
     def run(self) -> int:
         """Write the files and print what is on them."""
-        from cmp_tactile_bringup import printing
+        from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
+        from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
         from cmp_tactile_processing.errors import printable
         from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
         from cmp_tactile_processing.sensor.description import find_sensor_description
@@ -195,15 +196,15 @@ class Pattern(Command):
         source = find_sensor_description(self.sensor)
         sensor = _sensor(source, self)
         output = self.output or Path(f"{source.stem}_pattern")
-        files = printing.PatternFiles.from_output(output, formats or printing.FORMATS)
+        files = PatternFiles.from_output(output, formats or FORMATS)
         files.check_free(source, overwrite=self.overwrite)
         printed = _printed(sensor, self)
         copy = printed_copy(sensor.name, printed, mirrored=self.mirror)
         sheet = print_sheet(copy, self.paper, self.copies)
         written, missing = files.write(sheet, sensor)
-        _show("Print", printing.print_facts(printed, copy, sheet))
-        _show("What the camera will see", printing.seen_facts(sensor, self.type))
-        for warning in (*printing.pattern_warnings(sensor, printed), *missing):
+        _show("Print", print_facts(printed, copy, sheet))
+        _show("What the camera will see", seen_facts(sensor, self.type))
+        for warning in (*pattern_warnings(sensor, printed), *missing):
             print(printable(f"warning: {warning}"), file=sys.stderr)
         for path in written:
             print(printable(f"Written: {path}"))
@@ -246,7 +247,8 @@ class Info(Command):
         facts = {"File": str(find_sensor_description(name)), **description_facts(sensor)}
         console = output_console()
         console.print(facts_table(f"Sensor {sensor.name}", facts))
-        console.print(facts_table("What follows from it", geometry_facts(sensor)))
+        if sensor.views:
+            console.print(facts_table("What follows from it", geometry_facts(sensor)))
         packaged = {key: str(path) for key, path in packaged_sensors().items()}
         console.print(facts_table("Packaged sensors", packaged))
         console.print(facts_table("Installation", {**machine_facts(), **ros_facts()}))
@@ -287,9 +289,9 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
 
 def _advised(sensor: SensorDescription) -> dict[str, Any]:
     """What the advice changes of the pattern."""
-    from cmp_tactile_bringup import printing
+    from cmp_tactile_bringup.printing.facts import advice_of
 
-    advice = printing.advice_of(sensor)
+    advice = advice_of(sensor)
     names = ("rows", "cols", "pitch", "points_per_segment")
     return {name: getattr(advice, name) for name in names}
 

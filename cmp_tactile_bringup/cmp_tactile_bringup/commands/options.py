@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
@@ -41,7 +42,9 @@ class Number:
         except ValueError:
             value = float("nan")
         if not self.low <= value <= self.high:
-            expected = f"{what} from {self.low:{form}} to {self.high:{form}} {self.unit}".rstrip()
+            span = f"from {self.low:{form}} to {self.high:{form}}"
+            span = span if math.isfinite(self.high) else f"of at least {self.low:{form}}"
+            expected = f"{what} {span} {self.unit}".rstrip()
             msg = f"found {text!r}, expected {expected}"
             raise typer.BadParameter(msg)
         return value
@@ -95,6 +98,18 @@ def option(
     )
     info.param_decls = (short,) if short else ()
     return info
+
+
+def parameter_option(parameters: Any, name: str, *, group: str | None = None) -> Any:
+    """An option with description, limits and choices of a field of these Parameters."""
+    item = parameters.__dataclass_fields__[name]
+    meta = item.metadata
+    if meta["choices"]:
+        return option(meta["description"], Choice(meta["choices"]), group=group)
+    low = -math.inf if meta["low"] is None else meta["low"]
+    high = math.inf if meta["high"] is None else meta["high"]
+    number = Number(low, high, meta["unit"], type(item.default))
+    return option(meta["description"], number, group=group)
 
 
 def argument(metavar: str, text: str) -> Any:

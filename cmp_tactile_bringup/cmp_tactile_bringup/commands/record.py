@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import sys
 import threading
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, option
+from cmp_tactile_bringup.commands.options import (
+    Command,
+    Number,
+    argument,
+    option,
+    parameter_option,
+)
+from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 
 if TYPE_CHECKING:
     from cmp_tactile_driver.bags.recorder import RecordingProgress
 
-# As cmp_tactile_driver.sources.parameters has it, which takes time to load.
-COMPRESSIONS = ("zstd", "png", "jpeg", "none")
-TOPICS = "image_raw camera_info /tf /tf_static wrench force_field"
-MEGABYTE = 10**6
 PERIOD_S = 0.2
+_setting = partial(parameter_option, RecorderParameters)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +39,7 @@ class Record(Command):
         argument(
             "TOPIC",
             "below the sensor's namespace, or from / on; * stands for anything (default: "
-            f"{TOPICS})",
+            f"{RecorderParameters.topics})",
         ),
     ] = None
     output: Annotated[
@@ -51,16 +56,10 @@ class Record(Command):
         option("sensor description, instead of the one that the sensor's nodes name"),
     ] = None
     duration: Annotated[float | None, option("end after that time", Number(0.1, 1e6, "s"))] = None
-    compression: Annotated[
-        str, option("of frames: zstd and png lose nothing, jpeg does", Choice(COMPRESSIONS))
-    ] = "zstd"
-    jpeg_quality: Annotated[int, option("of jpeg", Number(1, 100, kind=int))] = 95
-    split_size: Annotated[
-        float, option("begin a new file of the bag after so much", Number(0, 1e6, "MB"))
-    ] = 0.0
-    split_duration: Annotated[
-        float, option("begin a new file of the bag after that time", Number(0, 1e6, "s"))
-    ] = 0.0
+    compression: Annotated[str, _setting("compression")] = RecorderParameters.compression
+    jpeg_quality: Annotated[int, _setting("jpeg_quality")] = RecorderParameters.jpeg_quality
+    split_size: Annotated[float, _setting("split_size")] = RecorderParameters.split_size
+    split_duration: Annotated[float, _setting("split_duration")] = RecorderParameters.split_duration
     use_sim_time: Annotated[bool, option("log times by /clock, such as a replay's")] = False
 
     def run(self) -> int:
@@ -102,7 +101,6 @@ def _recorder(arguments: Record, context: Any) -> Any:
 
     from cmp_tactile_bringup.commands.running_sensor import RunningSensorError, find_sensor
     from cmp_tactile_driver.nodes.recorder import Recorder
-    from cmp_tactile_driver.sources.parameters import RecorderParameters
     from cmp_tactile_processing.ros.process import Listener
 
     with Listener("record_search") as search:
@@ -113,7 +111,7 @@ def _recorder(arguments: Record, context: Any) -> Any:
         raise RunningSensorError(msg)
     values = {
         "output": arguments.output,
-        "topics": " ".join(arguments.topics or TOPICS.split()),
+        "topics": " ".join(arguments.topics or [RecorderParameters.topics]),
         "compression": arguments.compression,
         "jpeg_quality": arguments.jpeg_quality,
         "split_size": arguments.split_size,
@@ -121,7 +119,6 @@ def _recorder(arguments: Record, context: Any) -> Any:
         "sensor_description": description,
         "sensor_name": "" if arguments.sensor else sensor.name,
     }
-    assert values.keys() <= {item.name for item in fields(RecorderParameters)}  # noqa: S101
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     overrides.append(Parameter("use_sim_time", value=arguments.use_sim_time))
     return Recorder(

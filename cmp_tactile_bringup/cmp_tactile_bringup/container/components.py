@@ -7,7 +7,6 @@ import itertools
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -32,9 +31,6 @@ ComponentLookup = Callable[[str, str], ComponentClass]
 STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
 
-COLLECT_AFTER = 0.5
-"""How long after an unloading its memory is freed, s; all components wait for that 0.1 s."""
-
 
 def find_component(package: str, plugin: str) -> ComponentClass:
     """The class that `package` registers as `plugin` in the group cmp_tactile_components.
@@ -52,7 +48,7 @@ def find_component(package: str, plugin: str) -> ComponentClass:
         raise ComponentLoadError(msg)
     try:
         found: Any = matches[0].load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         msg = f"{matches[0].value} cannot be imported: {type(error).__name__}: {error}"
         raise ComponentLoadError(msg) from error
     if not (isinstance(found, type) and issubclass(found, Node)):
@@ -97,6 +93,7 @@ class ComponentContainer:
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
     namesakes: where given, no component is loaded under the name of a node of another process.
+    threads_before: those that ran before the container.
     """
 
     namesakes: Namesakes | None = None
@@ -108,23 +105,17 @@ class ComponentContainer:
         self._lookup = lookup
         self._spinners: dict[str, Spinner] = {}
         self._ending: list[Spinner] = []
-        self._threads_before = frozenset(threading.enumerate())
+        self.threads_before = frozenset(threading.enumerate())
         self._lock = threading.Lock()
         self._ids = itertools.count(1)
         # Those that are being built, too, which have no name yet.
         self._components: dict[int, LoadedComponent] = {}
         self._closed = False
-        self._collector: threading.Timer | None = None
 
     @property
     def context(self) -> Context:
         """The ROS context of all components."""
         return self._context
-
-    @property
-    def has_threads(self) -> bool:
-        """Whether a thread runs that was not there before the container, of whoever."""
-        return bool(frozenset(threading.enumerate()) - self._threads_before)
 
     def load(self, component: Component) -> int:
         """Build a component and run it; returns its id once it runs.
@@ -136,24 +127,24 @@ class ComponentContainer:
         arguments = node_arguments(component)
         if self._context is not get_default_context():
             arguments["context"] = self._context
-        find, spinner_of = partial(self._find, component), partial(self._spinner_of, component)
-        life = LoadedComponent(find, arguments, spinner_of)
-        unique_id = self._register(life)
+        life = self._register()
         try:
-            name = life.ready.result()
-            self._take_name(unique_id, name)
+            found = self._find(component)
+            spinner = self._spinner_of(component, found)
+            self._take_name(life, life.build(found, arguments, spinner))
+            life.run(spinner)
         except ComponentLoadError as error:
             with self._lock:
-                self._components.pop(unique_id, None)
+                self._components.pop(life.unique_id, None)
             life.request_stop()
             life.join(0.0 if self._closed else STOP_TIMEOUT)
-            self._collect_later()
+            _free_memory()
             raise ComponentLoadError(f"{component.label}: {error}") from None
         if component.log_level:
-            logger_name = name.strip("/").replace("/", ".")
+            logger_name = life.full_name.strip("/").replace("/", ".")
             set_logger_level(logger_name, LoggingSeverity(component.log_level))
         spare_the_collector()
-        return unique_id
+        return life.unique_id
 
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy a component.
@@ -173,7 +164,7 @@ class ComponentContainer:
         if not life.join(timeout):
             msg = f"{life.full_name}: a callback still runs after {timeout} s"
             raise ComponentError(msg)
-        self._collect_later()
+        _free_memory()
 
     def list(self) -> tuple[LoadedComponent, ...]:
         """The running components, in the order in which they were loaded."""
@@ -189,10 +180,10 @@ class ComponentContainer:
         with self._lock:
             self._closed = True
             lives, self._components = self._components, {}
-            if self._collector is not None:
-                self._collector.cancel()
         for life in lives.values():
-            life.request_stop()
+            # What is being built is stopped by `load`.
+            if life.full_name:
+                life.request_stop()
         deadline = time.monotonic() + timeout
         late = [
             life.full_name or "a component that is being built"
@@ -251,44 +242,36 @@ class ComponentContainer:
             self._ending = [item for item in self._ending if not item.join(0)] + [spinner]
         spinner.do(spinner.end)
 
-    def _register(self, life: LoadedComponent) -> int:
+    def _register(self) -> LoadedComponent:
+        life = LoadedComponent()
         with self._lock:
             if self._closed:
                 raise ComponentLoadError(ENDING)
-            unique_id = life.unique_id = next(self._ids)
-            self._components[unique_id] = life
-            # In here, as `shutdown` joins whatever is registered.
-            life.start()
-        return unique_id
+            life.unique_id = next(self._ids)
+            self._components[life.unique_id] = life
+        return life
 
-    def _take_name(self, unique_id: int, name: str) -> None:
+    def _take_name(self, life: LoadedComponent, name: str) -> None:
         """Keep the name, unless another component has it: ROS would let them share it."""
         with self._lock:
-            if unique_id not in self._components:
+            if life.unique_id not in self._components:
                 raise ComponentLoadError(ENDING)
-            for other, life in self._components.items():
-                if life.full_name == name:
-                    msg = f"id {unique_id}: the name {name} is that of id {other} already"
+            for other in self._components.values():
+                if other.full_name == name:
+                    msg = (
+                        f"id {life.unique_id}: the name {name} is that of id {other.unique_id} "
+                        "already"
+                    )
                     raise ComponentLoadError(msg)
-            self._components[unique_id].full_name = name
+            life.full_name = name
 
-    def _collect_later(self) -> None:
-        """Free what is unloaded, once for all that is unloaded together.
 
-        A node and its callbacks refer to one another; its arrays, some 30 MB of a sensor, would
-        stay until Python looks for such circles by itself.
-        """
-        with self._lock:
-            if self._closed or self._collector is not None:
-                return
-            self._collector = threading.Timer(COLLECT_AFTER, self._collect)
-            self._collector.daemon = True
-            self._collector.start()
+def _free_memory() -> None:
+    """Free what is unloaded; all components wait for that 0.1 s.
 
-    def _collect(self) -> None:
-        with self._lock:
-            # What is unloaded from now on is collected another time.
-            self._collector = None
-        gc.unfreeze()
-        gc.collect()
-        spare_the_collector()
+    A node and its callbacks refer to one another; its arrays, some 30 MB of a sensor, would
+    stay until Python looks for such circles by itself.
+    """
+    gc.unfreeze()
+    gc.collect()
+    spare_the_collector()

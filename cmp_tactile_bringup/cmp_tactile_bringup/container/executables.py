@@ -25,9 +25,9 @@ def component_container() -> int:
     # Before what takes a second to import: a signal is to end that in order, too.
     stop = StopSignal()
     _prepare_for_threads()
-    from cmp_tactile_bringup.container.services import leave_process, running_container
+    from cmp_tactile_bringup.container.services import running_container
     from cmp_tactile_processing.errors import printable
-    from cmp_tactile_processing.ros.process import JoinError
+    from cmp_tactile_processing.ros.process import JoinError, leave_process
 
     if stop.by_signal:
         return 0
@@ -39,7 +39,7 @@ def component_container() -> int:
     except JoinError as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
-    return leave_process(container, 0)
+    return leave_process(0, container.threads_before)
 
 
 def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:

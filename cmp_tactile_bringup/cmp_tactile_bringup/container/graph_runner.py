@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from rclpy.logging import get_logger
 
 from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_bringup.container.services import leave_process, running_container
+from cmp_tactile_bringup.container.services import running_container
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.arguments import argument_list
 from cmp_tactile_bringup.graphs.description import Graph
@@ -27,7 +27,7 @@ from cmp_tactile_bringup.terminal.output import shown_stages
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_processing.ros.process import split_ros_args
+from cmp_tactile_processing.ros.process import leave_process, split_ros_args
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
@@ -64,7 +64,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         return _failed(str(error))
     except StoppedError:
         return 0
-    return leave_process(container, code)
+    return leave_process(code, container.threads_before)
 
 
 def run_given_graph(arguments: Sequence[str], stop: StopSignal) -> int:
@@ -76,7 +76,7 @@ def run_given_graph(arguments: Sequence[str], stop: StopSignal) -> int:
             code = _run(container, graph, stop, {}, watch=False)
     except CmpTactileError as error:
         return _failed(str(error))
-    return leave_process(container, code)
+    return leave_process(code, container.threads_before)
 
 
 def _wait_for_end_of_stdin(stop: StopSignal) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import faulthandler
-import os
 import sys
 import threading
 import time
@@ -29,7 +28,7 @@ from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
 from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
 from cmp_tactile_processing.ros.diagnostics.status import ERROR, OK, status_message, status_name
-from cmp_tactile_processing.ros.process import JoinError, joining_ros
+from cmp_tactile_processing.ros.process import JoinError, joining_ros, leave_at_once
 
 ERROR_PAUSE_S = 0.1
 ERROR_LOG_PERIOD_S = 5.0
@@ -80,28 +79,10 @@ def running_container(
         sys.setswitchinterval(interval)
 
 
-def leave_process(container: ComponentContainer, code: int) -> int:
-    """The exit code, once nothing of the container runs any more.
-
-    A constructor or callback that is still busy, or a model that is still being built, would keep
-    the interpreter from ending, or crash it; the process is then left without the interpreter's
-    clean-up.
-    """
-    if container.has_threads:
-        _leave_at_once(code)
-    return code
-
-
 def _leave_stuck() -> None:
     sys.stderr.write(f"the end took more than {END_TIMEOUT:g} s; what still runs:\n")
     faulthandler.dump_traceback(file=sys.stderr)
-    _leave_at_once(0)
-
-
-def _leave_at_once(code: int) -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
+    leave_at_once(0)
 
 
 class ContainerServices:

@@ -30,35 +30,22 @@ ComponentClass = type[Node]
 
 
 class LoadedComponent:
-    """The life of one component, built on a thread that ends then.
+    """One component, from the building of its node to its end.
 
-    `ready` gives the full node name once the component runs; it raises ComponentLoadError where
-    the constructor failed or the component was stopped before it was built.  `full_name`: that
-    name once the container has taken it, empty before.  `callback_errors`: how many of its
-    callbacks raised, and `last_error` what.
+    full_name: of the node, once the container has taken that name; empty before.  callback_errors:
+    how many of its callbacks raised, and last_error what.  ending: by which error it was ended.
     """
 
-    def __init__(
-        self,
-        make: Callable[[], ComponentClass],
-        arguments: dict[str, Any],
-        spinner_of: Callable[[ComponentClass], Spinner],
-    ) -> None:
-        """make: looks the class up (its import can be slow, so it runs on the thread too).
-
-        spinner_of: which thread runs components of a class.
-        """
-        self.ready: Future[str] = Future()
+    def __init__(self) -> None:
         self.full_name = ""
         self.unique_id = 0
         self.node: Node | None = None
         self.callback_errors = 0
         self.last_error = self._last_traceback = ""
         self.ending = ""
-        self._make, self._arguments, self._spinner_of = make, arguments, spinner_of
-        self._lock = threading.Lock()
         self._spinner: Spinner | None = None
-        self._is_stopped = False
+        self._lock = threading.Lock()
+        self._has_ended = False
         self._gone = threading.Event()
 
     @property
@@ -67,45 +54,51 @@ class LoadedComponent:
 
         The one thing of a component that is asked for on other threads.
         """
-        try:
-            return self.ending or str(getattr(self.node, "failure", ""))
-        except Exception as error:  # noqa: BLE001  whoever asks must not pay for it
-            return f"cannot tell whether it failed: {type(error).__name__}: {error}"
+        return self.ending or str(getattr(self.node, "failure", ""))
 
-    def start(self) -> None:
-        """Begin to build the component."""
-        threading.Thread(target=self._run, name="constructor", daemon=True).start()
+    def build(self, component: ComponentClass, arguments: dict[str, Any], spinner: Spinner) -> str:
+        """Build the node on this thread, for that of the spinner to run; the node's full name.
+
+        Raises ComponentLoadError where the constructor fails.
+        """
+        self._spinner = spinner
+        try:
+            with joining(spinner.wiring):
+                self.node = _build(component, arguments)
+        except CmpTactileError as error:
+            raise ComponentLoadError(str(error)) from None
+        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
+            get_logger("component_container").error(traceback.format_exc())
+            msg = f"{type(error).__name__}: {error}"
+            raise ComponentLoadError(msg) from None
+        return self.node.get_fully_qualified_name()
+
+    def run(self, spinner: Spinner) -> None:
+        """Spin the node from now on; ComponentLoadError where it was ended meanwhile."""
+        spinner.do(partial(spinner.add, self)).result()
+        if self.node is None:
+            raise ComponentLoadError(self.ending or "it was ended before it ran")
 
     def request_stop(self) -> None:
         """End after the running callback; returns at once."""
-        with self._lock:
-            spinner = None if self._is_stopped else self._spinner
-            self._is_stopped = True
-        if spinner is not None:
-            spinner.do(partial(spinner.remove, self))
-        self.fail("the container is shutting down")
+        if self._spinner is None:
+            self.end()
+        else:
+            self._spinner.do(partial(self._spinner.remove, self))
 
     def join(self, timeout: float) -> bool:
         """Wait for the component to be destroyed; False where it takes longer, in s."""
         return self._gone.wait(timeout)
 
-    def fail(self, reason: str) -> None:
-        """Answer whoever waits for it to be ready."""
-        with suppress(Exception):  # whoever waits has the answer already
-            self.ready.set_exception(ComponentLoadError(reason))
-
-    def begins(self, node: Node) -> None:
-        """It is spun from now on."""
-        with suppress(Exception):  # stopped meanwhile
-            self.ready.set_result(node.get_fully_qualified_name())
-
     def end(self, release: Callable[[], None] = lambda: None) -> None:
         """Destroy the node, on the thread that spins it; release: called before others know."""
+        with self._lock:
+            if self._has_ended:
+                return
+            self._has_ended = True
         node, self.node = self.node, None
         if node is not None:
             _destroy(node)
-        # Else whoever loads it waits without end, where it ended before it ran.
-        self.fail(self.ending or "the ROS context has ended")
         release()
         self._gone.set()
 
@@ -123,26 +116,6 @@ class LoadedComponent:
         else:
             self.node.get_logger().error(message)
 
-    def _run(self) -> None:
-        spinner = None
-        try:
-            found = self._make()
-            spinner = self._spinner_of(found)
-            with joining(spinner.wiring):
-                self.node = _build(found, self._arguments)
-        except CmpTactileError as error:
-            self.fail(str(error))
-        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
-            get_logger("component_container").error(traceback.format_exc())
-            self.fail(f"{type(error).__name__}: {error}")
-        with self._lock:
-            runs = self.node is not None and not self._is_stopped
-            self._spinner = spinner if runs else None
-        if spinner is not None:
-            spinner.do(partial(spinner.add if runs else spinner.remove, self))
-        else:
-            self.end()
-
 
 class Spinner:
     """A thread that spins and destroys nodes: those of one sensor together, any other by itself.
@@ -158,20 +131,26 @@ class Spinner:
         self._context, self._release = context, release
         self._lock = threading.Lock()
         self._components: list[LoadedComponent] = []
-        self._jobs: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._jobs: SimpleQueue[tuple[Callable[[], None], Future[None]]] = SimpleQueue()
         self._executor = executors.SingleThreadedExecutor(context=context)
         self._ends = self._has_ended = False
         self._thread = threading.Thread(target=self._run, name="component", daemon=True)
         self._thread.start()
 
-    def do(self, job: Callable[[], None]) -> None:
-        """Do something on this thread, between two callbacks; at once where it has ended."""
+    def do(self, job: Callable[[], None]) -> Future[None]:
+        """Do something on this thread, between two callbacks; at once where it has ended.
+
+        The future is done when the job is.
+        """
+        done: Future[None] = Future()
         with self._lock:
             if not self._has_ended:
-                self._jobs.put(job)
+                self._jobs.put((job, done))
                 self._executor.wake()
-                return
+                return done
         job()
+        done.set_result(None)
+        return done
 
     def join(self, timeout: float) -> bool:
         """Wait for the thread to end; False where that takes longer, in s."""
@@ -189,7 +168,6 @@ class Spinner:
         self._executor.add_node(node)
         if isinstance(node, WiredNode):
             node.attach()
-        component.begins(node)
 
     def remove(self, component: LoadedComponent) -> None:
         """Destroy a component; a job."""
@@ -230,9 +208,12 @@ class Spinner:
 
     def _do_jobs(self) -> None:
         while not self._jobs.empty():
-            job = self._jobs.get()
-            with self.wiring.lock:
-                job()
+            job, done = self._jobs.get()
+            try:
+                with self.wiring.lock:
+                    job()
+            finally:
+                done.set_result(None)
 
     def _spin(self) -> None:
         """Until there is a job, which ConditionReachedException says."""

@@ -7,9 +7,9 @@ types and units.
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +34,11 @@ from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
-from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.definitions import (
+    bag_messages,
+    simulation_definition,
+    simulation_typestore,
+)
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, FORCE_FIELD, GRID, SURFACE
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -54,6 +58,8 @@ LATCHED = Qos(
     avoid_ros_namespace_conventions=False,
 )
 Row = Sequence[float | str]
+# Name below the sensor's namespace, type, message.
+NamedMessage = tuple[str, str, Any]
 
 
 class ResultBag:
@@ -83,19 +89,24 @@ class ResultBag:
         self._file.describe("cmp_tactile", facts)
         self._file.attach("sensor.yaml", "application/yaml", description)
 
-    def append(self, frame: RecordedFrame, result: PipelineResult) -> None:
-        """Write what the next frame showed."""
+    def append(
+        self,
+        frame: RecordedFrame,
+        result: PipelineResult,
+        more: Iterable[NamedMessage] = (),
+    ) -> None:
+        """Write what the next frame showed, and more messages about it."""
         if not self._has_transforms:
             transforms = making.static_transforms(self._make, self._sensor, self._rectification)
             message = self._make.new(TF_MESSAGE, transforms=transforms)
             self._write("/tf_static", TF_MESSAGE, message, frame)
             self._has_transforms = True
-        for name, kind, message in self._messages(frame.stamp_ns, result):
+        for name, kind, message in (*self._messages(frame.stamp_ns, result), *more):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
         if self._file.chunk_is_full:
             self._file.flush()
 
-    def _messages(self, stamp: int, result: PipelineResult) -> Iterator[tuple[str, str, Any]]:
+    def _messages(self, stamp: int, result: PipelineResult) -> Iterator[NamedMessage]:
         make, sensor = self._make, self._sensor
         gel = make.header(stamp, making.gel_frame(sensor))
         for view, grid in (("left", result.left), ("right", result.right)):
@@ -113,14 +124,10 @@ class ResultBag:
 
     def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
         latched = topic == "/tf_static" or topic.endswith("/camera_info")
-        self._file.add_topic(topic, kind, _definition(kind), [LATCHED] if latched else [])
+        definition = simulation_definition(kind).text
+        self._file.add_topic(topic, kind, definition, [LATCHED] if latched else [])
         data = bytes(simulation_typestore().serialize_cdr(message, kind))
         self._file.write(topic, frame.time_ns, frame.stamp_ns, data)
-
-
-@cache
-def _definition(kind: str) -> str:
-    return simulation_typestore().generate_msgdef(kind, ros_version=2)[0]
 
 
 @contextmanager

@@ -74,7 +74,7 @@ class Processor:
             topic=options.topic,
             frame_rate=options.frame_rate,
             frame_id="",
-            expected_size=(self._sensor.image.width, self._sensor.image.height),
+            expected_size=self._sensor.frame_size,
         )
         # Up to the first good frame, before any work is done for the others.
         next(_frames_of(self._recording), None)

@@ -22,11 +22,16 @@ def description_facts(sensor: SensorDescription) -> dict[str, str]:
     models = {view.camera.model for view in sensor.views.values() if view.camera}
     models |= {sensor.camera.model} if sensor.camera else set()
     size = " x ".join(f"{length * 1e3:g}" for length in elastomer.size)
+    optics = {"Optics": "none: something else measures the markers"}
+    if sensor.views:
+        optics = {
+            "Camera frame": f"{sensor.image.width} x {sensor.image.height} px",
+            "Camera model": ", ".join(sorted(models)),
+            "Optics": f"{sensor.optics.type}, {len(sensor.optics.layers)} refracting layers",
+        }
     return {
         "ROS namespace": f"/{sensor.ros_name}",
-        "Camera frame": f"{sensor.image.width} x {sensor.image.height} px",
-        "Camera model": ", ".join(sorted(models)),
-        "Optics": f"{sensor.optics.type}, {len(sensor.optics.layers)} refracting layers",
+        **optics,
         "Pattern": f"{pattern.rows} x {pattern.cols} inner corners, "
         f"pitch {pattern.pitch * 1e3:.4g} mm, {pattern.points_per_segment} virtual markers between",
         "Surface": f"{pattern.surface.type}{radius}",

@@ -18,7 +18,6 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.quiver import Quiver
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 # Okabe and Ito's palette, which stays distinct for all common kinds of colour blindness.
@@ -124,8 +123,3 @@ def _templates() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-
-
-def few_ticks(count: int) -> MaxNLocator:
-    """At most that many ticks on an axis."""
-    return MaxNLocator(count)

@@ -22,11 +22,10 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import parse, record, running_sensor
+from cmp_tactile_bringup.commands import running_sensor
 from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
-from cmp_tactile_driver.sources.parameters import COMPRESSIONS, RecorderParameters
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -84,16 +83,6 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     # What a replay of it takes for its sensor.
     assert required_sensor(bag, None) == str(bag / "sensor.yaml")
     assert load_sensor(str(bag / "sensor.yaml")).name == "thumb"
-
-
-def test_the_defaults_are_those_of_the_node():
-    """The command repeats them, as the node's parameters take time to load."""
-    (command, node) = (parse(["record"]), RecorderParameters())
-    assert isinstance(command, record.Record)
-    assert node.topics == record.TOPICS
-    assert record.COMPRESSIONS == COMPRESSIONS
-    assert command.compression == node.compression
-    assert command.jpeg_quality == node.jpeg_quality
 
 
 @pytest.mark.usefixtures("own_signals")

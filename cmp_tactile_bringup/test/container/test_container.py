@@ -69,11 +69,6 @@ def test_wrong_names_are_one_line(rig, capfd):
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_wrong_type_of_a_parameter_is_reported(rig):
-    with pytest.raises(ComponentLoadError, match="prefix"):
-        rig.load("Echo", parameters={"prefix": 3})
-
-
 def test_busy_component_is_reported_and_goes_once_it_can(rig):
     sticks = rig.load("Sticks", parameters={"seconds": 1.0})
     assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)

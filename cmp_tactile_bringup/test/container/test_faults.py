@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
-import time
 from typing import Any
 
 import pytest
@@ -13,7 +11,6 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterValue
 from rclpy.node import Node
@@ -45,20 +42,7 @@ class Talks(Node):
     last: Any = None
 
 
-class Unsure(Node):
-    """Does not know whether it failed."""
-
-    def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("unsure", **node_kwargs)
-
-    @property
-    def failure(self) -> str:
-        """Raises."""
-        msg = "no idea"
-        raise RuntimeError(msg)
-
-
-OWN = {"Quits": Quits, "Talks": Talks, "Unsure": Unsure}
+OWN = {"Quits": Quits, "Talks": Talks}
 
 
 @pytest.fixture
@@ -98,51 +82,3 @@ def test_a_callback_that_asks_for_the_end_is_counted_and_ends_nothing(box, capfd
     (status,) = (s for s in box.container.list() if s.full_name.endswith("quits"))
     assert (status.callback_errors, status.last_error) == (2, "SystemExit: enough")
     assert "in _on_text" in capfd.readouterr().err
-
-
-def test_an_error_of_the_services_that_stays_takes_no_core_and_is_logged_once(box, capfd):
-    executor, tries = box.services._executor, []
-    spin = executor.spin_until_future_complete
-
-    def fail(future: Any) -> None:
-        if len(tries) == 4:
-            spin(future)
-            return
-        tries.append(time.monotonic())
-        msg = "it stays"
-        raise RuntimeError(msg)
-
-    executor.spin_until_future_complete = fail
-    # What it waits in now ends with the next error.
-    executor.create_task(lambda: 1 / 0)
-    box.wait(lambda: len(tries) == 4, "four attempts")
-    assert min(b - a for a, b in itertools.pairwise(tries)) >= 0.1
-    assert box.request_load("Talks").success
-    assert capfd.readouterr().err.count("Traceback") == 1
-
-
-def test_a_component_that_cannot_be_asked_does_not_silence_the_others(box):
-    reports: list[DiagnosticStatus] = []
-    box.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda m: reports.extend(m.status), 10
-    )
-    assert box.request_load("Unsure").success
-    assert box.request_load("Talks").success
-    assert _listed(box) == ["unsure", "talks"]
-    name = f"{box.namespace[1:]}/box: {box.namespace[1:]}/talks"
-    box.wait(lambda: [s for s in reports if s.name == name], "the diagnostics")
-    assert "no idea" in box.container.list()[0].failure
-    assert _listed(box) == ["unsure", "talks"]
-
-
-def test_a_component_that_is_ready_as_the_container_ends_is_not_listed(box, monkeypatch):
-    """Else every later list would look for a thread that has ended."""
-    take_name = box.container._take_name
-
-    def ends_before(unique_id: int, name: str) -> None:
-        box.container.shutdown()
-        take_name(unique_id, name)
-
-    monkeypatch.setattr(box.container, "_take_name", ends_before)
-    assert box.request_load("Talks").error_message.endswith("the container is shutting down")
-    assert _listed(box) == []

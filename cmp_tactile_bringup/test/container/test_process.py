@@ -46,16 +46,6 @@ def _outcome(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, log
 
 
-def test_signal_while_components_are_busy(ros, container):
-    for k in range(4):
-        _load(ros, "Ticker", f"ticker_{k}")
-    container.send_signal(signal.SIGINT)
-    code, log = _outcome(container)
-    assert code == 0, log
-    assert "Traceback" not in log
-    assert "terminate called" not in log
-
-
 def _handles_signals(pid: int) -> bool:
     """Whether its own handlers are there; before, Python itself is being started."""
     status = Path(f"/proc/{pid}/status").read_text()

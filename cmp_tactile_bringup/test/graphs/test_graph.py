@@ -7,9 +7,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import Argument
 from cmp_tactile_bringup.graphs.description import parameters_of_nodes
-from cmp_tactile_bringup.graphs.one_sensor import sensor_arguments
 from cmp_tactile_bringup.graphs.packaged import load_graph
 
 GRAPH = '''
@@ -149,24 +147,6 @@ def test_wrong_assignments_are_reported(path, assignment, message):
         load_graph(str(path), {"where": "x"}).with_parameter(assignment)
 
 
-def test_arguments_of_one_sensor_depend_on_its_sources():
-    """What no source uses is left out; what all use has no condition."""
-
-    def found(*sources: str, **options: object) -> dict[str, Argument]:
-        return {item.name: item for item in sensor_arguments(sources, **options)}
-
-    assert "source" not in found("v4l2")
-    assert found("v4l2")["device"].only_with == ()
-    assert {"input", "loop"} <= set(found("replay"))
-    assert not {"input", "loop"} & set(found("simulated", "topic"))
-    both = found("simulated", "topic", prefix="thumb_", without=("record",), name="thumb")
-    assert both["thumb_source"].choices == ("simulated", "topic")
-    assert both["thumb_name"].default == "thumb"
-    assert both["thumb_frame_rate"].help.endswith("; only with thumb_source:=simulated")
-    assert both["thumb_mount"].help.endswith("; only with thumb_parent_frame:=...")
-    assert "thumb_record" not in both
-
-
 NODES = ("/hand/left/splitter", "/hand/right/splitter", "/hand/right/force")
 
 
@@ -216,10 +196,3 @@ def test_mistakes_in_parameter_files_are_reported(file, text, message):
     file.write_text(text)
     with pytest.raises(GraphError, match=message):
         parameters_of_nodes(file, NODES)
-
-
-def test_a_graph_takes_its_parameter_file(file):
-    file.write_text("/**/view_splitter: {ros__parameters: {reliable_input: false}}")
-    graph = load_graph("gripper", {"params_file": str(file)})
-    splitters = [c for c in graph.components if c.name == "view_splitter"]
-    assert [c.parameters["reliable_input"] for c in splitters] == [False, False]

@@ -154,19 +154,6 @@ def test_replays_of_one_graph_begin_together():
     assert [c.name for c in one.components if "begin_with" in c.parameters] == []
 
 
-@pytest.mark.usefixtures("short_scenes")
-def test_several_recordings_are_found_each_for_itself(grasp_bag, tmp_path):
-    graph = with_recordings(_load("replay", input=f"grasp:{grasp_bag}"))
-    (replay,) = [c for c in graph.components if c.name == "replay"]
-    made, given = str(replay.parameters["input"]).split(":")
-    assert (Path(made) / "metadata.yaml").exists()
-    assert given == str(grasp_bag)
-    check_recordings(graph)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ComponentLoadError, match="empty: found no image among"):
-        check_recordings(_load("replay", input=f"{grasp_bag}:{tmp_path / 'empty'}"))
-
-
 @pytest.mark.parametrize(
     ("name", "given", "by_clock"),
     [
@@ -258,15 +245,6 @@ def test_what_is_saved_in_rviz_is_opened_again(tmp_path, monkeypatch):
     others = [_load("replay", name="finger"), _load("replay", namespace="hand"), _load("gripper")]
     others.append(_load("gripper", left_parent_frame="tool", right_parent_frame="tool"))
     assert len({path, *map(rviz_settings_file, others)}) == 5
-
-
-def test_rviz_opens_where_the_configuration_cannot_be_written(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(blocked))
-    path = rviz_settings_file(_load("replay"))
-    assert path.read_text() == rviz_settings(_load("replay"))
-    path.unlink()
 
 
 def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():

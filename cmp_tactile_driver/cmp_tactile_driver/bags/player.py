@@ -18,8 +18,8 @@ from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.capture import Worker
 from cmp_tactile_driver.sources.timing import Pacer
+from cmp_tactile_driver.sources.worker import Worker
 
 T = TypeVar("T")
 

@@ -80,6 +80,10 @@ def open_recording(
     frame_id: of images and videos.  expected_size: absent for the size of the first image.
     Raises FrameSourceError where there is nothing to replay.
     """
+    if not path.exists():
+        kinds = "a ROS 2 bag, a folder of images, an image or a video"
+        msg = f"{path}: found no such file or folder, expected {kinds}"
+        raise FrameSourceError(msg)
     is_image = path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES
     if is_image or (path.is_dir() and not is_bag(path)):
         images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
@@ -134,21 +138,16 @@ class RecordedSource:
         self._frames = iter(())
 
 
-def bag_source(options: frames.SourceOptions) -> RecordedSource:
-    """The source `bag` of the driver; FrameSourceError for what is no bag of this camera."""
-    path = Path(options.input).expanduser()
-    return RecordedSource(reader.BagReader(path, expected_size=options.frame_size), options)
+def recorded_source(options: frames.SourceOptions) -> RecordedSource:
+    """The sources `bag`, `images` and `video` of the driver, which take any recording.
 
-
-def image_source(options: frames.SourceOptions) -> RecordedSource:
-    """The source `images` of the driver; FrameSourceError where there are none."""
-    path = Path(options.input).expanduser()
-    images = files.ImageFolder(path, expected_size=options.frame_size)
-    return RecordedSource(ImageRecording(images, ""), options)
-
-
-def video_source(options: frames.SourceOptions) -> RecordedSource:
-    """The source `video` of the driver; FrameSourceError for what is no video."""
-    path = Path(options.input).expanduser()
-    video = files.VideoFile(path, expected_size=options.frame_size)
-    return RecordedSource(ImageRecording(video, ""), options)
+    Raises FrameSourceError for what is none, or is of another camera.
+    """
+    recording = open_recording(
+        Path(options.input).expanduser(),
+        topic="",
+        frame_rate=files.DEFAULT_FRAME_RATE,
+        frame_id="",
+        expected_size=options.frame_size,
+    )
+    return RecordedSource(recording, options)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
-import tempfile
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from cmp_tactile_driver.bags.files import (
@@ -28,7 +26,6 @@ class SqliteBagFile:
     def __init__(self, path: Path) -> None:
         """Raises DamageError where nothing of it can be read."""
         self._path = path
-        self._copy: tempfile.TemporaryDirectory[str] | None = None
         self._topics: dict[int, tuple[str, str]] = {}
         self.stated: dict[str, int] = {}
         self.damage = ""
@@ -40,7 +37,8 @@ class SqliteBagFile:
                 for number, name, kind, encoding in rows:
                     self._topics[number] = name, full_kind(kind, encoding)
         except sqlite3.Error as error:
-            raise DamageError(str(error)) from None
+            hint = f"; with its {LOG_SUFFIX} file it needs a folder that can be written: copy it"
+            raise DamageError(f"{error}{hint if self._has_log else ''}") from None
         self.topics = dict(self._topics.values())
 
     def places(self, topics: Collection[str]) -> list[Place]:
@@ -75,27 +73,13 @@ class SqliteBagFile:
 
     @contextmanager
     def _connected(self) -> Iterator[sqlite3.Connection]:
-        path = Path(self._copy.name) / self._path.name if self._copy else self._path
-        log = path.with_name(path.name + LOG_SUFFIX)
-        has_log = log.is_file() and log.stat().st_size > 0
         # Without a log nothing is written beside the file, which may be on a read-only disk.
-        mode = "mode=ro" if has_log else "immutable=1"
-        address = f"{path.resolve().as_uri()}?{mode}"
+        mode = "mode=ro" if self._has_log else "immutable=1"
+        address = f"{self._path.resolve().as_uri()}?{mode}"
         with closing(sqlite3.connect(address, uri=True, check_same_thread=False)) as connection:
-            if has_log and self._copy is None and not _can_be_read(connection):
-                self._copy = tempfile.TemporaryDirectory(prefix="cmp_tactile_bag_")
-                for file in (path, log):
-                    shutil.copyfile(file, Path(self._copy.name) / file.name)
-            else:
-                yield connection
-                return
-        with self._connected() as connection:
             yield connection
 
-
-def _can_be_read(connection: sqlite3.Connection) -> bool:
-    """False where the log needs a file beside it that cannot be made."""
-    with suppress(sqlite3.OperationalError):
-        connection.execute("SELECT count(*) FROM sqlite_master")
-        return True
-    return False
+    @property
+    def _has_log(self) -> bool:
+        log = self._path.with_name(self._path.name + LOG_SUFFIX)
+        return log.is_file() and log.stat().st_size > 0

@@ -58,11 +58,13 @@ class SplitLimits:
 
 
 @dataclass(frozen=True)
-class _Topic:
+class BagTopic:
+    """A topic of a bag.  kind: its type's name.  qos: profiles of its publishers."""
+
     name: str
     kind: str
     definition: MessageDefinition
-    qos: tuple[Qos, ...]
+    qos: tuple[Qos, ...] = ()
 
     @property
     def kept(self) -> int:
@@ -93,7 +95,7 @@ class BagWriter:
         self.folder = folder
         self._compressed = compressed
         self._limits = limits or SplitLimits()
-        self._topics: dict[str, _Topic] = {}
+        self._topics: dict[str, BagTopic] = {}
         self._latched: dict[str, deque[tuple[int, bytes]]] = {}
         self._files: list[McapFile] = []
         self._is_open = False
@@ -130,7 +132,7 @@ class BagWriter:
         Raises MessageDefinitionError where the message's definition is not installed.
         """
         if name not in self._topics:
-            topic = _Topic(name, kind, message_definition(kind), tuple(qos))
+            topic = BagTopic(name, kind, message_definition(kind), tuple(qos))
             self._topics[name] = topic
             if topic.kept:
                 self._latched[name] = deque(maxlen=topic.kept)
@@ -177,8 +179,8 @@ class BagWriter:
         try:
             self._close_file()
         finally:
-            with self._write_errors(), atomic_path(self.folder / "metadata.yaml") as beside:
-                beside.write_text(self._metadata(), encoding="utf-8")
+            with self._write_errors():
+                write_metadata(self.folder, self._files, list(self._topics.values()))
 
     @contextmanager
     def _write_errors(self) -> Iterator[None]:
@@ -226,11 +228,16 @@ class BagWriter:
         finally:
             self._is_open = False
 
-    def _metadata(self) -> str:
-        counts = sum((file.counts for file in self._files), Counter[str]())
-        begins, ends = zip(*(file.times_ns for file in self._files), strict=True)
-        files = [{"path": f.path.name, **_span(f.counts, f.times_ns)} for f in self._files]
-        topics = [
+
+def write_metadata(folder: Path, files: Sequence[McapFile], topics: Sequence[BagTopic]) -> None:
+    """Write metadata.yaml of a bag with these files, which are closed.  May raise OSError."""
+    counts = sum((file.counts for file in files), Counter[str]())
+    begins, ends = zip(*(file.times_ns for file in files), strict=True)
+    information = {
+        "version": METADATA_VERSION,
+        "storage_identifier": "mcap",
+        **_span(counts, (min(begins), max(ends))),
+        "topics_with_message_count": [
             {
                 "topic_metadata": {
                     "name": topic.name,
@@ -241,21 +248,18 @@ class BagWriter:
                 },
                 "message_count": counts[topic.name],
             }
-            for topic in self._topics.values()
-        ]
-        information = {
-            "version": METADATA_VERSION,
-            "storage_identifier": "mcap",
-            **_span(counts, (min(begins), max(ends))),
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [file.path.name for file in self._files],
-            "files": files,
-            "custom_data": None,
-            "ros_distro": os.environ.get("ROS_DISTRO", ""),
-        }
-        return str(yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False))
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.path.name for file in files],
+        "files": [{"path": f.path.name, **_span(f.counts, f.times_ns)} for f in files],
+        "custom_data": None,
+        "ros_distro": os.environ.get("ROS_DISTRO", ""),
+    }
+    text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
+    with atomic_path(folder / "metadata.yaml") as beside:
+        beside.write_text(text, encoding="utf-8")
 
 
 def _span(counts: Counter[str], times_ns: tuple[int, int]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration, image
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import Capture, CaptureState
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
-from cmp_tactile_driver.sources.timing import BackOff, ClockOffset
+from cmp_tactile_driver.sources.timing import BackOff, on_clock
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
@@ -140,7 +140,6 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)
         self._frame_id = camera_frame(self._sensor)
         self._calibration = CameraCalibration(self, self._sensor, self._settings.camera_info_url)
-        self._ros_time = ClockOffset(lambda: self.get_clock().now().nanoseconds)
         publisher = self.create_lifecycle_publisher(
             Image,
             "image_raw",
@@ -273,11 +272,12 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self._extension.frame_sent(frame, header)
 
     def _stamp(self, frame: frames.Frame) -> Time:
-        now = self.get_clock().now()
+        clock = self.get_clock()
+        now = clock.now()
         if frame.monotonic_ns is None:
             return now
-        exposed_ns = max(0, self._ros_time.convert(frame.monotonic_ns))
-        return Time(nanoseconds=exposed_ns, clock_type=now.clock_type)
+        exposed_ns = on_clock(frame.monotonic_ns, lambda: clock.now().nanoseconds)
+        return Time(nanoseconds=max(0, exposed_ns), clock_type=now.clock_type)
 
     def _release(self) -> None:
         if isinstance(self._source, frames.InterruptibleSource):

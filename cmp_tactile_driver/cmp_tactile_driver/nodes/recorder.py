@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import array
 import sys
 from collections import Counter
-from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import NoTypeSupportImportedException
-from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
 from rclpy.type_support import check_for_type_support
-from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
+from cmp_tactile_driver.bags.reader import IMAGE
 from cmp_tactile_driver.bags.recorder import (
     BagRecorder,
-    EncodedMessage,
     RecorderState,
     RecordingProgress,
     Tap,
@@ -33,78 +26,18 @@ from cmp_tactile_driver.bags.recorder import (
 from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits, put_sensor_beside
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
+from cmp_tactile_driver.nodes.encoding import frame_encoder, message_encoder
 from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
-from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.connections import other_transport
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import message_class
-from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.wiring import Given, Input
 from cmp_tactile_processing.sensor.description import load_sensor
-
-ENCODED = ("mono8", "bgr8", "rgb8")
-# Camera noise leaves PNG's dictionary nothing to find, and of its filters only the fixed ones are
-# quick: 8 ms a frame of 1024 x 768 px instead of 15 to 150, at 5 % more bytes than the best.
-PNG_OPTIONS = (
-    cv2.IMWRITE_PNG_COMPRESSION,
-    1,
-    cv2.IMWRITE_PNG_STRATEGY,
-    cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
-    cv2.IMWRITE_PNG_FILTER,
-    cv2.IMWRITE_PNG_FILTER_AVG,
-)
-
-
-def message_encoder(topic: str, kind: str) -> Callable[[Any], EncodedMessage]:
-    """Encodes messages of a topic as they are."""
-
-    def encode(message: Any) -> EncodedMessage:
-        return EncodedMessage(topic, kind, serialize_message(message), _stamp_ns(message))
-
-    return encode
-
-
-def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], EncodedMessage]:
-    """Encodes Images as CompressedImages on TOPIC/compressed.  codec: "png" or "jpeg".
-
-    Frames in other encodings than mono8, bgr8 and rgb8 stay as they are, on their own topic.
-    """
-    options = PNG_OPTIONS if codec == "png" else (cv2.IMWRITE_JPEG_QUALITY, quality)
-    suffix = ".png" if codec == "png" else ".jpg"
-    as_it_is = message_encoder(topic, IMAGE)
-
-    def encode(message: Image) -> EncodedMessage:
-        if message.encoding not in ENCODED:
-            return as_it_is(message)
-        done, content = cv2.imencode(suffix, image_from_msg(message), options)
-        if not done:
-            msg = f"width, height: {message.width} x {message.height} px cannot be made a {codec}"
-            raise FrameError(msg)
-        target = "" if message.encoding == "mono8" else "bgr8"
-        compressed = CompressedImage(
-            header=message.header, format=f"{message.encoding}; {codec} compressed {target}"
-        )
-        compressed.data = array.array("B", content.tobytes())
-        return EncodedMessage(
-            topic + COMPRESSED,
-            COMPRESSED_IMAGE,
-            serialize_message(compressed),
-            _stamp_ns(message),
-        )
-
-    return encode
-
-
-def _stamp_ns(message: Any) -> int | None:
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return None if stamp is None else stamp_ns(stamp)
-
 
 SEARCH_PERIOD_S = 0.2
 EARLY_LIMIT = 1000
@@ -115,9 +48,10 @@ class Recorder(ReportingNode):
 
     Each message has two times: when it came here, and the stamp of its header.  Frames are
     compressed as `compression` says: png and jpeg go to `image_raw/compressed`; where only that is
-    published, it is recorded for `image_raw`.  `sensor.yaml`
-    beside the files is the sensor description.  What the disk is too slow for is dropped and
-    counted; a bag that cannot be written ends, with what it has, and the diagnostics say why.
+    published, it is recorded for `image_raw`.  A topic is recorded reliably where those who publish
+    it when it is found do.  `sensor.yaml` beside the files is the sensor description.  What the
+    disk is too slow for is dropped and counted; a bag that cannot be written ends, with what it
+    has, and the diagnostics say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
     `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched)
     reports state and counts.
@@ -160,7 +94,7 @@ class Recorder(ReportingNode):
         self._watch = TopicWatch(self, topics)
         # Of the recording.
         self.bag: Path | None = None
-        self._taps: dict[str, tuple[Tap, Input]] = {}
+        self._taps: list[tuple[Tap, Input]] = []
         self._pushed_out: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._reported: RecorderState | None = None
@@ -198,9 +132,10 @@ class Recorder(ReportingNode):
         self._look_for_topics()
         self.get_logger().info(f"recording to {folder}")
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
+        """End the recording: what waits is written, and the bag is closed."""
         self._count_pushed_out()
-        for _, end in self._taps.values():
+        for _, end in self._taps:
             self.disconnect_input(end)
         self._taps.clear()
         self._pushed_out.clear()
@@ -223,7 +158,7 @@ class Recorder(ReportingNode):
 
     def _look_for_topics(self) -> None:
         recorder = self._recorder
-        if recorder is not None and self._is_recording():
+        if recorder is not None and self._is_recording() and not self._watch.is_over:
             for topic in self._watch.new_topics():
                 self._subscribe(topic, recorder)
 
@@ -238,11 +173,10 @@ class Recorder(ReportingNode):
         if topic.instead_of:
             text = f"is not published, {topic.name} is recorded in its place"
             self.get_logger().warning(f"{topic.instead_of}: {text}")
-        known = self._taps.get(topic.name)
-        tap = known[0] if known else self._tap(topic)
-        self._taps[topic.name] = tap, self._listen(tap, kind, topic.qos, recorder)
-        if known:
-            self._replaced(tap, known[1])
+        tap = self._tap(topic)
+        end = Input(lambda given: partial(self._on_message, tap, given))
+        self.connect_counting(end, kind, tap.topic, topic.qos, partial(recorder.lost, tap))
+        self._taps.append((tap, end))
 
     def _tap(self, topic: FoundTopic) -> Tap:
         codec = self._settings.compression
@@ -252,28 +186,13 @@ class Recorder(ReportingNode):
             encode = message_encoder(topic.name, topic.kind)
         return Tap(topic.name, encode, topic.offered)
 
-    def _listen(self, tap: Tap, kind: Any, qos: QoSProfile, recorder: BagRecorder) -> Input:
-        end = Input(lambda given: partial(self._on_message, tap, given))
-        self.connect_counting(end, kind, tap.topic, qos, partial(recorder.lost, tap))
-        return end
-
-    def _replaced(self, tap: Tap, before: Input) -> None:
-        self._count_pushed_out_of(tap, before)
-        del self._pushed_out[tap.topic]
-        self.disconnect_input(before)
-        text = "is recorded best effort from now on, as a new publisher offers no more"
-        self.get_logger().warning(f"{tap.topic}: {text}; messages of this moment may be missing")
-
     def _count_pushed_out(self) -> None:
         """Of frames of the same container the middleware knows no losses."""
-        for tap, end in self._taps.values():
-            self._count_pushed_out_of(tap, end)
-
-    def _count_pushed_out_of(self, tap: Tap, end: Input) -> None:
-        new = end.dropped - self._pushed_out[tap.topic]
-        if new and self._recorder is not None:
-            self._pushed_out[tap.topic] += new
-            self._recorder.lost(tap, new)
+        for tap, end in self._taps:
+            new = end.dropped - self._pushed_out[tap.topic]
+            if new and self._recorder is not None:
+                self._pushed_out[tap.topic] += new
+                self._recorder.lost(tap, new)
 
     def _on_message(self, tap: Tap, given: Given) -> None:
         message = given.message
@@ -295,10 +214,10 @@ class Recorder(ReportingNode):
         response.success = True
         try:
             if request.data and not self._is_recording():
-                self._stop()
+                self.stop()
                 self._start()
             elif not request.data:
-                self._stop()
+                self.stop()
         except (BagError, BagWriteError) as error:
             response.success = False
             response.message = str(error)
@@ -340,7 +259,7 @@ class Recorder(ReportingNode):
         state = progress.state if progress is not None else None
         if progress is not None and state is not self._reported:
             if state is RecorderState.FAILED:
-                self._stop()
+                self.stop()
                 self.get_logger().error(f"recording ended: {progress.problem}")
             elif state is RecorderState.FINISHED:
                 self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")

@@ -247,7 +247,7 @@ class Replay(ReportingNode):
 
     def _fits_sensor(self, message: RecordedFrame) -> bool:
         height, width = message.image.shape[:2]
-        return (width, height) == (self._sensor.image.width, self._sensor.image.height)
+        return (width, height) == self._sensor.frame_size
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         player = self._require_player()

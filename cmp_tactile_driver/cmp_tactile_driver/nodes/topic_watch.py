@@ -49,43 +49,39 @@ class TopicWatch:
             for item in wanted
         ]
         self._own = node.get_fully_qualified_name() + "/"
-        self._found: dict[str, QoSProfile] = {}
+        self._found: set[str] = set()
         self._compressed_since: dict[str, float] = {}
 
     @property
     def missing(self) -> list[str]:
         """Names, without patterns, that nobody has published yet."""
         names = [item for item in self._wanted if "*" not in item]
-        return [item for item in names if not self._found.keys() & {item, item + COMPRESSED}]
+        return [item for item in names if not self._found & {item, item + COMPRESSED}]
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all are found, and none by a pattern may come."""
+        return not self.missing and not any("*" in item for item in self._wanted)
 
     def forget(self) -> None:
         """Find all of them again."""
         self._found.clear()
 
     def new_topics(self) -> list[FoundTopic]:
-        """Those that were not found before, or have got a first publisher that is best effort.
-
-        A reliable subscription gets nothing of that, one with the new `qos` hears all.
-        """
-        found = []
+        """Those that somebody publishes, and that were not found before."""
         kinds_of = dict(self._node.get_topic_names_and_types())
         in_place = self._compressed_alone(kinds_of)
+        found = []
         for name, kinds in kinds_of.items():
-            if name.startswith(self._own):
-                continue
-            if not any(fnmatchcase(name, item) for item in (*self._wanted, *in_place)):
+            is_wanted = any(fnmatchcase(name, item) for item in (*self._wanted, *in_place))
+            if not is_wanted or name in self._found or name.startswith(self._own):
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
-            if not publishers:
-                continue
-            profiles = [item.qos_profile for item in publishers]
-            known = self._found.get(name)
-            qos = _matching_qos([*profiles, known] if known else profiles)
-            if known is None or qos.reliability != known.reliability:
-                self._found[name] = qos
-                offered = tuple(_recorded_qos(item) for item in profiles)
-                instead_of = in_place.get(name, "")
-                found.append(FoundTopic(name, kinds[0], qos, offered, instead_of))
+            if publishers:
+                self._found.add(name)
+                offered = [item.qos_profile for item in publishers]
+                qos, profiles = _matching_qos(offered), tuple(map(_recorded_qos, offered))
+                found.append(FoundTopic(name, kinds[0], qos, profiles, in_place.get(name, "")))
         return found
 
     def _compressed_alone(self, kinds_of: dict[str, list[str]]) -> dict[str, str]:

@@ -90,7 +90,7 @@ class SourceOptions:
     @property
     def frame_size(self) -> ImageSize:
         """The size that every frame must have."""
-        return self.sensor.image.width, self.sensor.image.height
+        return self.sensor.frame_size
 
 
 class FrameSource(Protocol):

@@ -12,7 +12,8 @@ from linuxpy.video import device as v4l2
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
-from cmp_tactile_driver.v4l2.devices import CameraControls, VideoDevice, device_error
+from cmp_tactile_driver.v4l2.controls import CameraControls
+from cmp_tactile_driver.v4l2.devices import VideoDevice, device_error
 
 AUTO = "auto"
 PREFERENCE = ("GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
@@ -22,17 +23,12 @@ RATE_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
-class ModeRequest:
-    """What is wanted.  pixel_format: four characters or `auto`.  rate: Hz, 0 for the fastest."""
-
-    pixel_format: str
-    size: ImageSize
-    rate: float
-
-
-@dataclass(frozen=True)
 class Mode:
-    """What is chosen.  rate: Hz, 0 where the camera does not say which it can do."""
+    """What is wanted, or what is chosen.
+
+    pixel_format: four characters; what is wanted may be `auto`.  rate: Hz; 0 where the fastest is
+    wanted, and where the camera does not say which it can do.
+    """
 
     pixel_format: str
     size: ImageSize
@@ -61,7 +57,7 @@ class _Rates:
         return not self.ranges or any(a - slack <= rate <= b + slack for a, b in self.ranges)
 
 
-def choose_mode(device: Any, request: ModeRequest) -> Mode:
+def choose_mode(device: Any, request: Mode) -> Mode:
     """The mode of an open linuxpy Device that is closest to what is wanted.
 
     Raises FrameSourceError naming parameter, what was found and all that the camera can do.
@@ -173,7 +169,7 @@ class Buffer:
 class V4L2Camera:
     """An open camera; gives buffers between `start` and `stop`."""
 
-    def __init__(self, found: VideoDevice, request: ModeRequest, buffers: int) -> None:
+    def __init__(self, found: VideoDevice, request: Mode, buffers: int) -> None:
         """Raises FrameSourceError where the device cannot be opened or cannot do what is asked."""
         self.found = found
         self._device = v4l2.Device(found.path)

@@ -2,46 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame
-from cmp_tactile_driver.v4l2.devices import CameraControls, Control, ControlKind, ControlValue
+from cmp_tactile_driver.v4l2.controls import Control, ControlKind, ControlValue
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.parameters import declare_checked
 
+if TYPE_CHECKING:
+    from cmp_tactile_driver.v4l2.pair import CameraPair
+    from cmp_tactile_driver.v4l2.source import V4L2Source
+
 PREFIX = "controls."
-
-
-class ControlledSource(Protocol):
-    """A source of frames of a camera, or two, with controls."""
-
-    @property
-    def name(self) -> str:
-        """What messages about the source begin with."""
-
-    when_settled: Callable[[], object]
-
-    @property
-    def refused_controls(self) -> str:
-        """Controls that the camera keeps otherwise than asked for, in words."""
-
-    @property
-    def diagnostics(self) -> Mapping[str, object]:
-        """Figures of the camera."""
-
-    def controls(self) -> CameraControls:
-        """The controls that the camera has."""
-
-    def set_controls(self, values: Mapping[str, ControlValue]) -> None:
-        """Set controls; raises FrameSourceError for one that cannot be set."""
-
-    def keep_controls(self) -> Mapping[str, ControlValue]:
-        """The values that the camera has now, which it gets again when it comes back."""
 
 
 class ControlParameters:
@@ -53,7 +30,7 @@ class ControlParameters:
     keeps other values than were set.
     """
 
-    def __init__(self, node: Any, source: ControlledSource) -> None:
+    def __init__(self, node: Any, source: V4L2Source | CameraPair) -> None:
         self._node = node
         self._source = source
         self._following = False

@@ -78,7 +78,7 @@ def record(ros: Any, bags: Any, bag: Path, compression: str) -> tuple[list[np.nd
         publisher.publish(image)
         ros.run(0.01)
     ros.wait(lambda: sum(node.progress.messages.values()) == COUNT, "all frames")
-    node._stop()
+    node.stop()
     ros.node.destroy_publisher(publisher)
     return frames, stamps
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from mcap.reader import make_reader
 from rosbags.interfaces import (
     Qos,
@@ -217,16 +216,6 @@ def test_of_a_chunk_that_is_cut_what_is_there_is_read(tmp_path, bags, compressed
     reader = BagReader(bag)
     assert [frame.time_ns for frame in reader.frames()] == times[:2]
     assert "2 of 3 messages read, the rest is lost" in reader.loss
-
-
-@pytest.mark.parametrize("distribution", ["jazzy", ""])
-def test_the_metadata_name_the_distribution_that_is_sourced(tmp_path, monkeypatch, distribution):
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
-    if distribution:
-        monkeypatch.setenv("ROS_DISTRO", distribution)
-    BagWriter(tmp_path / "bag").close()
-    metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text(encoding="utf-8"))
-    assert metadata["rosbag2_bagfile_information"]["ros_distro"] == distribution
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path):

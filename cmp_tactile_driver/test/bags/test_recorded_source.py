@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_driver.bags.recording import bag_source, image_source
+from cmp_tactile_driver.bags.recording import recorded_source
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions
 
@@ -22,7 +22,7 @@ def image_bag(tmp_path, bags, frames):
 
 
 def test_frames_of_a_bag_come_in_order_at_the_recorded_rate(image_bag, small_sensor, frames):
-    source = bag_source(SourceOptions(str(image_bag), small_sensor))
+    source = recorded_source(SourceOptions(str(image_bag), small_sensor))
     assert source.frame_rate == pytest.approx(20.0)
     for frame in frames:
         read = source.read()
@@ -35,7 +35,7 @@ def test_frames_of_a_bag_come_in_order_at_the_recorded_rate(image_bag, small_sen
 
 
 def test_a_bag_begins_again_and_goes_on_counting(image_bag, small_sensor, frames):
-    source = bag_source(SourceOptions(str(image_bag), small_sensor, 50.0, loop=True))
+    source = recorded_source(SourceOptions(str(image_bag), small_sensor, 50.0, loop=True))
     assert source.frame_rate == 50.0
     read = [source.read().image for _ in range(2 * len(frames))]
     assert np.array_equal(read[len(frames)], frames[0])
@@ -44,7 +44,7 @@ def test_a_bag_begins_again_and_goes_on_counting(image_bag, small_sensor, frames
 
 def test_images_begin_again_and_go_on_counting(image_folder, small_sensor, frames):
     (image_folder / "0.png").write_bytes(b"")
-    source = image_source(SourceOptions(str(image_folder), small_sensor, loop=True))
+    source = recorded_source(SourceOptions(str(image_folder), small_sensor, loop=True))
     assert source.frame_rate == 30.0
     read = [source.read().image for _ in range(2 * (len(frames) - 1))]
     assert all(np.array_equal(a, b) for a, b in zip(read, 2 * frames[1:], strict=True))
@@ -53,13 +53,13 @@ def test_images_begin_again_and_go_on_counting(image_folder, small_sensor, frame
 
 def test_a_bag_of_another_camera_is_refused(frame_bag, small_sensor):
     with pytest.raises(FrameSourceError, match=r"bag: /rig/camera_info: K: found .*, expected"):
-        bag_source(SourceOptions(str(frame_bag), small_sensor))
+        recorded_source(SourceOptions(str(frame_bag), small_sensor))
 
 
 def test_a_bag_without_frames_of_the_size_is_refused(image_bag, small_sensor):
     image = replace(small_sensor.image, width=100)
     sensor = replace(small_sensor, image=image)
     with pytest.raises(FrameSourceError, match=r"no frame can be used: .*expected 100 x 48 px"):
-        bag_source(SourceOptions(str(image_bag), sensor))
+        recorded_source(SourceOptions(str(image_bag), sensor))
     with pytest.raises(FrameSourceError, match="nowhere"):
-        bag_source(SourceOptions("/nowhere/bag", sensor))
+        recorded_source(SourceOptions("/nowhere/bag", sensor))

@@ -131,7 +131,7 @@ def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
     _start(ros, folder)
     assert _state(ros) == "unconfigured"
     ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
-    assert f"{folder}: found no such folder" in reports.last.message
+    assert f"{folder}: found no such file or folder" in reports.last.message
     folder.mkdir()
     cv2.imwrite(str(folder / "0.png"), bags.frames(1, 768, 1024)[0])
     images = ros.listen(Image, "image_raw")

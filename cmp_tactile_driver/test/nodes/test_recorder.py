@@ -82,7 +82,7 @@ def test_frames_come_back_bit_by_bit(ros, output, bags, compression):
     node = ros.start(Recorder, output=str(output), compression=compression)
     before = time.time_ns()
     recorded(ros, node, publisher, [image(f, t) for f, t in zip(frames, times, strict=True)])
-    node._stop()
+    node.stop()
     reader = BagReader(output)
     compressed = "/compressed" if compression == "png" else ""
     assert reader.image_topic == f"{ros.namespace}/image_raw{compressed}"
@@ -106,7 +106,7 @@ def test_colours_by_png_and_other_encodings_as_they_are(ros, output):
     node = ros.start(Recorder, output=str(output), compression="png")
     messages = [image(colours, 1, "bgr8"), image(colours, 2, "rgb8"), image(yuyv, 3, "yuv422_yuy2")]
     recorded(ros, node, publisher, messages)
-    node._stop()
+    node.stop()
     topic = f"{ros.namespace}/image_raw"
     with Reader(output) as reader:
         stored = {c.topic: [] for c in reader.connections}
@@ -141,7 +141,7 @@ def test_other_topics_latched_ones_and_patterns(ros, output):
         message.wrench.force.z = -1.5
         publisher.publish(message)
     ros.wait(lambda: len(node.progress.messages) == 3, "a message of each")
-    node._stop()
+    node.stop()
     with Reader(output) as reader:
         found = {c.topic: (c, data) for c, _, data in reader.messages()}
     below = {f"{ros.namespace}/{name}" for name in ("wrench", "truth/wrench")}
@@ -150,25 +150,6 @@ def test_other_topics_latched_ones_and_patterns(ros, output):
     connection, data = found[f"{ros.namespace}/wrench"]
     assert connection.ext.offered_qos_profiles[0].reliability.name == "BEST_EFFORT"
     assert STORE.deserialize_cdr(data, connection.msgtype).wrench.force.z == -1.5
-
-
-def test_a_best_effort_publisher_that_comes_later_is_recorded_with_the_reliable_one(ros, output):
-    reliable = ros.node.create_publisher(WrenchStamped, "wrench", 10)
-    node = ros.start(Recorder, output=str(output), topics="wrench")
-    recorded(ros, node, reliable, [WrenchStamped()])
-    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    later = ros.node.create_publisher(WrenchStamped, "wrench", best_effort)
-    ros.wait(lambda: later.get_subscription_count() == 1, "the recorder's new subscription")
-    ros.wait(lambda: reliable.get_subscription_count() == 1, "the end of the old one")
-    recorded(ros, node, later, [WrenchStamped()])
-    recorded(ros, node, reliable, [WrenchStamped()])
-
-    def reliabilities():
-        return [end.qos_profile.reliability for end in node.subscriptions]
-
-    ros.wait(lambda: reliabilities() == [ReliabilityPolicy.BEST_EFFORT], "one subscription")
-    node._stop()
-    assert node.progress.messages == {f"{ros.namespace}/wrench": 3}
 
 
 def test_a_middleware_that_reports_no_losses_is_recorded_from(ros, output, monkeypatch):
@@ -216,7 +197,7 @@ def test_a_type_that_cannot_be_used_here_is_named_and_the_rest_is_recorded(
     publisher = ros.node.create_publisher(WrenchStamped, "b", 10)
     node = ros.start(Recorder, output=str(output), topics="a b")
     recorded(ros, node, publisher, [WrenchStamped()])
-    node._stop()
+    node.stop()
     assert capfd.readouterr().err.count("/a: is not recorded: geometry_msgs/msg/Transform") == 1
 
 
@@ -242,14 +223,14 @@ def test_start_stop_split_and_status(ros, output, bags):
     assert len(list(BagReader(output).frames())) == 6
     answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
     assert answer.message == f"recording: {output}_2"
-    node._stop()
+    node.stop()
 
 
 def test_sensor_description_lies_beside_the_bag(ros, output):
-    ros.start(Recorder, output=str(output), sensor_name="thumb")._stop()
+    ros.start(Recorder, output=str(output), sensor_name="thumb").stop()
     assert load_sensor(str(output / "sensor.yaml")).name == "thumb"
     other = output.with_name("other")
-    ros.start(Recorder, name="second", output=str(other))._stop()
+    ros.start(Recorder, name="second", output=str(other)).stop()
     packaged = find_sensor_description("sample_rig").read_bytes()
     assert (other / "sensor.yaml").read_bytes() == packaged
 
@@ -269,7 +250,7 @@ def test_log_times_are_those_of_a_simulated_clock(ros, output):
     ros.wait(wrenches.get_subscription_count, "the recorder's subscription")
     wrenches.publish(WrenchStamped())
     ros.wait(lambda: sum(node.progress.messages.values()) == 2, "both")
-    node._stop()
+    node.stop()
     assert {m.time_ns for m in open_storage(output).messages([f"{ros.namespace}/wrench"])} == {
         7 * 10**9
     }
@@ -337,7 +318,7 @@ def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, ba
     recorded(ros, node, publisher, messages)
     assert node.missing_topics == []
     assert [item.get_subscription_count() for item in both] == [1, 0]
-    node._stop()
+    node.stop()
     assert capfd.readouterr().err.count("image_raw/compressed is recorded in its place") == 1
     back = list(BagReader(output).frames())
     assert [frame.stamp_ns for frame in back] == times

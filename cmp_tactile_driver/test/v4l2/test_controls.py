@@ -9,7 +9,7 @@ from linuxpy.video import device as v4l2
 from linuxpy.video import raw
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.v4l2.devices import CameraControls, ControlKind
+from cmp_tactile_driver.v4l2.controls import CameraControls, ControlKind
 
 
 @pytest.fixture

@@ -22,6 +22,8 @@ from cmp_tactile_processing.cache import files
 LOGGER = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[np.float64]]
+# What reading a damaged, stale or foreign file raises.
+UNUSABLE = (OSError, EOFError, ValueError, KeyError, MemoryError, zipfile.BadZipFile)
 
 
 def cached_arrays(
@@ -50,13 +52,13 @@ def cached_arrays(
         return _read(path, shapes)
     except (FileNotFoundError, PermissionError):
         pass  # where it cannot be written either, that is reported below
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except UNUSABLE as error:
         LOGGER.warning("%s: cannot be used, is built again: %s", path, error)
     with ExitStack() as until_written:
         with suppress(OSError):
             until_written.enter_context(files.locked(path.with_suffix(".lock")))
         # Another process may have built it while this one waited.
-        with suppress(OSError, ValueError, KeyError, zipfile.BadZipFile):
+        with suppress(*UNUSABLE):
             return _read(path, shapes)
         arrays = build()
         try:
@@ -70,33 +72,18 @@ def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Arrays:
     with path.open("rb") as file:
         if reason := files.why_foreign(os.fstat(file.fileno())):
             raise ValueError(reason)
-        archive = zipfile.ZipFile(file)
-        return {name: _read_array(archive, name, shape) for name, shape in shapes.items()}
-
-
-def _read_array(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """One array; its header is compared before any memory is allocated for it."""
-    with archive.open(f"{name}.npy") as member:
-        version = np.lib.format.read_magic(member)
-        if version != (1, 0):
-            msg = f"{name}: found npy version {version}, expected (1, 0)"
+        with np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in shapes}
+    for name, array in arrays.items():
+        if (array.shape, array.dtype) != (shapes[name], np.dtype(np.float64)):
+            msg = f"{name}: found {array.dtype} {array.shape}, expected float64 {shapes[name]}"
             raise ValueError(msg)
-        found, fortran, dtype = np.lib.format.read_array_header_1_0(member)
-        if (found, fortran, dtype) != (shape, False, np.dtype(np.float64)):
-            msg = f"{name}: found {dtype} {found}, expected float64 {shape}"
+        if not np.isfinite(array).all():
+            msg = f"{name}: found values that are not finite"
             raise ValueError(msg)
-        data = member.read()  # to the end, so that the archive's checksum is compared
-    array = np.frombuffer(data, dtype=np.float64).reshape(shape)
-    if not np.isfinite(array).all():
-        msg = f"{name}: found values that are not finite"
-        raise ValueError(msg)
-    return array
+    return arrays
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    with files.atomic_path(path, 0o600) as beside, zipfile.ZipFile(beside, "w") as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(
-                    member, np.ascontiguousarray(array), (1, 0), allow_pickle=False
-                )
+    with files.atomic_path(path, 0o600) as beside, beside.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type,unused-ignore]

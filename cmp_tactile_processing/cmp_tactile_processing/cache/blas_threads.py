@@ -21,29 +21,21 @@ class _Limit:
 
     def __init__(self) -> None:
         # Finding the libraries takes milliseconds, limiting those that were found microseconds.
-        controller = ThreadpoolController().select(user_api="blas")
-        self._libraries = controller.lib_controllers
-        self._before = [1] * len(self._libraries)
+        self._controller = ThreadpoolController().select(user_api="blas")
         self._lock = Lock()
         self._inside = 0
 
     def enter(self) -> None:
         with self._lock:
             if not self._inside:
-                self._before = [library.num_threads for library in self._libraries]
-                self._allow([1] * len(self._before))
+                self._limited = self._controller.limit(limits=1)
             self._inside += 1
 
     def leave(self) -> None:
         with self._lock:
             self._inside -= 1
             if not self._inside:
-                self._allow(self._before)
-
-    def _allow(self, counts: list[int]) -> None:
-        for library, count in zip(self._libraries, counts, strict=True):
-            if count != library.num_threads:
-                library.set_num_threads(count)
+                self._limited.restore_original_limits()
 
 
 @cache

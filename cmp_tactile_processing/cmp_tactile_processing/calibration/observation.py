@@ -72,7 +72,7 @@ def track_frames(
         raise CalibrationError(msg)
     for number, frame in enumerate(frames):
         name = f"frame {number + 1} of {len(frames)}"
-        check_image(frame, sensor.image.width, sensor.image.height, name)
+        check_image(frame, *sensor.frame_size, name)
     grids: dict[str, list[Grid]] = {}
     views = build_views(sensor)
     total = len(views) * len(frames)

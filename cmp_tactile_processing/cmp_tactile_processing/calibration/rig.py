@@ -119,11 +119,6 @@ class RigParameters:
         """Names of the free parameters, in the order of the vector."""
         return tuple(item.name for item in self.free)
 
-    def sensor(self, changes: NDArray[np.float64]) -> SensorDescription:
-        """The description with the free parameters changed by (n,)."""
-        values = [float(value) for value in changes]
-        return self.changed(dict(zip(self.names, values, strict=True)))
-
     def estimates(self, fit: MapFit) -> tuple[Estimate, ...]:
         """All values before and after, of a fit of the free ones."""
         found = {
@@ -139,13 +134,10 @@ class RigParameters:
         sensor = self.sensor(changes)
         return {name: described_view(sensor, name) for name in sensor.views}
 
-    def changed(self, changes: Mapping[str, float]) -> SensorDescription:
-        """The description with the parameters of these names changed."""
+    def sensor(self, values: NDArray[np.float64]) -> SensorDescription:
+        """The description with the free parameters changed by (n,)."""
+        changes = dict(zip(self.names, values.tolist(), strict=True))
         sensor = self._sensor
-        unknown = set(changes) - {item.name for item in self.all}
-        if unknown:
-            msg = f"{sensor.name}: found no optical value named {', '.join(sorted(unknown))}"
-            raise KeyError(msg)
         optics = sensor.optics
         if optics.T_camera_gel is not None:
             optics = replace(optics, T_camera_gel=_moved(optics.T_camera_gel, "gel", changes))

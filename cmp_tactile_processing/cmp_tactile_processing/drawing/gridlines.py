@@ -8,7 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured import Grid, GridFault, Status
+from cmp_tactile_processing.measured import (
+    Grid,
+    GridFault,
+    NumberingKind,
+    Status,
+    gridline_points,
+)
 
 # BGR.
 ROW_COLOUR = (80, 200, 255)
@@ -40,8 +46,8 @@ def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
     if image.ndim == 2:
         image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR).astype(np.uint8, copy=False)
     canvas: NDArray[np.uint8] = image.copy()
-    rows = _chains(grid.corners, grid.row_lines)
-    cols = _chains(grid.corners.swapaxes(0, 1), grid.col_lines.swapaxes(0, 1))
+    rows = gridline_points(grid.corners, grid.row_lines)
+    cols = gridline_points(grid.corners.swapaxes(0, 1), grid.col_lines.swapaxes(0, 1))
     _draw_lines(canvas, rows, ROW_COLOUR)
     _draw_lines(canvas, cols, COL_COLOUR)
     cv2.addWeighted(canvas, LINE_OPACITY, image, 1 - LINE_OPACITY, 0.0, dst=canvas)
@@ -53,13 +59,6 @@ def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:
     _draw_ring(canvas, grid.corners[0, :1], ORIGIN_COLOUR)
     _write(canvas, grid)
     return canvas
-
-
-def _chains(corners: NDArray[np.float64], between: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points along each line in order, (lines, points, 2): a corner, its virtual markers, ..."""
-    lines, last = corners.shape[0], corners[:, -1:]
-    segments = np.concatenate([corners[:, :-1, None], between], axis=2)
-    return np.concatenate([segments.reshape(lines, -1, 2), last], axis=1)
 
 
 def _absent_corners(corners: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -140,6 +139,8 @@ def _write(canvas: NDArray[np.uint8], grid: Grid) -> None:
     state = [f"{measured} of {grid.corner_status.size} corners"]
     state += [f"confidence {grid.confidence:.2f}"] if np.isfinite(grid.confidence) else []
     state += ["followed"] if grid.followed else []
+    relative = grid.numbering is NumberingKind.RELATIVE
+    state += ["relative numbers"] if relative else []
     trouble = grid.reason
     if grid.fault is not GridFault.NONE:
         trouble = f"{grid.fault.value}: {trouble}"

@@ -44,6 +44,8 @@ TALLEST = 1.3
 
 # More force nodes than these add cost but no resolution: the markers' noise hides such detail.
 MAX_NODES = 20
+# The response of the markers to the nodes is kept whole: 104 MB for so many.
+MAX_MARKERS = 60 * 60
 
 Progress = Callable[[str, float], None]
 
@@ -104,8 +106,17 @@ class ElasticProblem:
 
     @classmethod
     def from_sensor(cls, sensor: SensorDescription) -> ElasticProblem:
-        """The problem that a sensor poses; GeometryError where its block cannot be meshed."""
+        """The problem that a sensor poses.
+
+        Raises GeometryError where its block cannot be meshed, or has too many markers.
+        """
         pattern, elastomer = sensor.pattern, sensor.elastomer
+        if pattern.rows * pattern.cols > MAX_MARKERS:
+            msg = (
+                f"{sensor.origin}: pattern.rows, pattern.cols: found {pattern.rows} x "
+                f"{pattern.cols}, expected at most {MAX_MARKERS} corners where forces are wanted"
+            )
+            raise GeometryError(msg)
         extent = (pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch
         geometry = BlockGeometry.from_sensor(sensor)
         nodes = SurfaceGrid(min(pattern.rows, MAX_NODES), min(pattern.cols, MAX_NODES), extent)

@@ -19,7 +19,8 @@ ADVICE: dict[ForceFlag, str] = {
         "load nor those of its part on the markers; move the contact onto the markers"
     ),
     ForceFlag.HIDDEN_CONTACT: (
-        "markers under a contact are not seen: the force there is inferred from those around it"
+        "markers under a contact or beside it are not seen: the force there is inferred from those "
+        "around it"
     ),
     ForceFlag.NO_DEPTH: (
         "running without depth: the normal force is inferred from how the markers spread; seen "

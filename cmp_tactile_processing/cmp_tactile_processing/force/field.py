@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.ndimage import binary_dilation
 
 from cmp_tactile_processing.elastic.model import ElasticModel
 from cmp_tactile_processing.force.contact_regions import (
@@ -26,7 +27,8 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-# Share of the markers under a contact that may be missing before it is reported.
+# Share of the markers under a contact, or of those around it, that may be missing before it is
+# reported.
 HIDDEN_SHARE = 0.2
 # The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
 POOR_SHARE, POOR_NOISE = 0.2, 3.0
@@ -215,6 +217,8 @@ class FieldBuilder:
             flags |= ForceFlag.NO_DEPTH
         if self._hidden(contacts, measured.known):
             flags |= ForceFlag.HIDDEN_CONTACT
+            if self._sensor.pattern.border == "beyond_view":
+                flags |= ForceFlag.AT_BORDER
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
         left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
         if left > POOR_NOISE and left > POOR_SHARE * whole:
@@ -227,10 +231,19 @@ class FieldBuilder:
         return solution.loaded and bool((bearing & self._regions.border).any())
 
     def _hidden(self, contacts: tuple[Contact, ...], known: Mask) -> bool:
+        """Whether much of a contact is hidden, or of what is around it: it may be larger."""
         if known.all():
             return False
         seen = self._to_nodes @ known.reshape(-1, 3).any(axis=1).astype(np.float64)
-        return any(float(seen[item.nodes].mean()) < 1 - HIDDEN_SHARE for item in contacts)
+        nodes = self._elastic.nodes
+        for item in contacts:
+            inside = np.zeros((nodes.rows, nodes.cols), dtype=bool)
+            inside.ravel()[item.nodes] = True
+            around = binary_dilation(inside, np.ones((3, 3))) & ~inside
+            for part in (inside, around):
+                if part.any() and float(seen[part.ravel()].mean()) < 1 - HIDDEN_SHARE:
+                    return True
+        return False
 
     def _new_field(self, **values: object) -> ForceField:
         elastomer, nodes = self._sensor.elastomer, self._elastic.nodes

@@ -33,14 +33,15 @@ class Measurements(NamedTuple):
 class Whitening:
     """Displacements of one sensor's markers in units of their noise, and back.
 
-    noise (3 markers,) m; depth_seen: whether more than one view shows how deep markers are.
+    noise (3 markers,) m; depth_seen: whether more than one view, or whatever
+    measures the markers of a sensor without views, shows how deep they are.
     """
 
     def __init__(self, sensor: SensorDescription, markers: SurfaceGrid) -> None:
         parameters = sensor.force
         one = (parameters.noise_in_plane, parameters.noise_in_plane, parameters.noise_depth)
         self.noise = np.tile(one, markers.rows * markers.cols)
-        self.depth_seen = len(sensor.views) > 1
+        self.depth_seen = len(sensor.views) != 1
         self._sensor = sensor
         self._shape = markers.rows, markers.cols
 

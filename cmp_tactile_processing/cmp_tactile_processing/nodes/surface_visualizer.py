@@ -6,8 +6,6 @@ import sys
 from contextlib import suppress
 from dataclasses import dataclass
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
@@ -24,19 +22,14 @@ from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz import drawing
 from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
-from cmp_tactile_processing.ros.waiting_frames import StampPairing
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 
 # As long as the end of the node waits for its viewers.
 FAREWELL = Duration(seconds=0.2)
-# A frame's force comes tens of milliseconds after its surface.  One that is so late, in seconds,
-# is not waited for, and of frames that wait, no more than so many are kept.
-PATIENCE_S = 1.0
-MOST_WAITING = 120
-SIDES = ("surface", "force_field")
-PARTNERS = dict(zip(SIDES, reversed(SIDES), strict=True))
+# What came of the other topic is drawn beside the newest message for so long, by their stamps.
+KEPT_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -45,6 +38,11 @@ class Shown:
 
     value: Surface | ForceField
     header: Header
+
+    @property
+    def stamp_ns(self) -> int:
+        """Of its frame."""
+        return reading.stamp_ns(self.header.stamp)
 
 
 @dataclass(frozen=True)
@@ -74,11 +72,10 @@ class SurfaceVisualizer(StageNode):
     at the centre of pressure), `moment` (about the centre of pressure) and `contact_text` (normal
     force and its standard deviation, area, slip state).  Those of a contact have the colour of its
     slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
-    blue where that is not known.  Ids are 0, but for the texts, which have one for each line: 0 to
-    23, three for each of the up to 8 strongest contacts, 1 to 6 of the legend.  What has nothing
-    to show is deleted: without contact no arrow is drawn.  Surface and force of one frame are one
-    message: a surface waits for its force, but not where nobody publishes one, nor longer than a
-    second.  Markers that are not drawn again vanish after `lifetime`, all when the node ends.
+    blue where that is not known.  Ids are 0, but for the texts, which have one for each line.
+    Each message begins with DELETEALL and has all that is to be seen: the newest surface, and the
+    newest force unless it is more than a second older or newer.  Markers that are not drawn again
+    vanish after `lifetime`, all when the node ends.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
     Its parameters may be set while it runs; what is shown is then drawn again at once.
     """
@@ -90,19 +87,13 @@ class SurfaceVisualizer(StageNode):
         with suppress(Exception):  # half built, or ROS has ended
             if self.context.ok() and self._anybody_looks():
                 header = header_at(self.get_clock().now().to_msg(), gel_frame(self.sensor))
-                self._marker_publisher.publish(drawing.delete_all(header))
+                self._marker_publisher.publish(drawing.marker_array_bytes([], header))
                 self._marker_publisher.wait_for_all_acked(FAREWELL)
         super().destroy_node()
 
     def _set_up(self) -> None:
-        self._pairing = StampPairing(SIDES, MOST_WAITING)
-        # What is on show, and the newest that waits for its partner: of one frame each.
+        # The newest of each topic, what came last at the end.
         self._shown: dict[str, Shown] = {}
-        self._waits: dict[str, Shown] = {}
-        self._alone = False
-        # Steady: a paused simulation clock must not stop it.
-        clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._patience = self.create_timer(PATIENCE_S, self._give_up, clock=clock, autostart=False)
         self._look = StageParameters(self, MarkerParameters(), self._draw_again)
         self._rate = drawing.DrawingRate(self, self._draw, self._look.value.max_rate)
         self._dense = StageParameters(self, DenseParameters(), self._prepare)
@@ -139,7 +130,7 @@ class SurfaceVisualizer(StageNode):
 
     def _on_surface(self, surface: Surface | None, header: Header) -> None:
         if surface is None:
-            self._forget_all()
+            self._shown = {}
             return
         reading.check_shape(surface.shape, self.sensor.pattern.shape)
         self._show("surface", Shown(surface, header))
@@ -160,43 +151,14 @@ class SurfaceVisualizer(StageNode):
         return self._marker_publisher.get_subscription_count() > 0
 
     def _start_again(self, topic: str) -> None:
-        # What waits there may have the stamp of a frame that is still to come.
-        self._pairing.forget(topic)
+        self._shown.pop(topic, None)
 
     def _show(self, topic: str, shown: Shown) -> None:
-        """Draw a frame when both of its messages are there, and one alone where that is all."""
         if not self._anybody_looks():
-            self._forget_all()
+            self._shown = {}
             return
-        pair = self._pairing.add(topic, reading.stamp_ns(shown.header.stamp), shown)
-        if pair is not None:
-            self._alone = False
-            self._patience.reset()
-            if any(waiting.header.stamp == shown.header.stamp for waiting in self._waits.values()):
-                self._waits = {}
-            self._show_frame(dict(zip(SIDES, pair, strict=True)))
-        elif self._alone or not self.count_publishers(self.resolve_topic_name(PARTNERS[topic])):
-            self._show_frame({topic: shown})
-        else:
-            self._waits = {topic: shown}
-            if self._patience.is_canceled():
-                self._patience.reset()
-
-    def _give_up(self) -> None:
-        """No pair came for a while: what comes is drawn alone until one does."""
-        self._patience.cancel()
-        if self._waits:
-            self._alone = True
-            self._show_frame(self._waits)
-            self._waits = {}
-
-    def _forget_all(self) -> None:
-        for side in SIDES:
-            self._pairing.forget(side)
-        self._shown, self._waits, self._alone = {}, {}, False
-
-    def _show_frame(self, frame: dict[str, Shown]) -> None:
-        self._shown = frame
+        self._shown.pop(topic, None)
+        self._shown[topic] = shown
         self._rate.request()
 
     def _draw_again(self, look: MarkerParameters) -> None:
@@ -205,18 +167,20 @@ class SurfaceVisualizer(StageNode):
             self._rate.request()
 
     def _draw(self) -> None:
-        if not self._anybody_looks():
+        if not (self._shown and self._anybody_looks()):
             return
+        newest = next(reversed(self._shown.values()))
         markers: list[drawing.DrawnMarker] = []
         for topic, shown in self._shown.items():
-            # What cannot be drawn is reported as a message that cannot be used.
-            name = self.resolve_topic_name(topic)
-            self._run_guarded(name, lambda each: markers.extend(self._markers(each)), shown)
+            if abs(shown.stamp_ns - newest.stamp_ns) <= KEPT_NS:
+                # What cannot be drawn is reported as a message that cannot be used.
+                name = self.resolve_topic_name(topic)
+                self._run_guarded(name, lambda each: markers.extend(self._markers(each)), shown)
         if markers:
-            header = next(iter(self._shown.values())).header
             lifetime = self._look.value.lifetime
-            self._marker_publisher.publish(drawing.marker_array_bytes(markers, header, lifetime))
-            self.frame_out(header)
+            data = drawing.marker_array_bytes(markers, newest.header, lifetime)
+            self._marker_publisher.publish(data)
+            self.frame_out(newest.header)
 
     def _markers(self, shown: Shown) -> list[drawing.DrawnMarker]:
         look, value = self._look.value, shown.value

@@ -218,7 +218,7 @@ class ViewSplitter(StageNode):
         return image_from_msg(msg, self.sensor.tracking.grey_weights, self._depth)
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
-        check_image(frame, self.sensor.image.width, self.sensor.image.height, "image")
+        check_image(frame, *self.sensor.frame_size, "image")
         images = [split_frame(frame, view.placement) for view in self._views]
         publish_side_by_side(
             [view.image for view in self._views],

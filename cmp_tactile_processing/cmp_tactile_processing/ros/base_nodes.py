@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -220,7 +219,6 @@ class StageNode(ReportingNode):
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(self.default_name, **node_kwargs)
-        self._warned: dict[str, tuple[float, int]] = {}
         with self.destroyed_on_error():
             self.diagnostics = StageDiagnostics()
             own = declare_parameters(self, SensorParameters())
@@ -318,15 +316,9 @@ class StageNode(ReportingNode):
         self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
 
     def warn(self, topic: str, text: str) -> None:
-        """Log a warning about a topic's messages, once in five seconds at most."""
-        now = time.monotonic()
-        last, silent = self._warned.get(topic, (-WARNING_PERIOD_S, 0))
-        if now - last < WARNING_PERIOD_S:
-            self._warned[topic] = (last, silent + 1)
-            return
-        self._warned[topic] = (now, 0)
-        more = f" ({silent} more bad messages since the last warning)" if silent else ""
-        self.get_logger().warning(f"{topic}: {text}{more}")
+        """Log a warning about a topic's messages, one in five seconds at most."""
+        message = f"{topic}: {text}"
+        self.get_logger().warning(message, throttle_duration_sec=WARNING_PERIOD_S)
 
     def _update_diagnostics(self) -> None:
         """Refresh `diagnostics.extra` before a report; for subclasses."""

@@ -127,12 +127,25 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    if frozenset(threading.enumerate()) - before:
-        # Such as a model that is still being built: it would crash the interpreter as that ends.
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
-    return 0
+    return leave_process(0, before)
+
+
+def leave_process(code: int, threads_before: frozenset[threading.Thread]) -> int:
+    """The exit code, once no thread runs any more that was not there before.
+
+    A constructor or callback that is still busy, or a model that is still being built, would keep
+    the interpreter from ending, or crash it; the process then ends at once.
+    """
+    if frozenset(threading.enumerate()) - threads_before:
+        leave_at_once(code)
+    return code
+
+
+def leave_at_once(code: int) -> None:
+    """End the process without the interpreter's clean-up."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 @contextmanager

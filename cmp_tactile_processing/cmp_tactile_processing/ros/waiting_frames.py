@@ -94,9 +94,6 @@ class StampPairing:
     """
 
     def __init__(self, sides: tuple[str, str], capacity: int = 20) -> None:
-        if capacity < 1:
-            msg = f"capacity: found {capacity}, expected at least 1"
-            raise ValueError(msg)
         self._capacity = capacity
         self._waiting: dict[str, dict[int, Any]] = {side: {} for side in sides}
         self._partner = dict(zip(sides, reversed(sides), strict=True))

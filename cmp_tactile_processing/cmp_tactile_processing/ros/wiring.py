@@ -13,9 +13,9 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cached_property
+from functools import cached_property, partial
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.logging import get_logger
@@ -28,59 +28,32 @@ Info = Mapping[str, Any]
 """Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
 
 
-class Given(Protocol):
-    """What a node gives of one frame.
+class Given:
+    """What a node gives of one frame: a value of the core, and a message that says the same.
 
-    value: as the core has it.  message: what says the same.  header: of the message.  info: of a
-    message that came over DDS.
+    Each is made at its first use.  header: of the message.  info: None where it came by a plain
+    call, not over DDS.
     """
 
-    @property
+    def __init__(
+        self,
+        header: Any,
+        make_value: Callable[[], Any],
+        make_message: Callable[[], Any],
+        info: Info | None = None,
+    ) -> None:
+        self.header, self.info = header, info
+        self._make_value, self._make_message = make_value, make_message
+
+    @cached_property
     def value(self) -> Any:
         """Raises CmpTactileError where a message cannot be used."""
-
-    @property
-    def message(self) -> Any:
-        """Made by the first call."""
-
-    @property
-    def header(self) -> Any:
-        """A std_msgs/Header."""
-
-    @property
-    def info(self) -> Info | None:
-        """None where it came by a plain call."""
-
-
-class Made:
-    """What a stage of this process made; `to_msg` makes the message of value and header."""
-
-    info: Info | None = None
-
-    def __init__(self, value: Any, header: Any, to_msg: Callable[[Any, Any], Any]) -> None:
-        self.value, self.header, self._to_msg = value, header, to_msg
+        return self._make_value()
 
     @cached_property
     def message(self) -> Any:
-        """Made by the first call."""
-        return self._to_msg(self.value, self.header)
-
-
-class Received:
-    """A message that came over DDS; `from_msg` reads it."""
-
-    def __init__(self, message: Any, info: Info | None, from_msg: Callable[[Any], Any]) -> None:
-        self.message, self.info, self._from_msg = message, info, from_msg
-
-    @property
-    def header(self) -> Any:
-        """Of the message."""
-        return self.message.header
-
-    @cached_property
-    def value(self) -> Any:
-        """Read by the first call."""
-        return self._from_msg(self.message)
+        """A message of ROS's own class."""
+        return self._make_message()
 
 
 Finish = Callable[[], None]
@@ -121,7 +94,8 @@ class Input:
 
     def take_message(self, message: Any, info: Info) -> None:
         """The callback of the subscription."""
-        self.take(Received(message, info, self._from_msg))
+        read = partial(self._from_msg, message)
+        self.take(Given(message.header, read, lambda: message, info))
 
     def listen_to_dds(self, wanted: bool) -> None:
         """Look at the subscription from now on, at what is yet to come, or not."""
@@ -206,12 +180,17 @@ class Output:
 
     def publish(self, value: Any, header: Any) -> None:
         """Give away a value, which nobody may change any more; first to the next stage."""
-        given = Made(value, header, self._to_msg)
+        given = self.given(value, header)
         for end in self.ends:
             end.take(given)
-        self._send(given)
+        self.send(given)
 
-    def _send(self, given: Made) -> None:
+    def given(self, value: Any, header: Any) -> Given:
+        """What the ends of this output take."""
+        return Given(header, lambda: value, partial(self._to_msg, value, header))
+
+    def send(self, given: Given) -> None:
+        """Publish the message, where somebody subscribes."""
         if self.is_heard and getattr(self.publisher, "is_activated", True):
             self.publisher.publish(given.message)
 
@@ -226,7 +205,7 @@ def publish_side_by_side(
 ) -> None:
     """Publish a value of each output; what they begin runs at once, and is finished in order."""
     given = [
-        Made(value, header, output._to_msg)  # noqa: SLF001  of the same module
+        output.given(value, header)
         for output, value, header in zip(outputs, values, headers, strict=True)
     ]
     begins = [
@@ -237,7 +216,7 @@ def publish_side_by_side(
     for finish in threads.map(lambda begin: begin[0].begin(begin[1]), begins):
         finish()
     for output, item in zip(outputs, given, strict=True):
-        output._send(item)  # noqa: SLF001  of the same module
+        output.send(item)
 
 
 class FairLock:

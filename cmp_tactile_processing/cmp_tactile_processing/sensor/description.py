@@ -57,6 +57,8 @@ ON_ONE_LINE = (
 class SensorDescription:
     """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them.
 
+    One without optics has neither camera nor views, and NO_IMAGE.
+
     file: that it was read from, which errors name; empty for one that was made otherwise.
     comments: of that file by key path; a written file has those whose values are still the same.
     """
@@ -93,6 +95,14 @@ class SensorDescription:
         return self.file or self.name
 
     @property
+    def frame_size(self) -> tuple[int, int]:
+        """Width and height of the camera frame, px; DescriptionError where there is no camera."""
+        if self.optics.type == parts.NO_OPTICS:
+            msg = f"{self.origin}: optics.type: found none, expected a camera where frames are used"
+            raise DescriptionError(msg)
+        return self.image.width, self.image.height
+
+    @property
     def ros_name(self) -> str:
         """The name as a ROS namespace and frame prefix: other characters become underscores."""
         name = re.sub(r"[^A-Za-z0-9_]", "_", self.name)
@@ -115,11 +125,13 @@ def read_sensor_description(path: Path) -> SensorDescription:
 def sensor_description_of(top: YamlSection) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
-    image = read_fields(top.section("image"), parts.ImageSize)
     optics = _read_optics(top.section("optics"))
-    has_camera = optics.type != "two_view" or "camera" in top
-    camera = _read_camera(top.section("camera"), image) if has_camera else None
-    views = _read_views(top.section("views"), optics.type, image, camera)
+    image, camera, views = parts.NO_IMAGE, None, dict[str, parts.ViewDescription]()
+    if optics.type != parts.NO_OPTICS:
+        image = read_fields(top.section("image"), parts.ImageSize)
+        has_camera = optics.type != "two_view" or "camera" in top
+        camera = _read_camera(top.section("camera"), image) if has_camera else None
+        views = _read_views(top.section("views"), optics.type, image, camera)
     sensor = read_fields(
         top,
         SensorDescription,
@@ -149,7 +161,8 @@ def _read_camera(section: YamlSection, image: parts.ImageSize) -> parts.Camera:
 
 
 def _read_optics(section: YamlSection) -> parts.Optics:
-    poseless = field_values(section, parts.Optics, T_camera_gel=None)["type"] == "two_view"
+    kind = field_values(section, parts.Optics, T_camera_gel=None)["type"]
+    poseless = kind in ("two_view", parts.NO_OPTICS)
     return read_fields(section, parts.Optics, **({"T_camera_gel": None} if poseless else {}))
 
 
@@ -194,6 +207,13 @@ def _read_roi(section: YamlSection, image: parts.ImageSize) -> parts.Roi:
 
 
 def _check_gel(top: YamlSection, pattern: parts.Pattern, elastomer: parts.Elastomer) -> None:
+    for key, count in (("rows", pattern.rows), ("cols", pattern.cols)):
+        if pattern.border == "in_view" and count > parts.MAX_CORNERS:
+            expected = (
+                f"a whole number from {parts.MIN_CORNERS} to {parts.MAX_CORNERS}; of a pattern "
+                f"with border: beyond_view up to {parts.MAX_BEYOND_VIEW} can be numbered"
+            )
+            raise top.error(f"pattern.{key}", count, expected)
     if not np.isfinite(pattern.corners()).all():
         expected = "a radius that spans the pattern"
         raise top.error("pattern.surface", pattern.surface.radius, expected)
@@ -265,7 +285,8 @@ def _lines(part: Any, above: str, shared: parts.Camera | None) -> Iterator[_Line
         value = getattr(part, item.name)
         repeated = isinstance(value, parts.Camera) and isinstance(part, parts.ViewDescription)
         repeated = repeated and value == shared
-        if item.compare and value is not None and not repeated and not _goes_without(item, value):
+        absent = value is None or value is parts.NO_IMAGE or (item.name == "views" and not value)
+        if item.compare and not absent and not repeated and not _goes_without(item, value):
             key = item.metadata.get("key") or item.name
             comment = COMMENTS.get(key, "")
             if isinstance(part, parts.Camera) and key == "distortion":

@@ -29,7 +29,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
 )
 
 MAX_IMAGE_SIDE = 16384
-MIN_CORNERS, MAX_CORNERS = 4, 60
+MIN_CORNERS, MAX_CORNERS, MAX_BEYOND_VIEW = 4, 60, 200
 MAX_POINTS_PER_SEGMENT = 20
 MAX_CALIBRATION_FRAMES = 1_000_000
 CODES, FEWEST_CODED = ("none", "dots"), 42
@@ -50,6 +50,7 @@ MAX_COEFFICIENT = 1e30
 UNIT_TOLERANCE = 1e-5
 # What is a unit vector to this is not scaled: it would change in its last bits at every reading.
 UNIT_ROUNDING = 1e-15
+NO_OPTICS = "none"
 DISTORTION_LENGTH = {"pinhole": 5, "equidistant": 4}
 SURFACE_KEYS = {
     "plane": ("type",),
@@ -64,6 +65,10 @@ class ImageSize:
 
     width: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
     height: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
+
+
+# That of a sensor without a camera.
+NO_IMAGE = ImageSize(0, 0)
 
 
 def _read_distortion(section: YamlSection, key: str) -> tuple[float, ...]:
@@ -128,9 +133,12 @@ def _read_layers(section: YamlSection, key: str) -> tuple[RefractingLayer, ...]:
 
 @dataclass(frozen=True)
 class Optics:
-    """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view."""
+    """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view.
 
-    type: str = field(metadata=choice("mirror_stereo", "two_view", "monocular"))
+    type none: markers' positions come from elsewhere, and nothing is known of a camera.
+    """
+
+    type: str = field(metadata=choice("mirror_stereo", "two_view", "monocular", NO_OPTICS))
     T_camera_gel: NDArray[np.float64] | None = field(metadata=read_by(read_pose))
     layers: tuple[RefractingLayer, ...] = field(metadata=read_by(_read_layers))
 
@@ -210,7 +218,10 @@ def _read_surface(section: YamlSection, key: str) -> PatternSurface:
 
 def _read_code(section: YamlSection, key: str) -> str:
     code = section.choice(key, CODES)
-    rows, cols = (section.integer(side, MIN_CORNERS, MAX_CORNERS) for side in ("rows", "cols"))
+    rows, cols = (section.integer(side, MIN_CORNERS, MAX_BEYOND_VIEW) for side in ("rows", "cols"))
+    if code == "dots" and "border" in section and section.text("border") == "beyond_view":
+        expected = "none with border: beyond_view; dots number any part of a pattern in_view"
+        raise section.error(key, code, expected)
     if code == "dots" and (rows + 1) * (cols + 1) < FEWEST_CODED:
         expected = (
             f"none, or at least {FEWEST_CODED} checkers: the dots of {rows + 1} x {cols + 1} are "
@@ -234,16 +245,21 @@ class Pattern:
     corner_checker: dark or light, the checker outside corner (0, 0).
     code: dots where checkers bear dots that show which ones they are, else none; code_seed: which
     of the sheets with different dots it is.
+    border: in_view where the pattern ends within the view, beyond_view where it goes on, so that
+    rows x cols number a part of it.
     """
 
-    rows: int = field(metadata=whole(MIN_CORNERS, MAX_CORNERS))
-    cols: int = field(metadata=whole(MIN_CORNERS, MAX_CORNERS))
+    rows: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
+    cols: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
     pitch: float = field(metadata=number(*PITCH_M, "m"))
     corner_checker: str = field(metadata=choice("dark", "light"))
     points_per_segment: int = field(metadata=whole(0, MAX_POINTS_PER_SEGMENT))
     surface: PatternSurface = field(metadata=read_by(_read_surface))
     code: str = field(default="none", metadata=read_by(_read_code))
     code_seed: int = field(default=0, metadata=read_by(_read_code_seed))
+    border: str = field(
+        default="in_view", metadata=choice("in_view", "beyond_view", required=False)
+    )
 
     @property
     def shape(self) -> GridShape:

@@ -42,9 +42,13 @@ class StereoRig:
     """The two views of a sensor, or the one of a monocular sensor with its known surface.
 
     One frame at a time: calls from several threads must take turns.
+    Raises GeometryError for a sensor without views.
     """
 
     def __init__(self, sensor: SensorDescription) -> None:
+        if not sensor.views:
+            msg = f"{sensor.origin}: views: found none, expected those in which markers are seen"
+            raise GeometryError(msg)
         self._sensor = sensor
         self._options = sensor.triangulation
         self._views = build_views(sensor)

@@ -2,41 +2,42 @@
 
 Nodes are regular in material coordinates: node (x, y) is the point of the pattern that lies at
 (x, y) where the pattern is undeformed, whatever has become of it since.  That serves mechanics:
-`displacement` is a field over the undeformed surface.  For morphology, the shape of what touches,
-`height_map` makes a map of z over x and y in space of it.
+`displacement` is a field over the undeformed surface; `height_map` serves morphology.
+
+Curves through the markers of rows, and of columns, are splines.  Splines across the rows, and
+across the columns, give two surfaces.  Their sum, less the surface of the corners alone that both
+have in common, holds all curves (Gordon 1969).  Unknown markers are first filled by splines along
+their gridlines; which nodes rest on such is determined apart, as the status.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import maximum_filter
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import GridShape, Status, Surface, SurfaceGrid
 
 # A gridline goes on across so many pitches without a known marker: a lost corner's two segments.
 LONGEST_GAP = 2.0
-# Of the polynomials beyond the known markers: a surface at rest is smooth and known well, and
-# what noise a displacement has must not grow.
+# Of the polynomials beyond the markers: a surface at rest is smooth and known well, and what noise
+# a displacement has must not grow.
 REST_DEGREE, DISPLACEMENT_DEGREE = 2, 1
 # A whole number of spacings is one in spite of rounding.
 ROUNDING = 1e-6
 MOST_NODES = 4_000_000
 # How far a node may lie off the mean of both directions, as a share of what their cubics bend.
-FREEDOM = 0.25
-# Of gridlines with gaps, those that were seen last.
-KEPT_WEIGHTS = 256
+FREEDOM = 0.15
 # On a corner curves through rows and columns are the same.
 TINY = 1e-12
+# In place of MISSING, where the worst counts.
 UNKNOWN = 9
-
-# A point this far outside of a triangle, as a share of it, still lies on its border.
-ON_BORDER = 1e-9
 
 
 class DenseStatus(IntEnum):
@@ -114,19 +115,18 @@ class SurfaceInterpolator:
     def __init__(
         self, shape: GridShape, pitch: float, grid: SurfaceGrid, margin: float = 0.0
     ) -> None:
-        self._shape, self._grid = shape, grid
+        self._shape, self._grid, self._margin = shape, grid, margin
         self._segment = shape.points_per_segment + 1
-        counts = shape.rows, shape.cols
-        axes = zip((grid.y, grid.x), counts, strict=True)
-        places = [_on_markers(axis / pitch + (n - 1) / 2, self._segment) for axis, n in axes]
-        fine = [_steps(n, self._segment) for n in counts]
-        reach = margin / pitch
-        self._displaced = _Patches(counts, self._segment, places, reach, DISPLACEMENT_DEGREE)
-        self._rest = _Patches(counts, 1, places, reach, REST_DEGREE)
-        self._markers_at_rest = [
-            _Curve(_steps(n, 1), at, LONGEST_GAP, 0.0, REST_DEGREE)
-            for n, at in zip(counts, fine, strict=True)
+        # Along columns and rows, in pitches.
+        self._corners = [np.arange(n, dtype=np.float64) for n in shape.corners]
+        self._markers = [
+            np.arange((n - 1) * self._segment + 1) / self._segment for n in shape.corners
         ]
+        self._places = [
+            _on_markers(axis / pitch + (n - 1) / 2, self._segment)
+            for axis, n in zip((grid.y, grid.x), shape.corners, strict=True)
+        ]
+        self._patches = _Patches(self._corners, self._markers, self._places)
         self._reference: NDArray[np.float64] | None = None
 
     def interpolate(self, surface: Surface) -> DenseSurface:
@@ -135,15 +135,19 @@ class SurfaceInterpolator:
             msg = f"surface: found {surface.shape}, expected {self._shape}"
             raise GeometryError(msg)
         self._refer_to(surface.reference)
-        corners = _Points.from_status(surface.displacement, surface.status)
-        rows = self._joined(corners, surface.row_position, surface.row_status, self._rows_at_rest)
-        cols = self._joined(
-            corners.turned(),
-            surface.col_position.swapaxes(0, 1),
-            surface.col_status.swapaxes(0, 1),
-            self._cols_at_rest,
+        moved, col_position = surface.displacement, surface.col_position.swapaxes(0, 1)
+        rows = self._lines(moved, surface.row_position, self._rows_at_rest)
+        cols = self._lines(moved.swapaxes(0, 1), col_position, self._cols_at_rest)
+        row_status = self._line_status(surface.status, surface.row_status)
+        col_status = self._line_status(surface.status.T, surface.col_status.swapaxes(0, 1))
+        known = row_status > 0, col_status > 0
+        bridged = (
+            _between(self._markers[1], known[0], self._corners[1]),
+            _between(self._markers[0], known[1], self._corners[0]).T,
         )
-        displacement, status = self._displaced.field(rows, cols, corners)
+        displacement = self._patches.field(*self._filled(rows, cols, known, bridged))
+        status = self._node_status(row_status, col_status, bridged)
+        displacement[status == DenseStatus.MISSING] = np.nan
         return DenseSurface(
             grid=self._grid,
             reference=self._nodes_at_rest,
@@ -154,255 +158,110 @@ class SurfaceInterpolator:
 
     def _refer_to(self, reference: NDArray[np.float64]) -> None:
         """Nodes and markers of all gridlines at rest, from the corners at rest."""
-        known = self._reference
-        if known is not None and np.array_equal(known, reference, equal_nan=True):
+        before = self._reference
+        if before is not None and np.array_equal(before, reference, equal_nan=True):
             return
-        corners = _Points.from_status(reference, np.full(reference.shape[:2], Status.MEASURED))
-        self._nodes_at_rest = self._rest.field(corners, corners.turned(), corners)[0]
-        along_cols, along_rows = self._markers_at_rest
-        self._rows_at_rest = along_rows.through(corners).values
-        self._cols_at_rest = along_cols.through(corners.turned()).values
+        known, turned = np.isfinite(reference[..., 0]), reference.swapaxes(0, 1)
+        by_rows = _filled_along(self._corners[1], reference, known)
+        by_cols = _filled_along(self._corners[0], turned, known.T)
+        corners = _mean_of_known(by_rows, by_cols.swapaxes(0, 1))
+        to_nodes, to_markers = (
+            [_spline(*each, REST_DEGREE) for each in zip(self._corners, places, strict=True)]
+            for places in (self._places, self._markers)
+        )
+        self._nodes_at_rest = _weighted(to_nodes[0], _weighted(to_nodes[1], corners))
+        self._rows_at_rest = to_markers[1] @ corners
+        self._cols_at_rest = to_markers[0] @ corners.swapaxes(0, 1)
         self._reference = reference.copy()
 
-    def _joined(
+    def _lines(
         self,
-        corners: _Points,
+        corners: NDArray[np.float64],
         between: NDArray[np.float64],
-        status: NDArray[np.uint8],
         at_rest: NDArray[np.float64],
-    ) -> _Points:
-        """Displacements of all markers along each gridline, virtual ones between the corners."""
+    ) -> NDArray[np.float64]:
+        """Displacements (lines, markers, 3), m, of all markers along each gridline."""
         values = np.empty_like(at_rest)
-        of = np.empty(values.shape[:2], np.uint8)
-        values[:, :: self._segment], of[:, :: self._segment] = corners.values, corners.status
+        values[:, :: self._segment] = corners
         inside = np.arange(values.shape[1]) % self._segment > 0
-        shape = len(values), int(inside.sum())
-        values[:, inside] = between.reshape(*shape, 3) - at_rest[:, inside]
-        of[:, inside] = status.reshape(shape)
-        return _Points.from_status(values, of)
+        values[:, inside] = between.reshape(len(values), -1, 3) - at_rest[:, inside]
+        return values
 
+    def _line_status(
+        self, corners: NDArray[np.uint8], between: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """DenseStatus (lines, markers) of markers; a predicted one counts as interpolated."""
+        status = np.empty((len(corners), (corners.shape[1] - 1) * self._segment + 1), np.uint8)
+        status[:, :: self._segment] = corners
+        inside = np.arange(status.shape[1]) % self._segment > 0
+        status[:, inside] = between.reshape(len(corners), -1)
+        known = np.where(status == Status.MEASURED, DenseStatus.MEASURED, DenseStatus.INTERPOLATED)
+        return np.where(status == Status.MISSING, DenseStatus.MISSING, known).astype(np.uint8)
 
-@dataclass(frozen=True)
-class _Points:
-    """Points (lines, n, 3) along gridlines, m, and what they rest on (lines, n), a DenseStatus.
-
-    NaN where a point is missing, and z where there is no depth.
-    """
-
-    values: NDArray[np.float64]
-    status: NDArray[np.uint8]
-
-    @classmethod
-    def from_status(cls, values: NDArray[np.float64], status: NDArray[np.uint8]) -> _Points:
-        """Of markers with their Status; a predicted one counts as interpolated."""
-        seen = (status != Status.MISSING) & np.isfinite(values[..., :2]).all(axis=-1)
-        found = np.where(status == Status.MEASURED, DenseStatus.MEASURED, DenseStatus.INTERPOLATED)
-        return cls(values, np.where(seen, found, DenseStatus.MISSING).astype(np.uint8))
-
-    def turned(self) -> _Points:
-        """Lines along the other direction."""
-        return _Points(self.values.swapaxes(0, 1), self.status.T)
-
-
-@dataclass(frozen=True, eq=False)
-class _Curve:
-    """Cubics through the nearest known points of lines, evaluated at the same places on each.
-
-    steps (n,): where points lie, places (m,): where values are wanted, in pitches.  Points that lie
-    apart by more than `longest` belong to different curves; a curve goes on by `reach` beyond its
-    ends, as a polynomial of some degree through points a pitch apart.  order: number of nearest
-    points.
-    """
-
-    steps: NDArray[np.float64]
-    places: NDArray[np.float64]
-    longest: float
-    reach: float
-    degree: int
-    order: int = 4
-
-    @cached_property
-    def _weights(self) -> Callable[[bytes], tuple[NDArray[np.float64], NDArray[np.uint8]]]:
-        # Most lines have no gap, and others keep theirs for a while.
-        return lru_cache(KEPT_WEIGHTS)(self._make_weights)
-
-    def through(self, points: _Points) -> _Points:
-        """Values at the places, (lines, m, 3)."""
-        known = points.status != DenseStatus.MISSING
-        if known.all():
-            weights, states = self._weights(known[0].tobytes())
-            values = np.tensordot(weights, points.values, (1, 1)).swapaxes(0, 1)
-            return _Points(values, np.broadcast_to(states, values.shape[:2]))
-        status = np.empty((len(known), len(self.places)), np.uint8)
-        values = np.empty((*status.shape, 3))
-        patterns, pattern_of = np.unique(known, axis=0, return_inverse=True)
-        for number, pattern in enumerate(patterns):
-            lines = np.flatnonzero(pattern_of.ravel() == number)
-            weights, states = self._weights(pattern.tobytes())
-            found = points.values[np.ix_(lines, np.flatnonzero(pattern))]
-            values[lines] = np.tensordot(weights, found, (1, 1)).swapaxes(0, 1)
-            status[lines] = states
-        values[status == DenseStatus.MISSING] = np.nan
-        return _Points(values, status)
-
-    def _make_weights(self, known: bytes) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Weights (m, known points) of the known points, and what each place rests on."""
-        index = np.flatnonzero(np.frombuffer(known, np.bool_))
-        steps = self.steps[index]
-        weights = np.zeros((len(self.places), len(index)))
-        status = np.zeros(len(self.places), np.uint8)
-        nearest = np.full(len(self.places), self.reach + ROUNDING)
-        for part in np.split(
-            np.arange(len(index)), np.flatnonzero(np.diff(steps) > self.longest + ROUNDING) + 1
-        ):
-            if not len(part):
-                continue
-            low, high = steps[part[[0, -1]]]
-            off = np.maximum(0.0, np.maximum(low - self.places, self.places - high))
-            taken = (off == 0) | (off < nearest)
-            nearest[taken] = off[taken]
-            weights[taken] = 0.0
-            weights[np.ix_(taken, part)] = _weights_through(
-                steps[part], self.places[taken], self.order, self.degree
-            )
-            status[taken] = np.where(
-                off[taken] > 0,
-                DenseStatus.EXTRAPOLATED,
-                _between(steps[part], self.places[taken]),
-            )
-        return weights, status
-
-
-def _between(steps: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """MEASURED between known points that are a pitch apart at most, else INTERPOLATED."""
-    after = np.searchsorted(steps, places).clip(0, len(steps) - 1)
-    near = (steps[after] == places) | (steps[after] - steps[after - 1] <= 1 + ROUNDING)
-    return np.where(near, DenseStatus.MEASURED, DenseStatus.INTERPOLATED).astype(np.uint8)
-
-
-def _weights_through(
-    steps: NDArray[np.float64], places: NDArray[np.float64], order: int, degree: int
-) -> NDArray[np.float64]:
-    """Weights (places, steps) of polynomials through so many nearest points.
-
-    Beyond the ends of a degree of its own, and through points a pitch apart.
-    """
-    count = min(order, len(steps))
-    first = (np.searchsorted(steps, places) - count // 2).clip(0, len(steps) - count)
-    chosen = first[:, None] + np.arange(count)
-    weights = np.zeros((len(places), len(steps)))
-    np.put_along_axis(weights, chosen, _lagrange(steps[chosen], places), axis=1)
-    for beyond, inward in (
-        (places < steps[0], steps - steps[0]),
-        (places > steps[-1], steps[-1] - steps),
-    ):
-        apart = min(1.0, inward.max() / degree)
-        through = np.unique([np.abs(inward - k * apart).argmin() for k in range(degree + 1)])
-        weights[beyond] = 0.0
-        weights[np.ix_(beyond, through)] = _lagrange(steps[None, through], places[beyond])
-    return weights
-
-
-def _lagrange(nodes: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (n, m) of the polynomial through nodes (n or 1, m) at places (n,)."""
-    weights = np.ones((len(places), nodes.shape[1]))
-    for a, b in np.ndindex(nodes.shape[1], nodes.shape[1]):
-        if a != b:
-            weights[:, a] *= (places - nodes[:, b]) / (nodes[:, a] - nodes[:, b])
-    return weights
-
-
-class _Patches:
-    """The surface between gridlines, at nodes (Gordon's, held where it would ring).
-
-    Cubics across the rows, and across the columns, give two surfaces.  Their sum, less the surface
-    of the corners alone that both have in common, holds all curves and is the most accurate where
-    the displacement is smooth.  Beside an edge it rings: it is held near the mean of the two, in
-    which each counts the more, the nearer its gridlines are.
-    """
-
-    def __init__(
+    def _filled(
         self,
-        counts: tuple[int, int],
-        segment: int,
-        places: Sequence[NDArray[np.float64]],
-        reach: float,
-        degree: int,
-    ) -> None:
-        """counts: rows and columns.  places: of the nodes, along columns and rows, in pitches."""
-        self._counts, self._segment, self._places = counts, segment, places
-        both = list(zip(counts, places, strict=True))
-        self._along = [_Curve(_steps(n, segment), at, LONGEST_GAP, reach, degree) for n, at in both]
-        self._across, self._straight = (
-            [_Curve(_steps(n, 1), at, 1.0, reach, degree, order) for n, at in both]
-            for order in (4, 2)
-        )
-        self._bridges = [
-            _Curve(_steps(n, segment), _steps(n, 1), LONGEST_GAP, 0.0, degree) for n in counts
-        ]
-        off_rows, off_cols = (np.sin(np.pi * at) ** 2 + TINY for at in places)
-        self._share = (off_cols / (off_cols + off_rows[:, None]))[..., None]
+        rows: NDArray[np.float64],
+        cols: NDArray[np.float64],
+        known: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+        bridged: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rows and columns with some value for every marker; lost corners are the same in both.
 
-    def field(
-        self, rows: _Points, cols: _Points, corners: _Points
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Values (ny, nx, 3) and status at the nodes, of what is known along gridlines.
-
-        cols: columns as lines.
+        known: markers of rows and of columns.  bridged: see `_node_status`.
         """
-        if not corners.status.all():
-            rows, cols, corners = self._bridged(rows, cols, corners)
-        on_rows, on_cols = self._along[1].through(rows), self._along[0].through(cols)
-        by_rows = self._across[0].through(on_rows.turned()).turned()
-        by_cols = self._across[1].through(on_cols.turned())
-        by_corners = self._across[0].through(self._across[1].through(corners).turned()).turned()
-        bend = np.abs(by_rows.values - self._straight[0].through(on_rows.turned()).turned().values)
-        bend += np.abs(by_cols.values - self._straight[1].through(on_cols.turned()).values)
-        mean = by_cols.values + self._share * (by_rows.values - by_cols.values)
-        values = by_rows.values + by_cols.values - by_corners.values
-        values = np.clip(values, mean - FREEDOM * bend, mean + FREEDOM * bend)
-        no_rows, no_cols = by_rows.status == 0, by_cols.status == 0
-        status = self._status(on_rows.status, on_cols.status, corners.status)
-        if not status.all():
-            in_part = np.isnan(values[..., 0])
-            values[in_part] = mean[in_part]
-            values[no_rows], values[no_cols] = by_cols.values[no_rows], by_rows.values[no_cols]
-            status[status == 0] = DenseStatus.EXTRAPOLATED
-            status[no_rows & no_cols] = DenseStatus.MISSING
-        return values, status
+        known_rows, known_cols = known
+        if known_rows.all() and known_cols.all():
+            return rows, cols
+        step, (along_cols, along_rows) = slice(None, None, self._segment), self._markers
+        by_rows = _filled_along(along_rows, rows, known_rows)[:, step]
+        by_cols = _filled_along(along_cols, cols, known_cols)[:, step].swapaxes(0, 1)
+        # A curve that goes on beyond its end is taken only where there is no better one.
+        by_rows[(bridged[0] == 0) & (bridged[1] > 0)] = np.nan
+        by_cols[(bridged[1] == 0) & (bridged[0] > 0)] = np.nan
+        corners = _mean_of_known(by_rows, by_cols)
+        found = np.isfinite(corners[..., 0])
+        rows[:, step], known_rows[:, step] = corners, found
+        cols[:, step], known_cols[:, step] = corners.swapaxes(0, 1), found.T
+        filled = (
+            _filled_along(along_rows, rows, known_rows),
+            _filled_along(along_cols, cols, known_cols),
+        )
+        for values in filled:
+            values[np.isnan(values[..., 0])] = 0.0
+        return filled
 
-    def _bridged(
-        self, rows: _Points, cols: _Points, corners: _Points
-    ) -> tuple[_Points, _Points, _Points]:
-        """The same with corners that are lost between known markers, as the mean of both curves."""
-        lost = corners.status == DenseStatus.MISSING
-        both = self._bridges[1].through(rows), self._bridges[0].through(cols).turned()
-        found = np.stack([points.status > 0 for points in both])
-        total = sum(np.where(f[..., None], p.values, 0.0) for f, p in zip(found, both, strict=True))
-        lost &= found.any(axis=0)
-        values, status = corners.values.copy(), corners.status.copy()
-        values[lost] = (total / np.maximum(found.sum(axis=0), 1)[..., None])[lost]
-        status[lost] = DenseStatus.INTERPOLATED
-        bridged = _Points(values, status)
-        joined = []
-        for line, part in ((rows, bridged), (cols, bridged.turned())):
-            values, status = line.values.copy(), line.status.copy()
-            values[:, :: self._segment], status[:, :: self._segment] = part.values, part.status
-            joined.append(_Points(values, status))
-        return joined[0], joined[1], bridged
+    def _node_status(
+        self,
+        rows: NDArray[np.uint8],
+        cols: NDArray[np.uint8],
+        bridged: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    ) -> NDArray[np.uint8]:
+        """Status (ny, nx): the worst of the gridlines and corners around each node.
 
-    def _status(
+        bridged: what curves along rows and along columns rest on at the corners.
+        """
+        step, (along_cols, along_rows) = slice(None, None, self._segment), self._markers
+        corners = rows[:, step].copy()
+        lost = corners == DenseStatus.MISSING
+        corners[lost & (np.maximum(*bridged) > 0)] = DenseStatus.INTERPOLATED
+        rows[:, step], cols[:, step] = corners, corners.T
+        on_rows = _between(along_rows, rows > 0, self._places[1])
+        on_cols = _between(along_cols, cols > 0, self._places[0])
+        status = self._worst_around(on_rows, on_cols, corners)
+        size = [2 * int(self._margin / spacing + ROUNDING) + 1 for spacing in self._grid.spacing]
+        within = maximum_filter(status > 0, size=size[::-1])
+        status[(status == DenseStatus.MISSING) & within] = DenseStatus.EXTRAPOLATED
+        return status
+
+    def _worst_around(
         self, rows: NDArray[np.uint8], cols: NDArray[np.uint8], corners: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
-        """The worst of the gridlines and corners around each node, MISSING where one is unknown.
-
-        rows (rows, nx) and cols (cols, ny): of the gridlines at the nodes.
-        """
+        """rows (rows, nx) and cols (cols, ny): of the gridlines at the nodes."""
         rows, cols, corners = (np.where(a == 0, UNKNOWN, a) for a in (rows, cols, corners))
         around = []
-        for at, n in zip(self._places, self._counts, strict=True):
-            low = np.floor(at).clip(0, n - 1).astype(np.intp)
-            around.append((low, np.ceil(at).clip(0, n - 1).astype(np.intp)))
+        for at, n in zip(self._places, self._shape.corners, strict=True):
+            low, high = (end(at).clip(0, n - 1).astype(np.intp) for end in (np.floor, np.ceil))
+            around.append((low, high))
         worst = np.zeros((len(self._places[0]), len(self._places[1])), np.uint8)
         for i in around[0]:
             worst = np.maximum(worst, rows[i])
@@ -410,12 +269,114 @@ class _Patches:
                 worst = np.maximum(worst, corners[np.ix_(i, j)])
         for j in around[1]:
             worst = np.maximum(worst, cols[j].T)
-        return np.where(worst == UNKNOWN, 0, worst).astype(np.uint8)
+        return np.where(worst == UNKNOWN, DenseStatus.MISSING, worst).astype(np.uint8)
 
 
-def _steps(count: int, segment: int) -> NDArray[np.float64]:
-    """Where markers of a gridline with so many corners lie, in pitches."""
-    return np.arange((count - 1) * segment + 1) / segment
+class _Patches:
+    """The surface between gridlines, at nodes (Gordon's, held where it would ring).
+
+    It is the most accurate where the displacement is smooth.  Beside an edge it rings: it is held
+    near the mean of the surfaces of rows and of columns, in which each counts the more, the nearer
+    its gridlines are.
+    """
+
+    def __init__(
+        self,
+        corners: Sequence[NDArray[np.float64]],
+        markers: Sequence[NDArray[np.float64]],
+        places: Sequence[NDArray[np.float64]],
+    ) -> None:
+        """Of corners, markers and nodes along columns and rows, in pitches."""
+        degree = DISPLACEMENT_DEGREE
+        fine, coarse = zip(markers, places, strict=True), list(zip(corners, places, strict=True))
+        self._segment = (len(markers[0]) - 1) // (len(corners[0]) - 1)
+        self._along = [_spline(steps, at, degree) for steps, at in fine]
+        self._across = [_spline(steps, at, degree) for steps, at in coarse]
+        self._straight = [_spline(steps, at, degree, order=1) for steps, at in coarse]
+        off_rows, off_cols = (np.sin(np.pi * at) ** 2 + TINY for at in places)
+        self._share = (off_cols / (off_cols + off_rows[:, None]))[..., None]
+
+    def field(self, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values (ny, nx, 3) at the nodes, of those (lines, markers, 3) along gridlines."""
+        corners = rows[:, :: self._segment]
+        on_rows, on_cols = _weighted(self._along[1], rows), _weighted(self._along[0], cols)
+        by_rows, straight_rows = (
+            _weighted(weights[0], on_rows) for weights in (self._across, self._straight)
+        )
+        by_cols, straight_cols = (
+            _weighted(weights[1], on_cols).swapaxes(0, 1)
+            for weights in (self._across, self._straight)
+        )
+        by_corners = _weighted(self._across[0], _weighted(self._across[1], corners))
+        bend = np.abs(by_rows - straight_rows) + np.abs(by_cols - straight_cols)
+        mean = by_cols + self._share * (by_rows - by_cols)
+        values = by_rows + by_cols - by_corners
+        return np.asarray(np.clip(values, mean - FREEDOM * bend, mean + FREEDOM * bend))
+
+
+def _spline(
+    steps: NDArray[np.float64], places: NDArray[np.float64], degree: int, order: int = 3
+) -> NDArray[np.float64]:
+    """Weights (places, steps) of the values at the steps in their spline at the places.
+
+    Beyond the steps, of the line (degree 1) or parabola (2) through points a pitch apart.
+    """
+    spline = make_interp_spline(steps, np.eye(len(steps)), min(order, len(steps) - 1))
+    nearest = places.clip(steps[0], steps[-1])
+    apart = min(1.0, (steps[-1] - steps[0]) / degree)
+    beyond = (np.abs(places - nearest) / apart)[:, None]
+    inward = apart * np.sign(nearest - places)
+    first, second = spline(nearest), spline(nearest + inward)
+    weights: NDArray[np.float64] = first + beyond * (first - second)
+    if degree > 1:
+        third = spline(nearest + 2 * inward)
+        weights += beyond * (beyond + 1) / 2 * (first - 2 * second + third)
+    return weights
+
+
+def _weighted(weights: NDArray[np.float64], lines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (places, lines, 3) by weights (places, steps) of those (lines, steps, 3)."""
+    return np.asarray(np.tensordot(weights, lines, (1, 1)))
+
+
+def _filled_along(
+    steps: NDArray[np.float64], lines: NDArray[np.float64], known: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Values (lines, steps, 3) with splines along lines in place of what is not known.
+
+    NaN stays where a line has less than two known points.
+    """
+    filled = np.where(known[..., None], lines, np.nan)
+    for line in np.flatnonzero(~known.all(axis=1) & (known.sum(axis=1) > 1)):
+        at = known[line]
+        weights = _spline(steps[at], steps[~at], DISPLACEMENT_DEGREE)
+        filled[line, ~at] = weights @ lines[line, at]
+    return filled
+
+
+def _mean_of_known(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The mean of two fields; NaN where both are."""
+    return (np.where(np.isnan(a), b, a) + np.where(np.isnan(b), a, b)) / 2
+
+
+def _between(
+    steps: NDArray[np.float64], known: NDArray[np.bool_], places: NDArray[np.float64]
+) -> NDArray[np.uint8]:
+    """What curves through known points (lines, steps) rest on, (lines, places).
+
+    MEASURED between points that are a pitch apart at most, INTERPOLATED across longer gaps.
+    """
+    last = len(steps) - 1
+    numbers = np.arange(len(steps))
+    before = np.maximum.accumulate(np.where(known, numbers, -1), axis=1)
+    after = np.minimum.accumulate(np.where(known, numbers, last + 1)[:, ::-1], axis=1)[:, ::-1]
+    low = before[:, (np.searchsorted(steps, places, "right") - 1).clip(0)]
+    high = after[:, np.searchsorted(steps, places).clip(max=last)]
+    gap = steps[high.clip(max=last)] - steps[low.clip(0)]
+    is_within = (low >= 0) & (high <= last) & (places >= steps[0]) & (places <= steps[-1])
+    near = np.where(gap <= 1 + ROUNDING, DenseStatus.MEASURED, DenseStatus.INTERPOLATED)
+    is_bridged = is_within & (gap <= LONGEST_GAP + ROUNDING)
+    return np.where(is_bridged, near, DenseStatus.MISSING).astype(np.uint8)
 
 
 def _on_markers(places: NDArray[np.float64], segment: int) -> NDArray[np.float64]:
@@ -435,69 +396,3 @@ def _pitch_of(reference: NDArray[np.float64]) -> float:
         msg = "dense surface: found no pitch in the reference, expected corners regular in x and y"
         raise GeometryError(msg)
     return pitch
-
-
-@dataclass(frozen=True)
-class HeightMap:
-    """Height of the deformed surface over places in space, gel frame, m; NaN where not known.
-
-    grid: x and y of the places.  height (rows, cols); status (rows, cols): DenseStatus, the worst
-    of the three nodes around.
-    """
-
-    grid: SurfaceGrid
-    height: NDArray[np.float64]
-    status: NDArray[np.uint8]
-
-
-def height_map(dense: DenseSurface, grid: SurfaceGrid | None = None) -> HeightMap:
-    """Height over a grid of places, by default over the x and y that the nodes have at rest.
-
-    Linear between the dense surface's nodes: errs by the square of their spacing.  Where folds lie
-    above each other, the outermost counts.  All missing for a monocular sensor.
-    """
-    grid = grid or dense.grid
-    height = np.full((grid.rows, grid.cols), -np.inf)
-    status = np.zeros(height.shape, np.uint8)
-    corners, codes = _triangles(dense)
-    corners[..., :2] = (corners[..., :2] - (grid.x[0], grid.y[0])) / grid.spacing
-    low = np.ceil(corners[..., :2].min(axis=1) - ON_BORDER).astype(np.intp)
-    size = np.floor(corners[..., :2].max(axis=1) + ON_BORDER).astype(np.intp) - low + 1
-    for dx, dy in np.ndindex(*size.max(axis=0, initial=0)):
-        reaching = np.flatnonzero((size > (dx, dy)).all(axis=1))
-        _draw(corners[reaching], low[reaching] + (dx, dy), codes[reaching], height, status)
-    height[status == DenseStatus.MISSING] = np.nan
-    return HeightMap(grid, height, status)
-
-
-def _triangles(dense: DenseSurface) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Two triangles (n, 3, 3) of known nodes for each cell, m; the worst status of the nodes."""
-    nodes = np.arange(dense.status.size).reshape(dense.status.shape)
-    a, b, c, d = nodes[:-1, :-1], nodes[:-1, 1:], nodes[1:, :-1], nodes[1:, 1:]
-    corners = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    status, position = dense.status.ravel()[corners], dense.position.reshape(-1, 3)[corners]
-    known = (status > 0).all(axis=1) & np.isfinite(position[..., 2]).all(axis=1)
-    return position[known], status[known].max(axis=1)
-
-
-def _draw(
-    corners: NDArray[np.float64],
-    pixel: NDArray[np.intp],
-    codes: NDArray[np.uint8],
-    height: NDArray[np.float64],
-    status: NDArray[np.uint8],
-) -> None:
-    """Draw one pixel, (x, y), of each triangle where it lies within; in steps of the raster."""
-    a, b, c = (corners[:, k] for k in range(3))
-    ab, ac, ap = b - a, c - a, pixel - a[:, :2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        twice_area = ab[:, 0] * ac[:, 1] - ac[:, 0] * ab[:, 1]
-        of_b = (ap[:, 0] * ac[:, 1] - ac[:, 0] * ap[:, 1]) / twice_area
-        of_c = (ab[:, 0] * ap[:, 1] - ap[:, 0] * ab[:, 1]) / twice_area
-    rows, cols = pixel[:, 1], pixel[:, 0]
-    within = (of_b >= -ON_BORDER) & (of_c >= -ON_BORDER) & (of_b + of_c <= 1 + ON_BORDER)
-    within &= (rows >= 0) & (cols >= 0) & (rows < height.shape[0]) & (cols < height.shape[1])
-    z, at = (a[:, 2] + of_b * ab[:, 2] + of_c * ac[:, 2])[within], (rows[within], cols[within])
-    np.maximum.at(height, at, z)
-    top = z >= height[at]
-    status[at[0][top], at[1][top]] = codes[within][top]

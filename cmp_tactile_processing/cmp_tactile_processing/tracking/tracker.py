@@ -13,7 +13,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured import Grid, GridFault, Status
+from cmp_tactile_processing.measured import Grid, GridFault, NumberingKind, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.sensor.parts import Pattern
@@ -24,12 +24,14 @@ from cmp_tactile_processing.tracking.corners.measured_markers import (
 )
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
+    CornerGraph,
     GridlineDetector,
     ImageWindow,
     NominalGrid,
     draw_nominal,
     spoilt_pictures,
 )
+from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering
 from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     is_torn,
@@ -83,6 +85,10 @@ class GridTracker:
             other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
         ]
         self._numbering = GridNumbering(self._nominal, dark_first, beside, sensor.pattern.dots())
+        self._carried, self._kind = None, NumberingKind.ABSOLUTE
+        if sensor.pattern.border == "beyond_view":
+            self._carried = CarriedNumbering(self._nominal, dark_first)
+            self._kind = NumberingKind.RELATIVE
         self._markers = MeasuredMarkers(self._nominal, dark_first)
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
@@ -106,6 +112,8 @@ class GridTracker:
         """Forget what earlier frames showed; what is known of the print is kept."""
         self._last: NDArray[np.float64] | None = None
         self._confidence = 0.0
+        if self._carried is not None:
+            self._carried.reset()
 
     def track(self, half_image: NDArray[np.uint8]) -> Grid:
         """Gridlines of a view image, (H, W) grey or (H, W, 3) BGR uint8, as `split_frame` cuts it.
@@ -126,7 +134,7 @@ class GridTracker:
         if corners is not None and not self._is_torn(image, corners.position, torn):
             return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
         graph = self._detector.corner_graph(image)
-        numbering = self._numbering.number(graph, image, last, torn)
+        numbering = self._numbered(graph, image, last, torn)
         corners = self._markers.measure(image, numbering.corners)
         if 0 < corners.missing < corners.std.size:
             corners = self._markers.complete(image, corners, numbering.corners)
@@ -134,12 +142,9 @@ class GridTracker:
         corners = self._markers.between(
             self._markers.repair_outliers(image, corners), numbering.between
         )
-        if not numbering.by_code:
+        if self._carried is None and not numbering.by_code:
             # Pieces that do not continue each other, and what lies beyond a border, are doubtful.
-            corners, strays = self._markers.without_strays(corners)
-            if not self._markers.is_bounded(image, corners.position):
-                numbering, corners = self._numbering.unbounded(), corners.none()
-            numbering = without_strays(numbering, strays, corners.missing)
+            corners, numbering = self._within_border(image, corners, numbering)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)
 
@@ -185,7 +190,29 @@ class GridTracker:
             return None
         if self._markers.without_strays(corners)[1]:
             return None
+        if self._carried is not None:
+            return corners if self._carried.goes_on(corners.position) else None
         return corners if self._markers.is_bounded(image, corners.position) else None
+
+    def _numbered(
+        self,
+        graph: CornerGraph,
+        image: PreparedImage,
+        last: NDArray[np.float64] | None,
+        torn: list[int],
+    ) -> Numbering:
+        if self._carried is not None:
+            return self._carried.number(graph, image, torn)
+        return self._numbering.number(graph, image, last, torn)
+
+    def _within_border(
+        self, image: PreparedImage, corners: MeasuredCorners, numbering: Numbering
+    ) -> tuple[MeasuredCorners, Numbering]:
+        """The corners less those of another pattern; none where further ones lie beyond them."""
+        corners, strays = self._markers.without_strays(corners)
+        if not self._markers.is_bounded(image, corners.position):
+            numbering, corners = self._numbering.unbounded(), corners.none()
+        return corners, without_strays(numbering, strays, corners.missing)
 
     def _is_torn(self, image: PreparedImage, corners: NDArray[np.float64], rows: list[int]) -> bool:
         """Whether a followed grid jumps where `torn_rows` suspects a tear."""
@@ -207,9 +234,11 @@ class GridTracker:
         placement, shape = self._view.placement, self._pattern.shape
         known = np.isfinite(position[..., 0])
         self._last = position if known.any() else None
+        if self._carried is not None:
+            self._carried.saw(position)
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
-            return Grid.missing(shape, reason, placement, fault)
+            return Grid.missing(shape, reason, placement, fault, self._kind)
         std, predicted = corners.std, corners.predicted
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:
@@ -237,6 +266,7 @@ class GridTracker:
             col_line_std=cols.std,
             confidence=self._confidence,
             followed=followed,
+            numbering=self._kind,
         )
 
     def _fused(

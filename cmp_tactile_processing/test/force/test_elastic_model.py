@@ -93,3 +93,9 @@ def test_thickness_chooses_the_elements_over_the_depth(other_rig, thickness_mm):
     highest = (mesh.body[-1] - mesh.body[-2]) * body
     assert highest <= 1.35 * width
     assert len(mesh.body) == 5 or highest > 0.9 * width
+
+
+def test_more_markers_than_a_response_can_hold_are_refused_by_name(sample_rig):
+    pattern = replace(sample_rig.pattern, rows=100, cols=100, border="beyond_view")
+    with pytest.raises(GeometryError, match=r"pattern\.rows, pattern\.cols: found 100 x 100"):
+        ElasticProblem.from_sensor(replace(sample_rig, pattern=pattern))

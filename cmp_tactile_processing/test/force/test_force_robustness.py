@@ -136,6 +136,19 @@ def test_missing_corners_cost_little_and_raise_no_flag(stage, seen, truth, name,
     assert not field.flags & (ForceFlag.POOR_FIT | ForceFlag.BEYOND_MARKERS)
 
 
+def test_a_contact_that_goes_on_under_what_is_hidden_is_reported(stage, seen, sample_rig):
+    # A press of 0.3 mm that no block of this material makes: what is hidden is not inferred well,
+    # and what is found of the contact ends where the markers do.
+    x, y = np.moveaxis(SurfaceGrid(20, 20, (13.12e-3, 13.12e-3)).points.reshape(20, 20, 2), 2, 0)
+    moved = np.zeros((20, 20, 3))
+    moved[..., 2] = -3e-4 * np.exp(-((x + 0.002) ** 2 + y**2) / (2 * 0.003**2))
+    where = np.broadcast_to(np.arange(20) >= 12, (20, 20))
+    whole, field = alone(stage, seen(moved)), alone(stage, hidden(seen(moved), where))
+    assert not whole.flags & ForceFlag.HIDDEN_CONTACT
+    assert abs(field.wrench[2]) < 0.8 * abs(whole.wrench[2])
+    assert field.flags & ForceFlag.HIDDEN_CONTACT
+
+
 def test_a_hidden_contact_is_reported_and_its_deviation_is_honest(stage, seen, truth):
     press = truth["press"]
     where = np.zeros((20, 20), np.bool_)

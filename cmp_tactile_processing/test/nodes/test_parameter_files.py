@@ -24,19 +24,15 @@ from rcl_interfaces.srv import (
 )
 from rclpy.parameter import Parameter, parameter_value_to_python
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 
-from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.nodes import force_reconstructor as force_reconstructor_node
+from cmp_tactile_msgs.msg import Grid
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
 from cmp_tactile_processing.ros.parameters import unit_of
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 pytestmark = pytest.mark.ros
 
@@ -187,30 +183,6 @@ def test_a_name_that_is_spelled_wrongly_is_reported_at_the_start(ros, capfd):
     assert "noise_deph: no such parameter; did you mean noise_depth? (given" in reported[0]
     meant = qos.replace("surfaces", "surface")
     assert f"{qos}: no such parameter; did you mean {meant}?" in reported[1]
-
-
-def _surface(stamp_ms: int) -> Surface:
-    surface = surface_at_rest(Reference.nominal(SENSOR), SENSOR.pattern.shape)
-    stamp = Time(sec=stamp_ms // 1000, nanosec=stamp_ms % 1000 * 10**6)
-    return surface_to_msg(surface, Header(stamp=stamp, frame_id="sample_rig_gel_frame"))
-
-
-def test_slip_parameters_hold_at_once_and_build_no_model(ros, count_calls):
-    node = ros.start(ForceReconstructor, wait_for_model=True)
-    fields = ros.listen(ForceField, "force_field")
-    ros.wait_subscribed(node, "force_field")
-    publisher = ros.publisher(Surface, "surface")
-    built = count_calls(force_reconstructor_node, "ForceStage")
-    stage = node._stage
-    observer = stage._slip
-    for k in range(4):
-        publisher.publish(_surface(100 * k))
-        assert _set(ros, node, Parameter("slip.full_ratio", value=0.8 + 0.01 * k)) == [(True, "")]
-        assert observer._parameters.full_ratio == pytest.approx(0.8 + 0.01 * k)
-    ros.wait(lambda: len(fields) == 4, "a field of every surface")
-    assert built == []
-    assert node._stage is stage
-    assert stage._slip is observer, "with the contacts that it knows"
 
 
 def test_parameters_change_between_frames_and_lose_none(ros):

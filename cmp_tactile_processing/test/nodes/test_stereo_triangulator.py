@@ -20,13 +20,12 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import Grid, MarkerFault, Status
+from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 pytestmark = pytest.mark.ros
 
@@ -122,29 +121,6 @@ def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
     found = float(re.search(r"miss each other by (\d+) um, expected at most 50 um", log)[1])
     # 60 um per px on the gel, seen at a slant.
     assert 0.5 * 3 * 60 < found < 3 * 60
-
-
-@pytest.mark.parametrize(
-    ("gap_um", "measured", "reported"),
-    [(177.0, 1.0, True), (30.0, 1.0, False), (177.0, 0.4, False), (np.nan, 1.0, False)],
-    ids=["wrong sensor", "noise", "few markers", "one view"],
-)
-def test_only_a_large_gap_of_most_markers_is_implausible(gap_um, measured, reported):
-    status = np.zeros((10, 10), np.uint8)
-    status.ravel()[: round(measured * status.size)] = Status.MEASURED
-    gap = np.where(status == Status.MEASURED, gap_um * 1e-6, np.nan)
-    assert bool(implausible_ray_gap(gap, status, "x")) is reported
-
-
-def test_grids_pair_by_stamp_when_late_lost_or_out_of_order(ros, sample):
-    rig = Rig(ros)
-    rest = sample("rest")
-    rig.send(rest, 1, 2, 3, 4, views=["left"])
-    ros.wait(lambda: rig.node.diagnostics.frames_in == 4, "the grids of the left view")
-    rig.send(rest, 4, 2, 5, 3, views=["right"])
-    ros.wait(lambda: rig.node.diagnostics.frames_in == 8, "the grids of the right view")
-    rig.wait_surfaces(3)
-    assert [msg.header.stamp.sec for msg in rig.surfaces] == [4, 2, 3]
 
 
 def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
@@ -294,20 +270,6 @@ def test_diagnostics_count_what_is_missing_and_why(ros, sample):
     assert float(values["median ray gap (um)"]) < 0.01
     assert float(values["reprojection (px)"]) < 1e-3
     assert values["implausible frames"] == "0 of 1"
-
-
-def test_parameters_of_triangulation_are_those_of_the_description_and_may_change(ros, sample):
-    rig = Rig(ros)
-    rig.send(sample("rest"), 1)
-    assert (rig.wait_surfaces(1)[0].fault == MarkerFault.NONE).all()
-    assert rig.node.get_parameter("max_ray_gap").value == SENSOR.triangulation.max_ray_gap
-    answer = rig.node.set_parameters([Parameter("method", value="guess")])[0]
-    assert not answer.successful
-    assert "one of weighted, common_normal" in answer.reason
-    assert rig.node.set_parameters([Parameter("max_ray_gap", value=1e-7)])[0].successful
-    # A twentieth of a pixel is 3 um.
-    rig.send_shifted(sample("rest"), 2, 0.05)
-    assert (rig.wait_surfaces(2)[1].fault == MarkerFault.RAY_GAP).mean() > 0.9
 
 
 def _report(ros, reports, wanted) -> DiagnosticStatus:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
-import yaml
 
 pytest.importorskip("rclpy")
 
@@ -30,7 +27,6 @@ from cmp_tactile_processing.sensor.description import load_sensor
 
 pytestmark = pytest.mark.ros
 
-SENSORS = Path(__file__).parents[2] / "config"
 STAMP = Time(sec=12, nanosec=345)
 # The truth obeys its projection to 1e-12 px; what is left is rounding of the description.
 ATOL_PROJECTION_PX = 1e-6
@@ -166,28 +162,6 @@ def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
     np.testing.assert_array_equal(T[:3, 3], MOUNT["mount_position"])
 
 
-def test_fingers_of_one_description_do_not_overwrite_each_others_frames(ros):
-    """One listener, late, as tf2's: it gets the frames of both, one tree below the robot's."""
-    for name in ("left_finger", "right_finger"):
-        mount = MOUNT | {"parent_frame": f"{name}_tip"}
-        ros.start(ViewSplitter, name=f"{name}_splitter", sensor_name=name, **mount)
-    statics = ros.listen(TFMessage, "/tf_static", latched=True)
-    ros.wait(lambda: len(statics) == 2, "static tf of both")
-    parents = {
-        item.child_frame_id: item.header.frame_id for msg in statics for item in msg.transforms
-    }
-    assert parents == {
-        child: parent
-        for name in ("left_finger", "right_finger")
-        for child, parent in {
-            f"{name}_gel_frame": f"{name}_tip",
-            f"{name}_camera_optical_frame": f"{name}_gel_frame",
-            f"{name}_left_optical_frame": f"{name}_gel_frame",
-            f"{name}_right_optical_frame": f"{name}_gel_frame",
-        }.items()
-    }
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
@@ -248,47 +222,6 @@ def test_rectified_pair_follows_image_pipeline(described, sample):
     np.testing.assert_allclose(T_left_right[:3, 3], [baseline, 0, 0], atol=1e-12)
 
 
-def test_rectified_pair_reaches_exact_time_synchronisation(ros, splitter, sample):
-    """What stereo_image_proc joins by equal stamps: both rectified images and camera_infos."""
-    topics = [
-        f"{view}/{name}" for view in ("left", "right") for name in ("image_rect", "camera_info")
-    ]
-    heard = {
-        topic: ros.listen(Image if topic.endswith("rect") else CameraInfo, topic)
-        for topic in topics
-    }
-    for view in ("left", "right"):
-        ros.wait_subscribed(splitter, f"{view}/image_rect")
-    publisher = ros.publisher(Image, "image_raw")
-    for number in range(3):
-        msg = _frame_msg(sample("press").frame)
-        msg.header.stamp.nanosec = number
-        publisher.publish(msg)
-    ros.wait(lambda: all(len(msgs) == 3 for msgs in heard.values()), "three pairs")
-    for msgs in heard.values():
-        assert [msg.header.stamp.nanosec for msg in msgs] == [0, 1, 2]
-        assert {msg.header.frame_id for msg in msgs} == {"sample_rig_left_optical_frame"}
-    sizes = {(msg.width, msg.height) for msgs in heard.values() for msg in msgs}
-    assert sizes == {(512, 768)}, "stock matchers take images of one size"
-
-
-def test_frames_of_a_monocular_sensor_are_its_own(ros, tmp_path, sample):
-    content = yaml.safe_load((SENSORS / "sample_rig.yaml").read_text(encoding="utf-8"))
-    content["optics"]["type"] = "monocular"
-    del content["views"]["left"]
-    path = tmp_path / "one.yaml"
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    ros.start(ViewSplitter, sensor_description=str(path))
-    heard = [
-        ros.listen(CameraInfo, "right/camera_info"),
-        ros.listen(Image, "right/image_raw"),
-    ]
-    ros.publisher(Image, "image_raw").publish(_frame_msg(sample("rest").frame))
-    ros.wait(lambda: all(heard), "the right view")
-    assert {msgs[0].header.frame_id for msgs in heard} == {"sample_rig_right_optical_frame"}
-    np.testing.assert_array_equal(heard[0][0].r, np.eye(3).ravel())
-
-
 def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
     frame = sample("slide").frame
     raw = ros.listen(Image, "left/image_raw")
@@ -308,28 +241,6 @@ def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
     )
     np.testing.assert_array_equal(image, expected)
     assert rect[0].header == raw[0].header, "the left view's own frame is the pair's"
-
-
-@pytest.mark.parametrize("coloured", [False, True])
-def test_yuyv_frames_become_what_the_tracking_asks_for(ros, tmp_path, sample, coloured):
-    path = SENSORS / "sample_rig.yaml"
-    if coloured:
-        text = path.read_text(encoding="utf-8") + "\ntracking: {red: 1.0, green: -1.0, blue: 0.0}\n"
-        path = tmp_path / "coloured.yaml"
-        path.write_text(text, encoding="utf-8")
-    ros.start(ViewSplitter, sensor_description=str(path))
-    frame = sample("rest").frame
-    left = ros.listen(Image, "left/image_raw")
-    msg = Image(width=1024, height=768, encoding="yuv422_yuy2", step=2048)
-    msg.header.stamp = STAMP
-    msg.data.frombytes(np.stack([frame, np.full_like(frame, 128)], axis=-1).tobytes())
-    ros.publisher(Image, "image_raw").publish(msg)
-    ros.wait(lambda: left, "the left view")
-    if coloured:
-        assert (left[0].encoding, len(left[0].data)) == ("bgr8", 768 * 512 * 3)
-    else:
-        image = np.frombuffer(left[0].data, np.uint8).reshape(768, 512)
-        np.testing.assert_array_equal(image, frame[:, 511::-1])
 
 
 def test_a_best_effort_camera_is_taken_on_request(ros, sample):

@@ -33,7 +33,6 @@ from cmp_tactile_processing.measured import (
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
     grid_to_msg,
-    image_to_msg,
     organised_cloud,
     surface_to_msg,
     wrench_to_msg,
@@ -352,22 +351,6 @@ def test_coordinates_must_agree_with_status(grid):
             grid_from_msg(msg, SHAPE)
 
 
-@pytest.mark.parametrize("name", ["reference", "position", "displacement", "status", "ray_gap"])
-def test_empty_surface_arrays_are_named(surface, name):
-    msg = surface_to_msg(surface, HEADER)
-    setattr(msg, name, getattr(msg, name)[:0])
-    with pytest.raises(GeometryError, match=rf"^{name}: found 0 values, expected (35|105) "):
-        surface_from_msg(msg, SHAPE)
-
-
-def test_surface_with_nan_where_measured_is_refused(surface):
-    displacement = surface.displacement.copy()
-    displacement[tuple(np.argwhere(surface.status == Status.MEASURED)[0])] = np.nan
-    msg = surface_to_msg(replace(surface, displacement=displacement), HEADER)
-    with pytest.raises(GeometryError, match=r"^displacement: found NaN or inf at 1 points"):
-        surface_from_msg(msg, SHAPE)
-
-
 def test_surface_of_one_view_has_no_depth_and_is_taken(surface):
     """A monocular sensor measures x and y alone: its z is NaN although the marker is measured."""
     flat = replace(
@@ -397,14 +380,6 @@ def test_inconsistent_force_field_or_contact_is_refused_by_field(field, name, va
     setattr(msg.contacts[1] if reason.startswith("^contacts") else msg, name, value)
     with pytest.raises(GeometryError, match=reason):
         force_field_from_msg(msg)
-
-
-def test_image_round_trip():
-    image = np.random.default_rng(4).integers(0, 256, (5, 9, 3)).astype(np.uint8)
-    msg = image_to_msg(image, "bgr8", HEADER)
-    assert (msg.width, msg.height, msg.step, msg.encoding) == (9, 5, 27, "bgr8")
-    assert msg.header.frame_id == "rig_gel_frame"
-    np.testing.assert_array_equal(np.frombuffer(msg.data, np.uint8).reshape(5, 9, 3), image)
 
 
 def test_cloud_is_organised_and_keeps_nan(surface):

@@ -12,7 +12,6 @@ import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
@@ -80,33 +79,6 @@ class _Slow(StageNode):
 def _surface(stamp_ns: int) -> Surface:
     stamp = Time(sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
     return Surface(header=Header(stamp=stamp))
-
-
-def _stamped(node) -> Surface:
-    return _surface(node.get_clock().now().nanoseconds)
-
-
-def test_frames_that_a_slow_node_never_gets_are_reported(ros):
-    """The queue holds 20: what is pushed out of it was dropped without a word before."""
-    node = ros.start(_Slow, **{"diagnostics.report_after": 1})
-    publisher = ros.publisher(Surface, "surface")
-    publisher.publish(_stamped(ros.node))
-    ros.wait(lambda: node.diagnostics.frames_in == 1, "the first")
-    for _ in range(50):
-        publisher.publish(_stamped(ros.node))
-    time.sleep(0.3)
-    ros.wait(lambda: node.diagnostics.frames_in == 21, "what the queue holds")
-    assert node.diagnostics.lost == 30
-    ros.wait(lambda: _values(node._status())["dropped frames"] == "30", "the report")
-    # The deeper queue that the documentation advises.
-    name = f"qos_overrides.{ros.namespace}/surface.subscription.depth"
-    deep = ros.start(_Slow, "deep", **{name: 60})
-    ros.wait(lambda: publisher.get_subscription_count() == 2, "both nodes")
-    for _ in range(50):
-        publisher.publish(_stamped(ros.node))
-    time.sleep(0.3)
-    ros.wait(lambda: deep.diagnostics.frames_in == 50, "all of them")
-    assert deep.diagnostics.lost == 0
 
 
 def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
@@ -178,15 +150,6 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
     ros.wait(lambda: "type cmp_tactile_msgs/msg/Grid, expected" in wrong()[0], "another type")
 
 
-def test_a_topic_that_asks_for_less_is_connected_as_the_documentation_says(ros, outside):
-    name = f"qos_overrides.{ros.namespace}/surface.subscription.reliability"
-    node = ros.start(_Slow, **{name: "best_effort"})
-    unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    publisher = outside.create_publisher(Surface, "surface", unreliable)
-    ros.wait(lambda: publisher.get_subscription_count() == 1, "the connection")
-    assert _values(node._status())["wrong connections"] == "none"
-
-
 def test_a_clock_that_stands_still_silences_nobody(ros):
     """As in a simulation that is paused: ros/diagnostics 210, 458 (stale, or of another clock)."""
     ros.start(_Slow, use_sim_time=True)
@@ -203,18 +166,3 @@ def test_nobody_publishing_is_reported(ros):
     assert node._status().message == f"no frames come in: nobody publishes {topic}"
     ros.node.create_publisher(Surface, "surface", 1)
     ros.wait(lambda: node._status().message == "no frames come in", "the publisher")
-
-
-def test_thresholds_are_parameters_that_hold_at_once(ros):
-    node = ros.start(_Slow, **{"diagnostics.late_after": 0.002})
-    assert node.diagnostics.thresholds.late_after == 0.002
-    (result,) = node.set_parameters([Parameter("diagnostics.late_after", value=0.5)])
-    assert result.successful
-    assert node.diagnostics.thresholds.late_after == 0.5
-    (result,) = node.set_parameters([Parameter("diagnostics.late_warn", value=0.9)])
-    assert result.successful
-    (result,) = node.set_parameters([Parameter("diagnostics.late_error", value=0.8)])
-    assert result.reason == (
-        "diagnostics.late_warn: found 0.9, expected at most diagnostics.late_error, 0.8"
-    )
-    assert node.diagnostics.thresholds.late_error == 1.0

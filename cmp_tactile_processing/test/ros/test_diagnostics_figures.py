@@ -7,7 +7,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 import math
-import threading
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
@@ -209,16 +208,6 @@ def test_each_threshold_has_its_say(clock, limits, frames, level, text):
     assert (report.level, report.message) == (level, text)
 
 
-def test_a_pattern_that_is_mostly_lost_is_warned_of(clock):
-    diagnostics = _stage(tracked_error=0.1)
-    levels = []
-    for diagnostics.tracked in (0.6, 0.4, 0.05):
-        report = _second(diagnostics, clock)
-        levels.append(report.level)
-    assert levels == [OK, WARN, ERROR]
-    assert report.message == "5% of the pattern tracked"
-
-
 @pytest.mark.parametrize(("is_first", "level"), [(True, WARN), (False, OK)])
 def test_frames_missing_before_are_reported_where_they_come_from_a_camera(clock, is_first, level):
     """Each later stage would repeat what the one before it reports."""
@@ -263,33 +252,6 @@ def test_lasting_failure_is_an_error_whatever_comes_in(clock):
     assert (report.level, report.message) == (ERROR, "no model")
 
 
-def test_figures_have_stable_names_and_name_what_they_count(clock):
-    """Tools plot and filter by these keys."""
-    diagnostics = _stage()
-    diagnostics.calibrations = {"calibration": None}
-    report = _second(diagnostics, clock, lost=3, passed_over=2, late=1)
-    assert report.values == {
-        "frames in": "30",
-        "frames out": "30",
-        "bad frames": "0",
-        "lost on the way": "3",
-        "passed over": "2",
-        "dropped frames": "5",
-        "late frames": "1",
-        "missing before": "0",
-        "stamps back": "0",
-        "stamps repeated": "0",
-        "stamps zero": "0",
-        "started again": "0",
-        "rate (Hz)": "30.00",
-        "latency median (ms)": "10.0",
-        "latency p99 (ms)": "357.9",
-        "calibration age (days)": "no date recorded",
-        "last error": "",
-    }
-    assert list(_second(diagnostics, clock).values) == list(report.values)
-
-
 def test_age_of_the_calibration_is_reported_and_warned_of(clock, monkeypatch):
     assert age_in_days("2026-01-01T00:00:00Z", 1767225600.0 + 36 * 3600) == 1.5
     assert math.isnan(age_in_days(None))
@@ -325,14 +287,6 @@ def test_thresholds_that_contradict_each_other_are_refused(values, reason):
 LIMITS = DiagnosticsParameters(report_after=1, clear_after=1, rate_warn=20.0, rate_error=5.0)
 
 
-def test_who_is_not_to_send_is_not_checked(clock):
-    frames = SentFrames()
-    clock[0] += 1.0
-    assert frames.close_period(LIMITS, working=False).findings == ()
-    clock[0] += 1.0
-    assert frames.close_period(LIMITS).findings[0].level == ERROR
-
-
 def test_a_report_between_two_others_has_no_rate_of_few_frames(clock):
     frames = SentFrames()
     for _ in range(30):
@@ -344,19 +298,3 @@ def test_a_report_between_two_others_has_no_rate_of_few_frames(clock):
     assert frames.close_period(LIMITS) == before
     clock[0] += 0.9
     assert frames.close_period(LIMITS).values["rate (Hz)"] == "1.00"
-
-
-def test_frames_are_counted_while_another_thread_reports():
-    frames, ended, counted = SentFrames(), threading.Event(), []
-
-    def send():
-        for _ in range(20_000):
-            frames.sent(0.01, 0.1)
-        ended.set()
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    while not ended.is_set():
-        counted.append(frames.close_period(LIMITS))
-    thread.join()
-    assert counted

@@ -19,7 +19,6 @@ from cmp_tactile_processing.measured import (
     Grid,
     GridFault,
     GridShape,
-    SlipState,
     Status,
 )
 from cmp_tactile_processing.ros.diagnostics.health import (
@@ -28,8 +27,6 @@ from cmp_tactile_processing.ros.diagnostics.health import (
     ForceHealth,
     GridHealth,
 )
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
-from cmp_tactile_processing.ros.diagnostics.status import summary
 
 pytestmark = pytest.mark.ros
 
@@ -60,6 +57,7 @@ def test_good_grids_give_no_text():
         "tracked fraction": "1.0000",
         "confidence": "0.800",
         "followed": "0.75",
+        "numbering": "absolute",
         "fault": "",
         "frames with a fault": "0 of 4",
     }
@@ -81,20 +79,6 @@ def test_the_worst_fault_of_a_period_is_reported_though_good_frames_follow():
     assert figures["confidence"] == "0.000"
     health.add(_good())
     assert health.close_period()[:2] == (DiagnosticStatus.OK, "")
-
-
-def test_a_wrong_description_is_reported_before_bad_frames():
-    diagnostics = StageDiagnostics()
-    health = GridHealth()
-    health.add(_faulty(GridFault.MIRRORED))
-    diagnostics.note_level, diagnostics.note, _ = health.close_period()
-    diagnostics.frame_in()
-    diagnostics.bad_frame("too short")
-    level, message = summary(diagnostics.report().findings, "running")
-    assert (level, message) == (
-        FAULT_LEVELS[GridFault.MIRRORED],
-        "because of mirrored; 1 bad frames, last: too short",
-    )
 
 
 def _field(flags: ForceFlag = ForceFlag.NONE) -> ForceField:
@@ -151,38 +135,3 @@ def test_a_flag_that_comes_and_goes_does_not_make_the_diagnostics_flicker():
     ]
     reported = [_period(health, flag, count, 20)[2] for count, _ in shares]
     assert reported == [name for _, name in shares]
-
-
-def test_a_second_without_fields_changes_nothing():
-    """Frames may be seconds apart."""
-    health = ForceHealth()
-    assert health.close_period()[2] == {"flags": ""}
-    before = _period(health, ForceFlag.AT_BORDER, 1, 1)
-    assert before == _period(health, ForceFlag.AT_BORDER, 0, 0)
-    assert before[2] == "at_border"
-
-
-def test_what_is_warned_of_comes_first():
-    health = ForceHealth()
-    health.add(_field(ForceFlag.AT_BORDER | ForceFlag.POOR_FIT))
-    level, text, _ = health.close_period()
-    assert level == DiagnosticStatus.WARN
-    assert text.startswith(ADVICE[ForceFlag.POOR_FIT])
-    assert text.endswith(ADVICE[ForceFlag.AT_BORDER])
-
-
-def test_figures_are_the_last_fields():
-    health = ForceHealth()
-    health.add(replace(_field(), slip_state=SlipState.FULL, relaxed=True))
-    _, _, figures = health.close_period()
-    assert figures == {
-        "flags": "",
-        "tracked fraction": "0.7500",
-        "noise scale": "1.25",
-        "force std (N)": "0.010 0.020 0.030",
-        "moment std (N mm)": "0.10 0.20 0.30",
-        "contacts": "0",
-        "slip": "full",
-        "large press corrected": "yes",
-        "relaxation taken out": "yes",
-    }

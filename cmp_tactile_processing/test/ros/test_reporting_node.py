@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import WrenchStamped
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.nodes.force_reconstructor import ForceReconstructor
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.messages.conversions import image_to_msg, surface_to_msg
+from cmp_tactile_processing.ros.messages.conversions import surface_to_msg
 from cmp_tactile_processing.ros.wiring import Wiring, joining
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
@@ -70,22 +68,6 @@ def test_the_wrench_is_published_first(ros, published):
     )
     ros.publisher(SurfaceMsg, "surface").publish(surface)
     assert _until(ros, order, 3) == ["wrench", "force_field", "force_points"]
-
-
-def test_both_views_are_published_before_anything_else_of_them(ros, published):
-    node = ros.start(ViewSplitter)
-    topics = {"image_raw": Image, "camera_info": CameraInfo, "image_rect": Image}
-    for view, topic in itertools.product(("left", "right"), topics):
-        ros.listen(topics[topic], f"{view}/{topic}")
-        ros.wait_subscribed(node, f"{view}/{topic}")
-    order = published(node)
-    frame = np.zeros((SENSOR.image.height, SENSOR.image.width), np.uint8)
-    ros.publisher(Image, "image_raw").publish(image_to_msg(frame, "mono8", HEADER))
-    reported = _until(ros, order, 6)
-    assert reported[:2] == ["left/image_raw", "right/image_raw"]
-    assert reported[2:] == [
-        f"{v}/{t}" for v in ("left", "right") for t in ("camera_info", "image_rect")
-    ]
 
 
 def test_the_surface_of_another_pattern_is_refused(ros):

@@ -36,30 +36,6 @@ def node(ros):
     return ros.node
 
 
-def test_descriptors_carry_range_unit_and_choices(node):
-    StageParameters(node, Settings(), lambda _: None)
-    gain, floor, count, method = node.describe_parameters(["gain", "floor", "count", "method"])
-    assert gain.description == "a gain [m/N]"
-    (bounds,) = gain.floating_point_range
-    assert (bounds.from_value, bounds.to_value) == (0.0, 2.0)
-    assert floor.additional_constraints == "at least 0.0"
-    (bounds,) = count.integer_range
-    assert (bounds.from_value, bounds.to_value) == (1, 9)
-    assert method.additional_constraints == "one of fast, exact"
-    assert not any(item.read_only for item in (gain, floor, count, method))
-
-
-def test_good_values_set_together_arrive_together(node):
-    seen = []
-    parameters = StageParameters(node, Settings(), seen.append)
-    node.set_parameters_atomically(
-        [Parameter("gain", value=2.0), Parameter("method", value="exact")]
-    )
-    expected = Settings(gain=2.0, method="exact")
-    assert seen == [expected]
-    assert parameters.value == expected
-
-
 def test_parameters_that_nobody_hears_of_are_read_only(node):
     declare_parameters(node, Settings())
     (result,) = node.set_parameters([Parameter("gain", value=0.5)])
@@ -113,26 +89,3 @@ def test_two_stages_of_one_node_keep_their_parameters_apart(node):
     assert others == [other.value] == [Settings(gain=2.0)]
     (result,) = node.set_parameters([Parameter("slip.floor", value=-1.0)])
     assert not result.successful
-
-
-@dataclass(frozen=True)
-class Place(Parameters):
-    """Parameters of several numbers."""
-
-    offset: tuple[float, float] = parameter((0.0, 0.5), "an offset", unit="m", within=(-1.0, 1.0))
-
-
-def test_fixed_parameters_come_from_a_dataclass(node):
-    assert declare_parameters(node, Place()) == Place()
-    descriptor = node.describe_parameter("offset")
-    assert (descriptor.description, descriptor.read_only) == ("an offset [m]", True)
-    assert descriptor.additional_constraints == "2 numbers from -1 to 1"
-    assert list(node.get_parameter("offset").value) == [0.0, 0.5]
-    with pytest.raises(
-        ParameterError, match=r"parameter offset: found \[0.0, 2.0\], expected 2 num"
-    ):
-        Place((0.0, 2.0))
-    with pytest.raises(
-        ParameterError, match=r"parameter offset: found \[0.0\], expected 2 numbers"
-    ):
-        Place((0.0,))  # type: ignore[arg-type]

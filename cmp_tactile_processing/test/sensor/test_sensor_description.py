@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import DescriptionError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.printing.advice import checker_sides_px
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     load_sensor,
@@ -96,6 +98,8 @@ def test_a_pattern_too_small_for_a_code_is_refused(content, load):
         ("pattern.code_seed", 3, r"pattern\.code_seed: found 3, .* without code: dots"),
         ("pattern.code_seed", -1, r"pattern\.code_seed: .*a whole number from 0 to 65535"),
         ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
+        ("pattern.rows", 80, r"pattern\.rows: found 80, .* 4 to 60; .* beyond_view up to 200"),
+        ("pattern.border", "none", r"pattern\.border: found 'none', expected one of in_view, bey"),
         ("camera.fx", 2.6, r"camera\.fx: found 2\.6, expected px, at least 34\.1 .* 2\.6 mm"),
         ("optics.T_camera_gel", [1, 2], r"optics\.T_camera_gel: .*expected 3 lists of 4"),
         ("optics.T_camera_gel", [[1e308] * 4] * 3, r"optics\.T_camera_gel: .* right-handed"),
@@ -248,3 +252,25 @@ def test_other_rigs_load(content, load):
 def test_name_becomes_a_legal_ros_name(content, load):
     assert load(changed(content, "name", "finger-2 left")).ros_name == "finger_2_left"
     assert load(changed(content, "name", "3rd")).ros_name == "sensor_3rd"
+
+
+def test_a_sensor_that_measures_its_markers_itself_has_neither_camera_nor_views(content, load):
+    for key in ("image", "camera", "views"):
+        del content[key]
+    content["optics"] = {"type": "none"}
+    sensor = load(content)
+    assert not sensor.views
+    assert sensor.camera is None
+    content["views"] = {"left": {"roi": [0, 0, 100, 100]}}
+    with pytest.raises(DescriptionError, match=r"views: found .* no such key"):
+        load(content)
+
+
+def test_where_a_camera_is_needed_a_sensor_without_one_is_named():
+    sensor = load_sensor("tac3d_ad2")
+    with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
+        _ = sensor.frame_size
+    with pytest.raises(GeometryError, match=r"tac3d_ad2\.yaml: views: found none"):
+        Pipeline(sensor)
+    with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: views: found none"):
+        checker_sides_px(sensor)

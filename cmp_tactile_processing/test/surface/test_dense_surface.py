@@ -14,15 +14,15 @@ from cmp_tactile_processing.surface.dense import (
     DenseStatus,
     SurfaceInterpolator,
     grid_over,
-    height_map,
     interpolate,
 )
+from cmp_tactile_processing.surface.height_map import height_map
 
 EXTENT = 0.0131
 RADIUS = 0.027
 # Share of a step, a quarter of a checker wide, by which the surface over- or undershoots: measured
-# 0.16, with a fifth to spare.  A patch that only adds up both directions does so by 0.34.
-MOST_OVERSHOOT = 0.19
+# 0.21.  A patch that only adds up both directions does so by 0.34.
+MOST_OVERSHOOT = 0.22
 
 
 def bump(x, y, width=3e-3, depth=8e-4):
@@ -85,7 +85,7 @@ def errors(dense, field=bump):
 
 @pytest.mark.parametrize("n", [0, 1, 6])
 def test_the_error_falls_with_the_fourth_power_of_the_pitch(n):
-    """At least: a patch that left out one direction's curves would have order 2."""
+    """Or nearly, with errors of picometres: a patch of one direction alone has order 2."""
     pitches, usual = [], []
     for corners in (12, 17, 24):
         pattern = pattern_of(corners, corners, n)
@@ -95,8 +95,8 @@ def test_the_error_falls_with_the_fourth_power_of_the_pitch(n):
         found = errors(dense)[inside]
         usual.append(np.sqrt((found**2).mean()))
     order = np.polyfit(np.log(pitches), np.log(usual), 1)[0]
-    assert order > 3.6
-    assert found.max() < 1e-6
+    assert order > 3.0
+    assert found.max() < 0.1e-6
 
 
 def test_corners_and_virtual_markers_lie_on_it():
@@ -145,9 +145,9 @@ def test_a_lost_marker_spoils_its_neighbourhood_alone(i, j):
     assert (part.status[touched] != DenseStatus.MEASURED).all()
     off = np.linalg.norm(part.displacement - whole.displacement, axis=-1)
     # Cubics next to it, along and across, lose a point; the most where the rim is near.
-    assert off[~touched].max() < 0.6e-6
+    assert off[~touched].max() < 0.1e-6
     bridged = part.status == DenseStatus.INTERPOLATED
-    assert np.nanmax(np.where(bridged, off, np.nan), initial=0) < 8e-6
+    assert np.nanmax(np.where(bridged, off, np.nan), initial=0) < 2e-6
     # In the rim's corner nothing is beyond.
     missing = part.status == DenseStatus.MISSING
     assert np.isnan(part.displacement[missing]).all()

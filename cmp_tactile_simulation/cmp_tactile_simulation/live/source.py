@@ -21,8 +21,8 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_simulation.live import motion
-from cmp_tactile_simulation.live.sensor import Live, LiveSensor
+from cmp_tactile_simulation.live import exchange, motion
+from cmp_tactile_simulation.live.sensor import LiveSensor
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
 
@@ -31,7 +31,7 @@ LANES = 2
 
 
 class LiveProcess:
-    """A `Live` that has another process compute contact and pictures.
+    """A LiveSensor in another process, which computes contact and pictures.
 
     That process ends with this one, however it ends.  `picture` is for one thread.
     """
@@ -54,12 +54,12 @@ class LiveProcess:
         self._sending, self._drawing = threading.Lock(), threading.Lock()
         self._pictures.send((scene, settings, rate))
 
-    def picture(self, wanted: motion.TruthWanted = motion.TruthWanted()) -> motion.LiveFrame:  # noqa: B008  frozen
+    def picture(self, wanted: exchange.TruthWanted = exchange.TruthWanted()) -> exchange.LiveFrame:  # noqa: B008  frozen
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         try:
             with self._drawing:
                 self._pictures.send(wanted)
-                answer: motion.LiveFrame | str = self._pictures.recv()
+                answer: exchange.LiveFrame | str = self._pictures.recv()
         except (EOFError, OSError):
             msg = f"scene {self._scene.name}: its process ended with code {self._process.wait()}"
             raise FrameSourceError(msg) from None
@@ -67,9 +67,9 @@ class LiveProcess:
             raise FrameSourceError(answer)
         return answer
 
-    def command(self, command: motion.Command) -> None:
+    def command(self, command: exchange.Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
-        motion.check_command(command, self._scene.sensor)
+        exchange.check_command(command, self._scene.sensor)
         # Where the process has ended, the next picture shows it.
         with self._sending, suppress(OSError):
             self._commands.send(command)
@@ -94,13 +94,13 @@ def _serve(pictures: Connection[Any, Any], commands: Connection[Any, Any]) -> No
     while True:
         wanted = pictures.recv()
         try:
-            answer: motion.LiveFrame | str = sensor.picture(wanted)
+            answer: exchange.LiveFrame | str = sensor.picture(wanted)
         except CmpTactileError as error:
             answer = str(error)
         pictures.send(answer)
 
 
-def _command(command: motion.Command, made: Future[LiveSensor]) -> None:
+def _command(command: exchange.Command, made: Future[LiveSensor]) -> None:
     made.result().command(command)
 
 
@@ -135,19 +135,19 @@ class SimulatedSource:
         self,
         scene: Scene,
         frame_rate: float = 0.0,
-        make: Callable[[Scene, motion.LiveSettings, float], Live] = LiveProcess,
+        make: Callable[[Scene, motion.LiveSettings, float], LiveSensor | LiveProcess] = LiveProcess,
     ) -> None:
         """frame_rate: Hz, 0 for FRAME_RATE or the scene's own if that is lower."""
         self.settings = motion.LiveSettings()
-        self.wanted = motion.TruthWanted()
+        self.wanted = exchange.TruthWanted()
         self._scene = scene
         self._frame_rate = frame_rate or min(FRAME_RATE, scene.rate)
         self._make = make
-        self._live: Live | None = None
+        self._live: LiveSensor | LiveProcess | None = None
         # Frames are read on one thread, commands come on another.
         self._making = threading.Lock()
         self._ended = False
-        self._status = motion.LiveStatus()
+        self._status = exchange.LiveStatus()
 
     @classmethod
     def from_options(cls, options: SourceOptions) -> SimulatedSource:
@@ -188,13 +188,13 @@ class SimulatedSource:
             "samples of a pixel": self.settings.samples**2,
         }
 
-    def read(self) -> motion.LiveFrame:
+    def read(self) -> exchange.LiveFrame:
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         frame = self._started().picture(self.wanted)
         self._status = frame.status
         return frame
 
-    def command(self, command: motion.Command) -> None:
+    def command(self, command: exchange.Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
         self._started().command(command)
 
@@ -216,7 +216,7 @@ class SimulatedSource:
 
         return LiveSource(node, self)
 
-    def _started(self) -> Live:
+    def _started(self) -> LiveSensor | LiveProcess:
         with self._making:
             if self._ended:
                 msg = f"{self.name}: has ended"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
@@ -19,35 +19,16 @@ from cmp_tactile_processing.ros.messages.making import gel_frame, view_frame
 from cmp_tactile_processing.ros.parameters import declare_checked, describe
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError
-from cmp_tactile_simulation.live.motion import Command, LiveFrame, LiveSettings, Reset, TruthWanted
-from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.live.exchange import LiveFrame, Reset, TruthWanted
+from cmp_tactile_simulation.live.motion import LiveSettings
+
+if TYPE_CHECKING:
+    from cmp_tactile_simulation.live.source import SimulatedSource
 
 DEPTH = 10
 WARNING_PERIOD_S = 5.0
 NORM_TOLERANCE = 1e-2
 GRIDS = {"left": "truth/left/grid", "right": "truth/right/grid"}
-
-
-class CommandedSource(Protocol):
-    """A source of simulated frames that takes commands."""
-
-    settings: LiveSettings
-    wanted: TruthWanted
-
-    @property
-    def name(self) -> str:
-        """What messages about the source begin with."""
-
-    @property
-    def scene(self) -> Scene:
-        """The scene that is simulated."""
-
-    @property
-    def diagnostics(self) -> Mapping[str, object]:
-        """Figures of the simulation."""
-
-    def command(self, command: Command) -> None:
-        """Let the indenter do something; raises CommandError for what it cannot."""
 
 
 class LiveSource:
@@ -57,7 +38,7 @@ class LiveSource:
     Raises ParameterError for a wrong one.
     """
 
-    def __init__(self, node: Any, source: CommandedSource) -> None:
+    def __init__(self, node: Any, source: SimulatedSource) -> None:
         self._node = node
         self._source = source
         # One of several sensors of one description has frames of its own.

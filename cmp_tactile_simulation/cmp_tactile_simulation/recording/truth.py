@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
-from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.compressed import decode_compressed
-from cmp_tactile_processing.measured import ForceField, SlipEstimate, SlipState
-from cmp_tactile_processing.ros.messages import making
+from cmp_tactile_driver.errors import BagError
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.ros.messages import making, reading
 from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
 from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -27,6 +27,10 @@ from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
 
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+TRUE_TOPICS = ("truth/surface", "truth/force_field")
+SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
+FrameBytes = dict[str, bytes]
+"""CDR bytes of a frame's messages by topic, below the sensor's namespace."""
 # Camera noise leaves PNG's dictionary nothing to find: entropy coding alone is both the smallest
 # (21.9 MB against 23.8 MB for 60 frames) and seven times as fast.  OpenCV uses the strategy only
 # where a compression level is given too.
@@ -74,7 +78,7 @@ class FrameMessages:
         self._topics = recorded_topics(sensor)
         self._info = making.whole_frame_info(sensor)
 
-    def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, memoryview]]:
+    def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, bytes]]:
         """Topic (below the namespace) and CDR bytes of all messages of a frame, in order."""
         make = self._make
         camera = make.header(frame.stamp_ns, camera_frame(self._sensor))
@@ -98,7 +102,7 @@ class FrameMessages:
             "truth/indenter_pose": self._pose(frame.pose, gel),
         }
         for topic, kind in self._topics.types.items():
-            yield topic, simulation_typestore().serialize_cdr(messages[topic], kind)
+            yield topic, bytes(simulation_typestore().serialize_cdr(messages[topic], kind))
 
     def _pose(self, pose: Pose, header: Any) -> Any:
         place = self._make.new(
@@ -107,10 +111,6 @@ class FrameMessages:
             orientation=self._make.quaternion(Rotation.from_matrix(pose.rotation)),
         )
         return self._make.new(POSE_STAMPED, header=header, pose=place)
-
-
-TOPICS = ("truth/surface", "truth/force_field")
-SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
 
 
 @dataclass(frozen=True)
@@ -143,49 +143,35 @@ def read_truth(bag: Path) -> RecordedTruth:
     """
     sensor = SensorDescription.load(bag / "sensor.yaml")
     views = build_views(sensor)
-    topics = [*TOPICS, *(f"truth/{view}/grid" for view in views)]
+    topics = [*TRUE_TOPICS, *(f"truth/{view}/grid" for view in views)]
     rows = [
-        _row(stamp_ns, frame, sensor) for stamp_ns, frame in recorded_frames(bag, sensor, topics)
+        _row(stamp_ns, frame, sensor, views)
+        for stamp_ns, frame in recorded_frames(bag, sensor, topics)
     ]
     if not rows:
         msg = f"{bag}: found no truth, expected the topics {', '.join(topics)}"
         raise OutputError(msg)
-    shape = sensor.pattern.shape.corners
-
-    def column(name: str, dtype: Any = np.float64) -> NDArray[Any]:
-        return np.array([row[name] for row in rows], dtype)
-
-    def corners_px(view: str) -> NDArray[np.float64]:
-        if view not in views:
-            return np.full((len(rows), *shape, 2), np.nan)
-        return views[view].placement.to_frame(column(view).reshape(-1, *shape, 2))
-
-    return RecordedTruth(
-        stamp_ns=column("stamp_ns", np.int64),
-        corners_left_px=corners_px("left"),
-        corners_right_px=corners_px("right"),
-        corners_m=column("position").reshape(-1, *shape, 3),
-        wrench=column("wrench"),
-        contact_area=column("contact_area"),
-        slip_state=column("slip_state", np.uint8),
-        **{name: column(name) for name in SLIP_FIGURES},
-    )
+    return RecordedTruth(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 
-def _row(stamp_ns: int, frame: FrameBytes, sensor: SensorDescription) -> dict[str, Any]:
-    """What is kept of a frame."""
-    force = deserialised(frame, "truth/force_field", sensor)
+def _row(
+    stamp_ns: int, frame: FrameBytes, sensor: SensorDescription, views: Mapping[str, ViewGeometry]
+) -> dict[str, Any]:
+    """The values of RecordedTruth for a frame."""
+    shape, force = sensor.pattern.shape, true_force(frame, sensor)
+    pixels = dict.fromkeys(("left", "right"), np.full((*shape.corners, 2), np.nan))
+    for name, view in views.items():
+        message = deserialised(frame, f"truth/{name}/grid", sensor)
+        pixels[name] = reading.grid_from_msg(message, shape, view.placement).corners_frame
     return {
         "stamp_ns": stamp_ns,
-        "position": deserialised(frame, "truth/surface", sensor).position,
-        **{
-            view: deserialised(frame, f"truth/{view}/grid", sensor).corner_px
-            for view in sensor.views
-        },
-        "wrench": _wrench(force.wrench),
+        "corners_left_px": pixels["left"],
+        "corners_right_px": pixels["right"],
+        "corners_m": true_surface(frame, sensor).position,
+        "wrench": force.wrench,
         "contact_area": force.contact_area,
-        "slip_state": force.slip_state,
-        **{name: getattr(force, name) for name in SLIP_FIGURES},
+        "slip_state": np.uint8(force.slip_state),
+        **{name: getattr(force.slip, name) for name in SLIP_FIGURES},
     }
 
 
@@ -194,82 +180,20 @@ def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
     sensor = SensorDescription.load(bag / "sensor.yaml")
     for stamp, frame in recorded_frames(bag, sensor, ("truth/force_field",)):
         if stamp == stamp_ns:
-            return _force_field(deserialised(frame, "truth/force_field", sensor))
+            return true_force(frame, sensor)
     msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
     raise OutputError(msg)
 
 
-def _force_field(message: Any) -> ForceField:
-    return ForceField(
-        rows=message.rows,
-        cols=message.cols,
-        position=np.asarray(message.position, np.float64).reshape(-1, 3),
-        force=np.asarray(message.force, np.float64).reshape(-1, 3),
-        contact=np.asarray(message.contact, np.uint8) != 0,
-        wrench=np.array(_wrench(message.wrench)),
-        contact_area=message.contact_area,
-        centre_of_pressure=_point(message.centre_of_pressure),
-        reference_point=_point(message.reference_point),
-        slip_state=SlipState(message.slip_state),
-        slip=SlipEstimate(
-            SlipState(message.slip_state),
-            message.slip_ratio,
-            message.traction_ratio,
-            message.friction_coefficient,
-            message.friction_std,
-        ),
-        valid_fraction=message.valid_fraction,
-        regularization=message.regularization,
-        young=message.young,
-        poisson=message.poisson,
-    )
+def true_force(frame: FrameBytes, sensor: SensorDescription) -> ForceField:
+    """The force field of a recorded frame."""
+    return reading.force_field_from_msg(deserialised(frame, "truth/force_field", sensor))
 
 
-def _point(message: Any) -> NDArray[np.float64]:
-    return np.array([message.x, message.y, message.z])
-
-
-def _wrench(message: Any) -> list[float]:
-    force, torque = message.force, message.torque
-    return [force.x, force.y, force.z, torque.x, torque.y, torque.z]
-
-
-# Where simulated frames go: what a bag and a folder of images have in common.
-
-
-@dataclass(frozen=True)
-class WrittenFrame:
-    """What the video shows of a frame that was written.
-
-    image (H, W) uint8.  corners_m, displacement (rows, cols, 3) m, NaN where missing.
-    force_position (M, 3) m, force (M, 3) N, wrench (6,) N and N m, contact_area m^2.
-    """
-
-    image: NDArray[np.uint8]
-    corners_m: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    force_position: NDArray[np.float64]
-    force: NDArray[np.float64]
-    wrench: NDArray[np.float64]
-    contact_area: float
-
-
-class FrameOutput(Protocol):
-    """Takes the frames of one scene in order."""
-
-    def append(self, frame: SimulatedFrame) -> None:
-        """Write the next frame."""
-
-    def close(self) -> None:
-        """Make what was written readable for others; nothing may be appended afterwards."""
-
-    def frames(self) -> Iterator[WrittenFrame]:
-        """What was written, once it is closed."""
-
-
-# Reads the frames of a simulated recording back, whole or interrupted, without ROS.
-
-FrameBytes = dict[str, bytes]
+def true_surface(frame: FrameBytes, sensor: SensorDescription) -> Surface:
+    """The surface of a recorded frame."""
+    message = deserialised(frame, "truth/surface", sensor)
+    return reading.surface_from_msg(message, sensor.pattern.shape)
 
 
 def recorded_frames(
@@ -293,6 +217,14 @@ def recorded_frames(
         yield stamp_ns, frame
 
 
+def count_frames(bag: Path, sensor: SensorDescription) -> int:
+    """How many whole frames a bag has; 0 where there is none yet."""
+    try:
+        return sum(1 for _ in recorded_frames(bag, sensor))
+    except BagError:
+        return 0
+
+
 def deserialised(frame: FrameBytes, topic: str, sensor: SensorDescription) -> Any:
     """One message of a frame."""
     return simulation_typestore().deserialize_cdr(
@@ -300,27 +232,5 @@ def deserialised(frame: FrameBytes, topic: str, sensor: SensorDescription) -> An
     )
 
 
-def written_frame(frame: FrameBytes, sensor: SensorDescription) -> WrittenFrame:
-    """What the video shows of a recorded frame."""
-    image = deserialised(frame, "image_raw/compressed", sensor)
-    surface = deserialised(frame, "truth/surface", sensor)
-    force = deserialised(frame, "truth/force_field", sensor)
-    grid = surface.rows, surface.cols, 3
-    total, moment = force.wrench.force, force.wrench.torque
-    return WrittenFrame(
-        image=decode_compressed(image.format, image.data),
-        corners_m=_doubles(surface.position, grid),
-        displacement=_doubles(surface.displacement, grid),
-        force_position=_doubles(force.position, (-1, 3)),
-        force=_doubles(force.force, (-1, 3)),
-        wrench=np.array([total.x, total.y, total.z, moment.x, moment.y, moment.z]),
-        contact_area=float(force.contact_area),
-    )
-
-
 def _time_ns(message: StoredMessage) -> int:
     return message.time_ns
-
-
-def _doubles(values: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    return np.asarray(values, np.float64).reshape(shape)

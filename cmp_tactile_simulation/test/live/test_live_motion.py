@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError
@@ -89,19 +88,6 @@ def test_a_target_is_approached_at_the_speed_that_is_allowed(simulation):
     assert [there for _, there in steps] == [False, False, True]
     assert [length for length, _ in steps] == pytest.approx([2e-4, 2e-4, 1e-4])
     np.testing.assert_allclose(now.pose.position, target.position, atol=1e-12)
-
-
-def test_a_turn_takes_its_time_too(simulation):
-    now = simulation.start().contact
-    half = Rotation.from_rotvec([0, 0, 0.1]).as_matrix()
-    settings = LiveSettings(max_speed=0.01)
-    turned, there = step_towards(
-        simulation, now, Pose(now.pose.position, half), settings, elapsed=0.05
-    )
-    # 10 mm/s at a lever of 10 mm is 1 rad/s.
-    assert not there
-    angle = Rotation.from_matrix(turned.pose.rotation).magnitude()
-    assert angle == pytest.approx(0.05)
 
 
 def test_a_load_grows_at_the_rate_that_is_allowed_and_is_reached(simulation):

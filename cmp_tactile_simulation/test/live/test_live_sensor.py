@@ -25,13 +25,8 @@ from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SceneError
-from cmp_tactile_simulation.live.motion import (
-    LiveMode,
-    LiveSettings,
-    Reset,
-    TruthWanted,
-    check_command,
-)
+from cmp_tactile_simulation.live.exchange import LiveMode, Reset, TruthWanted, check_command
+from cmp_tactile_simulation.live.motion import LiveSettings
 from cmp_tactile_simulation.live.sensor import LiveSensor
 from cmp_tactile_simulation.live.source import LiveProcess, SimulatedSource
 from cmp_tactile_simulation.scenes.description import Start

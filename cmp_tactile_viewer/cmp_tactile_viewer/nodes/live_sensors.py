@@ -19,9 +19,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.raw import BitDepth
-from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.services import answer_of
 from cmp_tactile_viewer.errors import ViewerError
@@ -42,6 +40,7 @@ from cmp_tactile_viewer.snapshot import (
     Snapshot,
     Touch,
 )
+from cmp_tactile_viewer.sources.results import ResultReader
 
 # Of camera images, which the page draws less often than surfaces, somewhat more than it draws.
 RATE_HZ, IMAGE_HZ, HEALTH_HZ = 30.0, 15.0, 1.0
@@ -78,15 +77,14 @@ class _Watched:
         self, node: Node, sensor: RunningSensor, problem: Callable[[str, str], None]
     ) -> None:
         self._node, self.sensor, self._problem = node, sensor, problem
-        shown = sensor.shown.description
-        self._shape = shown.pattern.shape
-        self._placements = {name: view.placement for name, view in build_views(shown).items()}
-        self.name, self.views = sensor.shown.name, tuple(self._placements)
+        depth = BitDepth(f"{sensor.namespace}/image_raw", node.get_logger().info)
+        self._reader = ResultReader(sensor.shown.description, depth)
+        self.name, self.views = sensor.shown.name, tuple(self._reader.placements)
         # From the end of the chain to its beginning: the last one that speaks gives the stamps.
         kinds: dict[str, tuple[Any, str]] = {
             "force_field": (ForceField, "force"),
             "surface": (Surface, "surface"),
-            **{f"{view}/grid": (Grid, view) for view in self._placements},
+            **{f"{view}/grid": (Grid, view) for view in self.views},
             "image_raw": (Image, "frame"),
         }
         self.topics = []
@@ -96,7 +94,6 @@ class _Watched:
         # Small, and of every frame: for rate and latency.
         wrench = f"{sensor.namespace}/wrench"
         self._wrench = PolledTopic(wrench, WrenchStamped, "wrench")
-        self._depth = BitDepth(f"{sensor.namespace}/image_raw", node.get_logger().info)
         self._group = Polled()
         self._shown: tuple[str, int] | None = None
         self._image_s, self._imaged_ns = 0.0, -1
@@ -158,13 +155,7 @@ class _Watched:
         """What a message says; None, and a line of health, where it cannot be used."""
         try:
             message = deserialize_message(data, topic.message_type)
-            if topic.field == "frame":
-                return reading.image_from_msg(message, depth=self._depth)
-            if topic.field == "force":
-                return reading.force_field_from_msg(message)
-            if topic.field == "surface":
-                return reading.surface_from_msg(message, self._shape)
-            return reading.grid_from_msg(message, self._shape, self._placements[topic.field])
+            return self._reader.value(topic.field, message)
         except CmpTactileError as error:
             self._problem(topic.name, str(error))
             return None

@@ -61,7 +61,10 @@ def refined(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _middle(line: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The middle of lines (a, b, n, 3) of n markers, (a, b, 3); NaN where there are none."""
     count = line.shape[2]
+    if not count:
+        return np.full((*line.shape[:2], 3), np.nan)
     return np.asarray((line[:, :, (count - 1) // 2] + line[:, :, count // 2]) / 2)
 
 

@@ -18,7 +18,6 @@ from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage, open_s
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import ADVICE, single_flags
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
@@ -36,6 +35,7 @@ from cmp_tactile_viewer.snapshot import (
     Touch,
 )
 from cmp_tactile_viewer.sources.indenter import IndenterPoses
+from cmp_tactile_viewer.sources.results import ResultReader
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.pipeline import Pipeline
@@ -71,7 +71,7 @@ class ProcessedFrames:
 
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
-        size = sensor.image.width, sensor.image.height
+        size = sensor.frame_size
         self._recording = open_recording(
             path, topic=topic, frame_rate=DEFAULT_RATE_HZ, frame_id="", expected_size=size
         )
@@ -120,9 +120,7 @@ class StoredResults:
         """
         self._storage = storage or open_storage(path)
         self._topics = _result_topics(path, self._storage.topics)
-        self._sensor = sensor
-        self._depth = BitDepth(str(path))
-        self._placements = {name: view.placement for name, view in build_views(sensor).items()}
+        self._reader = ResultReader(sensor, BitDepth(str(path)))
         places = self._storage.places(list(self._topics))
         first = next((topic for topic, field in self._topics.items() if field == "frame"), "")
         self._timeline = timeline(places, first)
@@ -144,7 +142,7 @@ class StoredResults:
             try:
                 message: Any = store.deserialize_cdr(stored.data, stored.kind)
                 stamp_ns = reading.stamp_ns(message.header.stamp)
-                value = self._value(field, message)
+                value = self._reader.value(field, message)
             except (CmpTactileError, SerdeError, ValueError) as error:
                 self.problem = f"{stored.topic} at {stored.time_ns} ns: {error}"
                 continue
@@ -154,16 +152,6 @@ class StoredResults:
             if len(open_ones) > MOST_OPEN:
                 yield open_ones.pop(next(iter(open_ones)))
         yield from open_ones.values()
-
-    def _value(self, field: str, message: Any) -> Any:
-        if field == "frame":
-            return reading.image_from_msg(message, depth=self._depth)
-        if field == "surface":
-            return reading.surface_from_msg(message, self._sensor.pattern.shape)
-        if field == "force":
-            return reading.force_field_from_msg(message)
-        placement = self._placements.get(field)
-        return reading.grid_from_msg(message, self._sensor.pattern.shape, placement)
 
 
 def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
@@ -206,18 +194,13 @@ def _bag(path: Path) -> BagStorage | None:
     return open_storage(path) if whether else None
 
 
-def open_frames(path: Path, sensor: SensorDescription, topic: str = "") -> Frames:
-    """The stored results of a bag that has surfaces; else its frames, processed when shown.
-
-    Forces alone are shown where the bag has no images.  Raises CmpTactileError for what cannot be
-    read.
-    """
-    return _frames(path, _bag(path), sensor, topic)
-
-
 def _frames(
     path: Path, storage: BagStorage | None, sensor: SensorDescription, topic: str
 ) -> Frames:
+    """The stored results of a bag that has surfaces; else its frames, processed when shown.
+
+    Forces alone are shown where the bag has no images.
+    """
     if storage is not None:
         fields = _result_topics(path, storage.topics).values()
         if "surface" in fields or ("force" in fields and "frame" not in fields):

@@ -114,12 +114,6 @@ def test_a_name_that_is_allowed_opens_page_and_socket(given, host, origin):
         assert guard.refusal(asked(Host=host, Origin=f"http://{NAME}.evil.example")) != ""
 
 
-def test_a_page_by_an_allowed_name_gets_its_socket(started):
-    page = started(allow_hosts=(NAME,))
-    assert answer(page, Host=f"{NAME}:8123").status == OK
-    assert may_connect(page, origin=f"https://{NAME}")
-
-
 def test_a_name_that_is_not_allowed_is_told_what_to_do():
     """Both for the page and for its socket; a proxy of this machine's own name needs nothing."""
     guard = server.Guard(Access("0.0.0.0"))  # noqa: S104

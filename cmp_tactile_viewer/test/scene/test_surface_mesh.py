@@ -59,6 +59,19 @@ def test_a_lost_virtual_marker_is_replaced_by_the_middle_of_its_line():
     assert fine[2, 5] == pytest.approx((surface.position[1, 2] + surface.position[1, 3]) / 2)
 
 
+def test_a_pattern_without_virtual_markers_is_drawn_with_the_middles_of_its_lines():
+    surface = surface_on(bowl)
+    bare = replace(
+        surface,
+        shape=GridShape(4, 5, 0),
+        row_position=np.empty((4, 4, 0, 3)),
+        col_position=np.empty((3, 5, 0, 3)),
+    )
+    fine = refined_surface(bare)
+    assert fine[2, 5] == pytest.approx((surface.position[1, 2] + surface.position[1, 3]) / 2)
+    assert np.isfinite(fine).all()
+
+
 def test_every_triangle_has_one_colour_that_is_the_step_of_its_value():
     surface = surface_on(bowl)
     points, values = surface.position, surface.position[..., 2]

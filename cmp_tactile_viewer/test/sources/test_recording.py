@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from typing import Any
 
 import cv2
@@ -17,7 +18,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
 from cmp_tactile_viewer.sources import recording
-from cmp_tactile_viewer.sources.recording import StoredResults, open_frames, open_source
+from cmp_tactile_viewer.sources.recording import StoredResults, open_source
 
 RATE_HZ = 30.0
 FRAMES = 20
@@ -175,7 +176,8 @@ def test_compressed_frames_are_shown_beside_recorded_results(
             writer.add_topic(topic, kind)
             for stored in storage.read(storage.places([topic])):
                 writer.write(topic, stored.time_ns, stored.data)
-    shown = [snapshot for _, snapshot in open_frames(bag, sensor).read(0.0)]
+    with closing(open_source(bag, sensor)) as source:
+        shown = [snapshot for _, snapshot in source.frames.read(0.0)]
     assert len(shown) == FRAMES
     assert all(item.frame is not None and item.surface is not None for item in shown)
 

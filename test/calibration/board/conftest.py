@@ -12,7 +12,7 @@ from board_photographs import photograph_board
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.calibration.practice_rig import board_poses, changed_rig
-from cmp_tactile_processing.calibration.board import calibrate
+from cmp_tactile_processing.calibration.board import images
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
@@ -29,7 +29,7 @@ DISTORTION = (-0.1, 0.02, 1e-3, -5e-4, 0.0)
 @pytest.fixture(autouse=True)
 def found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A board is looked for once in each image: most tests are of what follows from that."""
-    monkeypatch.setattr(calibrate, "find_board", _find_board)
+    monkeypatch.setattr(images, "find_board", _find_board)
 
 
 _sightings: dict[object, object] = {}

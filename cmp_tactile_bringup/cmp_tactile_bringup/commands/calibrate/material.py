@@ -6,10 +6,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.calibrate import sources
-from cmp_tactile_bringup.commands.options import Number, argument, misuse, option
+from cmp_tactile_bringup.commands.options import Number, argument, misuse, option, parameter_option
 from cmp_tactile_processing.calibration.material.options import MaterialOptions
 
 if TYPE_CHECKING:
@@ -34,13 +34,6 @@ LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
 WRENCH, KNOWN = "Reference force sensor", "What is known before"
 WORDY_COLUMNS = 2
-
-
-def _known(name: str) -> Any:
-    """An option of this field of MaterialOptions."""
-    meta = MaterialOptions.__dataclass_fields__[name].metadata
-    limits = Number(meta["low"], meta["high"], meta["unit"])
-    return option(meta["description"], limits, group=KNOWN)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,11 +122,21 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     samples: Annotated[
         int, option("take at most so many", Number(1, 10_000, kind=int), group=WRENCH)
     ] = 60
-    young_factor: Annotated[float, _known("young_factor")] = MaterialOptions.young_factor
-    poisson_std: Annotated[float, _known("poisson")] = MaterialOptions.poisson
-    offset_std: Annotated[float, _known("offset")] = MaterialOptions.offset
-    model_error: Annotated[float, _known("model_error")] = MaterialOptions.model_error
-    strain_error: Annotated[float, _known("strain_error")] = MaterialOptions.strain_error
+    young_factor: Annotated[
+        float, parameter_option(MaterialOptions, "young_factor", group=KNOWN)
+    ] = MaterialOptions.young_factor
+    poisson_std: Annotated[float, parameter_option(MaterialOptions, "poisson", group=KNOWN)] = (
+        MaterialOptions.poisson
+    )
+    offset_std: Annotated[float, parameter_option(MaterialOptions, "offset", group=KNOWN)] = (
+        MaterialOptions.offset
+    )
+    model_error: Annotated[float, parameter_option(MaterialOptions, "model_error", group=KNOWN)] = (
+        MaterialOptions.model_error
+    )
+    strain_error: Annotated[
+        float, parameter_option(MaterialOptions, "strain_error", group=KNOWN)
+    ] = MaterialOptions.strain_error
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
@@ -267,7 +270,7 @@ def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSampl
 
     with shown_stages() as on_stage:
         sources.prepare_tracker(sensor, on_stage)
-    size = (sensor.image.width, sensor.image.height)
+    size = sensor.frame_size
     weights = sensor.tracking.grey_weights
     with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
         count = max(arguments.frames, LIVE_FRAMES)

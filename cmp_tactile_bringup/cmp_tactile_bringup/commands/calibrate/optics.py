@@ -197,7 +197,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     if arguments.input is None:
         frames = _capture(arguments, sensor, target, files.report / "frames")
     else:
-        size = (sensor.image.width, sensor.image.height)
+        size = sensor.frame_size
         found = read_frames(arguments.input, FrameSelection(topic=arguments.topic), size)
         warn(found.problem)
         frames = found.images
@@ -251,7 +251,7 @@ def _capture(
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    size = (sensor.image.width, sensor.image.height)
+    size = sensor.frame_size
     capture = BoardCapture(target)
     kept: list[NDArray[np.uint8]] = []
     columns = (TextColumn("images kept"), BarColumn(), MofNCompleteColumn())

@@ -113,7 +113,7 @@ def frames_of(
         take_frames,
     )
 
-    size = (sensor.image.width, sensor.image.height)
+    size = sensor.frame_size
     if arguments.input is not None:
         on_stage("reading frames", 0.0)
         selection = FrameSelection(arguments.frames, arguments.start, arguments.topic)

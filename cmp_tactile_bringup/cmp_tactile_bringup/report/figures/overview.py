@@ -17,7 +17,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
-from cmp_tactile_processing.measured import ForceField, Grid, Surface
+from cmp_tactile_processing.measured import ForceField, Surface, gridline_points
 
 WIDTH, HEIGHT = 9.0, 3.1
 # Slower than life, so that the knock can be followed by eye.
@@ -128,23 +128,14 @@ def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) ->
 def _draw_view(axes: Axes, frame: FrameResult, window: NDArray[np.float64]) -> None:
     axes.imshow(frame.image, cmap="gray", vmin=0, vmax=255)
     for grid in (frame.left, frame.right):
-        for lines, colour in zip(_gridlines(grid), (style.ROW, style.COLUMN), strict=True):
+        corners, col_lines = grid.corners_frame, grid.col_lines_frame.swapaxes(0, 1)
+        for lines, colour in (
+            (gridline_points(corners, grid.row_lines_frame), style.ROW),
+            (gridline_points(corners.swapaxes(0, 1), col_lines), style.COLUMN),
+        ):
             axes.add_collection(LineCollection(list(lines), colors=colour, linewidths=0.8))
     axes.set(xlim=window[:, 0], ylim=window[::-1, 1])
     axes.set_axis_off()
-
-
-def _gridlines(grid: Grid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points along rows and columns, px of the frame: corners with virtual markers between them."""
-    corners = grid.corners_frame
-    col_lines = grid.col_lines_frame.transpose(1, 0, 2, 3)
-    return _chain(corners, grid.row_lines_frame), _chain(corners.transpose(1, 0, 2), col_lines)
-
-
-def _chain(corners: NDArray[np.float64], between: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(a, b, 2) corners and (a, b - 1, n, 2) points between them -> (a, (b - 1)(n + 1) + 1, 2)."""
-    pieces = np.concatenate([corners[:, :-1, None], between], axis=2)
-    return np.concatenate([pieces.reshape(len(corners), -1, 2), corners[:, -1:]], axis=1)
 
 
 def _draw_displacement(axes: Axes, surface: Surface, scales: _Scales) -> None:

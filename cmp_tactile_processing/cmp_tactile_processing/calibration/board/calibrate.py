@@ -7,15 +7,19 @@ must not be used; where the images themselves do not serve, nothing is fitted.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import outcome
 from cmp_tactile_processing.calibration.board import result
+from cmp_tactile_processing.calibration.board.images import (
+    corners_of,
+    findings_of_images,
+    look_for_board,
+)
 from cmp_tactile_processing.calibration.board.start import (
     Corners,
     RigFit,
@@ -23,14 +27,9 @@ from cmp_tactile_processing.calibration.board.start import (
     start_error,
     start_of_cameras,
 )
-from cmp_tactile_processing.calibration.board.target import (
-    BoardSighting,
-    BoardTarget,
-    chessboard_size,
-    find_board,
-)
+from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, Progress, Severity
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding
 from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
@@ -39,22 +38,6 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Camera, Optics, Roi, ViewDescription
 
-Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]
-
-# Different poses of the board: fewer than the first give no result, than the second a warning.
-# Simulated mirror rigs are right to 0.01 % with 6 already; plain cameras, and boards that lean
-# little, need more.
-LEAST_POSES, ENOUGH_POSES = 6, 10
-# Of those, seen in both views.
-LEAST_SHARED = 4
-# Corners that moved less than this between two images, px RMS, show the same pose.
-SAME_POSE_PX = 1.0
-# Share of the images without a board that is worth a word.
-MANY_MISSING = 0.25
-# Blur, in sides of a square, that hides the corners, and in blurs of the other images.
-BLURRED_SIDES, BLURRED_OTHERS, LEAST_BLUR_PX = 0.14, 2.5, 1.5
-# Images without the board that are looked at for another one.
-PROBED = 3
 MODELS = ("pinhole", "equidistant")
 # Points that an image is to be covered with, per side, without its outermost tenth.
 COVERAGE_POINTS = 9
@@ -77,233 +60,6 @@ SCALES = (1.0, 0.5, 0.65, 0.8, 1.25, 1.6, 2.0)
 START_IMAGES = 8
 # The way over which a derivative is taken, in deviations of a prior.
 STEP = 1e-4
-
-
-@dataclass(frozen=True)
-class BoardImages:
-    """What is seen in the images of each view; images are counted from 0, None: no board there.
-
-    sizes: width and height by view, px; None where no image could be used.
-    other_size: names of images of another size, with it.  other_board: inner corners (cols, rows)
-    of another chessboard seen.
-    """
-
-    target: BoardTarget
-    sightings: dict[str, list[BoardSighting | None]]
-    sizes: dict[str, tuple[int, int]]
-    other_size: tuple[str, ...] = ()
-    other_board: tuple[int, int] | None = None
-
-    @property
-    def count(self) -> int:
-        """Number of images of a view, that of pairs for two."""
-        return max((len(seen) for seen in self.sightings.values()), default=0)
-
-    @property
-    def seen(self) -> dict[int, dict[str, BoardSighting]]:
-        """Sightings by image and view; images without any are left out."""
-        found: dict[int, dict[str, BoardSighting]] = {}
-        for view, sightings in self.sightings.items():
-            for image, sighting in enumerate(sightings):
-                if sighting is not None:
-                    found.setdefault(image, {})[view] = sighting
-        return dict(sorted(found.items()))
-
-
-def corners_of(images: BoardImages) -> dict[int, dict[str, Corners]]:
-    """Corners by image and view."""
-    return {
-        image: {view: Corners(item.number, item.pixels) for view, item in views.items()}
-        for image, views in images.seen.items()
-    }
-
-
-def look_for_board(
-    images: dict[str, Sequence[NDArray[np.uint8]]],
-    target: BoardTarget,
-    on_progress: Progress,
-    cut: Cut | None = None,
-    size: tuple[int, int] | None = None,
-) -> BoardImages:
-    """Look for the board in the images of each view.
-
-    images: by view; the same frames for all views where `cut` takes a view's part out of a frame,
-    un-mirrored.  size: width and height that images must have, default that of most of a view's.
-    """
-    total = sum(len(of_view) for of_view in images.values())
-    done, sightings, sizes, others = 0, {}, {}, []
-    without: list[NDArray[np.uint8]] = []
-    for view, of_view in images.items():
-        wanted = size or _most_common_size(of_view)
-        found: list[BoardSighting | None] = []
-        for number, image in enumerate(of_view):
-            on_progress("looking for the board", done, total)
-            done += 1
-            if image.shape[1::-1] != wanted:
-                name = f"image {number + 1}" if cut else f"{view} image {number + 1}"
-                others.append(f"{name} ({image.shape[1]} x {image.shape[0]})")
-                found.append(None)
-                continue
-            part = cut(view, image) if cut else image
-            found.append(find_board(part, target, view))
-            if found[-1] is None and len(without) < PROBED:
-                without.append(part)
-            sizes[view] = part.shape[1], part.shape[0]
-        sightings[view] = found
-    on_progress("looking for the board", total, total)
-    board = _other_board(target, without) if _few(sightings) else None
-    return BoardImages(target, sightings, sizes, tuple(dict.fromkeys(others)), board)
-
-
-def _most_common_size(images: Sequence[NDArray[np.uint8]]) -> tuple[int, int]:
-    return Counter(image.shape[1::-1] for image in images).most_common(1)[0][0]
-
-
-def _few(sightings: dict[str, list[BoardSighting | None]]) -> bool:
-    """Whether a view shows the board in less than half of its images."""
-    return any(
-        2 * sum(item is not None for item in found) < len(found) for found in sightings.values()
-    )
-
-
-def _other_board(
-    target: BoardTarget, images: Sequence[NDArray[np.uint8]]
-) -> tuple[int, int] | None:
-    """The chessboard of another size that images show most often."""
-    sizes = [size for image in images if (size := chessboard_size(image)) is not None]
-    own = max(target.cols, target.rows), min(target.cols, target.rows)
-    others = Counter(size for size in sizes if size != own)
-    return others.most_common(1)[0][0] if others and target.kind == "chessboard" else None
-
-
-def findings_of_images(images: BoardImages) -> list[Finding]:
-    """What is wrong with the images themselves, before anything is fitted."""
-    findings = _of_sizes(images) + _of_missing(images)
-    seen, repeated = images.seen, _repeated(images)
-    distinct = len(seen) - len(repeated)
-    if repeated:
-        text = (
-            f"{len(repeated)} of {len(seen)} images show the board where another one shows it "
-            f"already, which leaves {distinct} poses."
-        )
-        advice = "Move and lean the board between images; many images of one pose say no more."
-        findings.append(Finding.graded(text, advice, error=distinct < LEAST_POSES))
-    findings += _of_count(images, distinct)
-    return findings + _of_blur(images)
-
-
-def _of_sizes(images: BoardImages) -> list[Finding]:
-    if not images.other_size:
-        return []
-    sizes = sorted({f"{width} x {height}" for width, height in images.sizes.values()})
-    text = f"Images of another size were left out: {', '.join(images.other_size)}."
-    if sizes:
-        text = text[:-1] + f"; views are {' and '.join(sizes)} px."
-    advice = "Take all images with the one camera, at the resolution that the sensor will run at."
-    return [Finding.graded(text, advice, error=not images.sizes)]
-
-
-def _of_missing(images: BoardImages) -> list[Finding]:
-    findings = []
-    if images.other_board is not None:
-        cols, rows = images.other_board
-        text = (
-            f"Images show a chessboard of {cols} x {rows} inner corners, not of "
-            f"{images.target.cols} x {images.target.rows}."
-        )
-        advice = f"Count inner corners, not squares; if the board is right, give {cols}x{rows}."
-        return [Finding(Severity.ERROR, text, advice)]
-    for view, sightings in images.sightings.items():
-        missing = [number + 1 for number, item in enumerate(sightings) if item is None]
-        if len(missing) <= MANY_MISSING * len(sightings):
-            continue
-        none = len(missing) == len(sightings)
-        text = f"The board was not found in {len(missing)} of {len(sightings)} {view} images"
-        text += "." if none else f": {_listed(missing)}."
-        advice = (
-            "The whole chessboard with a white margin, or most of a ChArUco board, must be seen, "
-            "evenly lit and sharp; check the number of corners"
-        )
-        if images.target.kind == "charuco":
-            advice += ", the dictionary, and whether the image is mirrored"
-        findings.append(Finding.graded(text, advice + ".", error=none))
-    return findings
-
-
-def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
-    findings = []
-    advice = (
-        f"Take {ENOUGH_POSES} to 20 images with the board in different places, leaning by 20 to 40 "
-        f"degrees to all sides."
-    )
-    if distinct < ENOUGH_POSES:
-        few = distinct < LEAST_POSES
-        text = f"{distinct} different poses of the board are "
-        text += f"too few: at least {LEAST_POSES} are needed." if few else "few."
-        findings.append(Finding.graded(text, advice, error=few))
-    if len(images.sightings) == 2 and distinct >= LEAST_POSES:
-        both = sum(len(views) == 2 for views in images.seen.values())
-        if both < LEAST_SHARED:
-            text = (
-                f"Both views show the board in {both} images; their places relative to each other "
-                f"need at least {LEAST_SHARED}."
-            )
-            advice = "Hold the board where both views see it."
-            findings.append(Finding(Severity.ERROR, text, advice))
-    return findings
-
-
-def _of_blur(images: BoardImages) -> list[Finding]:
-    blurs = {
-        (view, image): (sighting.blur_px, sighting.side_px)
-        for image, views in images.seen.items()
-        for view, sighting in views.items()
-        if np.isfinite(sighting.blur_px)
-    }
-    if not blurs:
-        return []
-    usual = float(np.median([blur for blur, _ in blurs.values()]))
-    blurred = sorted(
-        {
-            image + 1
-            for (_, image), (blur, side) in blurs.items()
-            if blur > LEAST_BLUR_PX and blur > min(BLURRED_SIDES * side, BLURRED_OTHERS * usual)
-        }
-    )
-    if not blurred:
-        return []
-    text = f"Images are blurred: {_listed(blurred)} (edges of usually {usual:.1f} px)."
-    advice = "Hold the board still while the image is taken, light it well, and check the focus."
-    return [Finding(Severity.WARNING, text, advice)]
-
-
-def _repeated(images: BoardImages) -> list[int]:
-    """Images that show the board where an earlier one does, in all views."""
-    kept: list[dict[str, BoardSighting]] = []
-    repeated = []
-    for image, views in images.seen.items():
-        if any(_same_pose(views, earlier) for earlier in kept):
-            repeated.append(image)
-        else:
-            kept.append(views)
-    return repeated
-
-
-def _same_pose(a: dict[str, BoardSighting], b: dict[str, BoardSighting]) -> bool:
-    return a.keys() == b.keys() and all(_moved_px(a[view], b[view]) < SAME_POSE_PX for view in a)
-
-
-def _moved_px(a: BoardSighting, b: BoardSighting) -> float:
-    """RMS way of the corners that both show, px; infinite without any."""
-    _, at_a, at_b = np.intersect1d(a.number, b.number, return_indices=True)
-    if not len(at_a):
-        return float("inf")
-    return float(np.sqrt(((a.pixels[at_a] - b.pixels[at_b]) ** 2).sum(axis=1).mean()))
-
-
-def _listed(numbers: Sequence[int], most: int = 8) -> str:
-    listed = ", ".join(str(number) for number in numbers[:most])
-    return listed if len(numbers) <= most else f"{listed} and {len(numbers) - most} more"
 
 
 def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two arguments
@@ -532,7 +288,7 @@ def calibrate_mirror_rig(
         target,
         on_progress,
         cut=lambda view, frame: split_frame(frame, described[view].placement),
-        size=(sensor.image.width, sensor.image.height),
+        size=sensor.frame_size,
     )
     found = findings_of_images(images)
     if outcome.errors_in(found):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import observation
 from cmp_tactile_processing.calibration.gel.fit import (
+    GelCalibrationParameters,
     GelFit,
     GelShape,
     count_findings,
@@ -28,7 +29,6 @@ from cmp_tactile_processing.calibration.gel.fit import (
     sight_findings,
     view_residuals,
 )
-from cmp_tactile_processing.calibration.gel.options import GelCalibrationParameters
 from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
@@ -43,8 +43,7 @@ from cmp_tactile_processing.calibration.outcome import (
     reprojection,
     silent,
 )
-from cmp_tactile_processing.errors import CalibrationError, DescriptionError
-from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -66,11 +65,10 @@ def calibrate_gel(
 
     frames: (H, W) grey or (H, W, 3) BGR uint8, of the size that the description says.
     What is wrong with frames or result is among the outcome's findings.  Raises CalibrationError
-    where nothing can be fitted: no frames, no pattern in any of them, or views that are exchanged
-    in the description; FrameError that names a frame of another size.
+    where nothing can be fitted: no frames, or no pattern in any of them; DescriptionError for a
+    view that does not show the pattern; FrameError that names a frame of another size.
     """
     options = options or GelCalibrationParameters()
-    _check_views(sensor)
     grids = observation.track_frames(sensor, frames, on_progress)
     if not _usable(grids, options).any():
         _refuse_exchanged(sensor, frames[0], options)
@@ -113,27 +111,6 @@ class _Evidence:
     seen: Sequence[observation.ViewObservation]
     found: GelFit
     shape: GelShape
-
-
-def _check_views(sensor: SensorDescription) -> None:
-    """Raise CalibrationError where views are exchanged in the description."""
-    try:
-        build_views(sensor)
-    except DescriptionError as error:
-        if len(sensor.views) < 2:
-            raise
-        left, right = sensor.views["left"], sensor.views["right"]
-        views = {"left": replace(left, roi=right.roi), "right": replace(right, roi=left.roi)}
-        try:
-            build_views(replace(sensor, views=views))
-        except DescriptionError:
-            raise error from None
-        msg = (
-            f"{sensor.name}: found views with the roi of the other view, expected each view's "
-            "mirror or camera with its own part of the frame: exchange views.left.roi and "
-            "views.right.roi"
-        )
-        raise CalibrationError(msg) from None
 
 
 def _usable(

@@ -58,11 +58,13 @@ class GridHealth:
         self._worst = GridFault.NONE
         self._reason = ""
         self._faulty = 0
+        self._numbering = ""
 
     def add(self, grid: Grid) -> None:
         """Take a grid into account."""
         self._grids += 1
         self._followed += grid.followed
+        self._numbering = grid.numbering.value
         self._found = grid.found_fraction
         self._confidence = min(grid.confidence, self._confidence, key=_nan_last)
         self._faulty += grid.fault is not GridFault.NONE
@@ -79,6 +81,7 @@ class GridHealth:
             "tracked fraction": f"{self._found:.4f}",
             "confidence": f"{self._confidence:.3f}",
             "followed": f"{followed:.2f}",
+            "numbering": self._numbering,
             "fault": self._worst.value,
             "frames with a fault": f"{self._faulty} of {self._grids}",
         }

@@ -54,6 +54,16 @@ class MessageDefinition:
 
 
 @cache
+def simulation_definition(kind: str) -> MessageDefinition:
+    """The definition of a type of `simulation_typestore`, without comments; raises what that does.
+
+    The other messages of ROS 2 need not be installed.
+    """
+    store = simulation_typestore()
+    return MessageDefinition(store.generate_msgdef(kind, ros_version=2)[0], store.hash_rihs01(kind))
+
+
+@cache
 def message_definition(message_type: str) -> MessageDefinition:
     """The definition of a type such as "sensor_msgs/msg/Image", as a bag keeps it.
 

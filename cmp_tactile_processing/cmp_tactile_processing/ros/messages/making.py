@@ -140,6 +140,7 @@ class MessageMaker:
             residual_px=float(grid.residual_px),
             confidence=float(grid.confidence),
             followed=bool(grid.followed),
+            numbering=grid.numbering.value,
             fault=grid.fault.value,
             reason=grid.reason,
         )
@@ -276,7 +277,7 @@ def whole_frame_info(sensor: SensorDescription) -> ViewCameraInfo:
 
     A sensor with a camera per view has none: its K is zero, which ROS reads as uncalibrated.
     """
-    size, camera = (sensor.image.width, sensor.image.height), sensor.camera
+    size, camera = sensor.frame_size, sensor.camera
     if camera is None:
         zero = np.zeros((3, 3))
         return ViewCameraInfo(*size, "", np.zeros(0), zero, zero, np.zeros((3, 4)))

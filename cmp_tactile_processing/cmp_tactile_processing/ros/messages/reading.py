@@ -7,9 +7,9 @@ agree, before anything is reshaped: GeometryError names field, found and expecte
 from __future__ import annotations
 
 import math
-from enum import IntEnum
+from enum import Enum, IntEnum
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
+Name = TypeVar("Name", bound=Enum)
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 # A plain number: NumPy looks for long what an enumeration's member may be.
 MISSING = int(measured.Status.MISSING)
@@ -47,12 +48,13 @@ def grid_from_msg(
         residual_px=float(msg.residual_px),
         reason=msg.reason,
         placement=placement,
-        fault=_read_fault(msg),
+        fault=_read_named(msg, "fault", measured.GridFault),
         corner_std=_read_deviations(msg, "corner_std_px", shape.corners),
         row_line_std=_read_deviations(msg, "row_line_std_px", shape.row_lines),
         col_line_std=_read_deviations(msg, "col_line_std_px", shape.col_lines),
         confidence=_read_confidence(msg),
         followed=bool(msg.followed),
+        numbering=_read_named(msg, "numbering", measured.NumberingKind),
     )
     _check_consistent("corner_px", grid.corners, grid.corner_status)
     _check_consistent("row_line_px", grid.row_lines, grid.row_line_status)
@@ -187,12 +189,17 @@ def _words(shape: measured.GridShape) -> str:
     return f"{shape.rows}, {shape.cols}, {shape.points_per_segment}"
 
 
-def _read_fault(msg: Any) -> measured.GridFault:
+def _read_named(msg: Any, field: str, names: type[Name]) -> Name:
+    """A field with the name of an enumeration's member; the first where it is not there.
+
+    Recordings of earlier versions lack the later fields.
+    """
+    found = getattr(msg, field, next(iter(names)).value)
     try:
-        return measured.GridFault(msg.fault)
+        return names(found)
     except ValueError:
-        known = ", ".join(repr(item.value) for item in measured.GridFault)
-        text = f"fault: found {msg.fault!r}, expected one of {known}"
+        known = ", ".join(repr(item.value) for item in names)
+        text = f"{field}: found {found!r}, expected one of {known}"
         raise GeometryError(text) from None
 
 

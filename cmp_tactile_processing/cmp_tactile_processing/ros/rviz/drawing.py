@@ -84,7 +84,7 @@ RGBA = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class DrawnMarker:
-    """One marker: lists of points, or a text at `position`.  One that shows nothing is deleted.
+    """One marker: lists of points, or a text at `position`.
 
     namespace and number are its name.  kind: Marker.LINE_LIST, ...  points (P, 3) m, and where
     each has a colour of its own, colours (P, 4).  scale (x, y, z) as the kind takes it.
@@ -101,32 +101,27 @@ class DrawnMarker:
     text: str = ""
 
     @property
-    def action(self) -> int:
-        """RViz reports a list without points as an error, and keeps what is sent no more."""
+    def shows(self) -> bool:
+        """Whether there is anything of it: RViz reports a list without points as an error."""
         if self.kind == Marker.TEXT_VIEW_FACING:
-            shown = bool(self.text) and bool(np.isfinite(self.position).all())
-        else:
-            shown = len(self.points) > 0
-        return int(Marker.ADD if shown else Marker.DELETE)
+            return bool(self.text) and bool(np.isfinite(self.position).all())
+        return len(self.points) > 0
 
 
-def marker_array_bytes(markers: Sequence[DrawnMarker], header: Header, lifetime_s: float) -> bytes:
-    """The serialised MarkerArray; a marker that is not renewed vanishes after its lifetime, if > 0.
+def marker_array_bytes(
+    markers: Sequence[DrawnMarker], header: Header, lifetime_s: float = 0.0
+) -> bytes:
+    """The serialised MarkerArray that puts what the markers show in the place of all earlier ones.
 
-    The markers move with their frame: they are true of the gel wherever the finger is by now.
+    A marker that is not renewed vanishes after its lifetime, if > 0.  They move with their frame:
+    they are true of the gel wherever the finger is by now.
     """
+    shown = [marker for marker in markers if marker.shows]
     stream = _Stream()
-    stream.numbers("I", len(markers))
-    for marker in markers:
-        _write(stream, marker, marker.action, header, lifetime_s)
-    return stream.content()
-
-
-def delete_all(header: Header) -> bytes:
-    """The serialised MarkerArray that deletes all markers of its topic."""
-    stream = _Stream()
-    stream.numbers("I", 1)
+    stream.numbers("I", 1 + len(shown))
     _write(stream, DrawnMarker("", 0), Marker.DELETEALL, header, 0.0)
+    for marker in shown:
+        _write(stream, marker, Marker.ADD, header, lifetime_s)
     return stream.content()
 
 
@@ -134,8 +129,6 @@ def _write(
     stream: _Stream, marker: DrawnMarker, action: int, header: Header, lifetime_s: float
 ) -> None:
     """The fields of Marker.msg in their order; textures and meshes are empty."""
-    if action != Marker.ADD:
-        marker = DrawnMarker(marker.namespace, marker.kind, marker.number)
     stream.numbers("iI", header.stamp.sec, header.stamp.nanosec)
     stream.strings(header.frame_id, marker.namespace)
     stream.numbers("iii", marker.number, marker.kind, action)

@@ -87,9 +87,9 @@ class MarkerParameters(Parameters, section="markers"):
 
 # Arrows of nodes that are shorter than this, in widths of their line, would only be dots.
 SHORTEST_ARROW = 2.0
-# So many texts are written or deleted each time: those of before need not be remembered.
-MOST_TEXTS, MOST_LINES, LEGEND_TEXTS = 8, 3, 6
-# From gel and arrows up to the middle of a contact's text, in letters: it is of three lines.
+# Contacts that have a text, and the lines of each.
+MOST_TEXTS, MOST_LINES = 8, 3
+# From gel and arrows up to the middle of a contact's text, in letters.
 TEXT_HEIGHT = 4.0
 # The colour bar beside the gel: steps, and gap and width in letters.
 BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
@@ -143,7 +143,7 @@ def _contact_markers(
     if look.contact_text:
         drawn = [part for part, _ in (*resultants, *moments)]
         markers += _contact_texts(field, look, [field.position, arrows, *drawn])
-    return markers + texts.unused(markers, "contact_text", range(MOST_LINES * MOST_TEXTS))
+    return markers
 
 
 def _contact_texts(
@@ -209,10 +209,8 @@ def _triangles(
 def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarker]:
     """Bar of the colours of depth, right of the gel, its ends, and the scales of the arrows."""
     known = surface.reference[np.isfinite(surface.reference).all(axis=-1)]
-    numbers = range(1, LEGEND_TEXTS + 1)
     if not (look.legend and len(known)):
-        bar = drawing.DrawnMarker("legend", Marker.TRIANGLE_LIST)
-        return [bar, *texts.unused([], "legend", numbers)]
+        return []
     page, size = texts.Page.of(look.up), look.text_size
     (far_left, low), (right, high) = page.extent(known)
     left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,15 +101,6 @@ def stacked(  # noqa: PLR0913, PLR0917 - what is written, where, how large
         )
         for number, ((line, colour), (x, y, z)) in enumerate(zip(lines, places, strict=True))
     ]
-
-
-def unused(
-    markers: Sequence[drawing.DrawnMarker], namespace: str, numbers: Iterable[int]
-) -> list[drawing.DrawnMarker]:
-    """Texts without letters, which deletes them, for the numbers that none of the markers has."""
-    used = {marker.number for marker in markers if marker.namespace == namespace}
-    free = [number for number in numbers if number not in used]
-    return [drawing.DrawnMarker(namespace, Marker.TEXT_VIEW_FACING, number) for number in free]
 
 
 def clear_places(

@@ -148,6 +148,20 @@ def turn_of(position: NDArray[np.float64], number: NDArray[np.intp], nominal: No
     return float(np.angle(np.vdot(*_centred(position, number, nominal.corners)[::-1])))
 
 
+def turned_reason(
+    position: NDArray[np.float64],
+    number: NDArray[np.intp],
+    nominal: NominalGrid,
+    largest: float = LARGEST_TURN,
+) -> str:
+    """What is to be said of corners that are turned by more than a gel turns, else empty."""
+    angle = turn_of(position, number, nominal)
+    if abs(angle) <= largest:
+        return ""
+    degrees = f"{np.degrees(angle):.0f} degrees"
+    return f"the pattern is turned in the image by {degrees} against the sensor's description"
+
+
 def shape_misfit(
     position: NDArray[np.float64],
     number: NDArray[np.intp],

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
 from cmp_tactile_processing.tracking.detector import (
     Component,
     CornerGraph,
-    NominalAxes,
     NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.coded_view import CodedView
@@ -28,16 +26,19 @@ from cmp_tactile_processing.tracking.numbering.component_placement import (
     ComponentPlacement,
 )
 from cmp_tactile_processing.tracking.numbering.components import (
-    GridlinePointers,
     drop_loose_corners,
     in_order,
     joined,
+)
+from cmp_tactile_processing.tracking.numbering.connected_corners import (
+    ConnectedCorners,
+    without_blurred,
 )
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
-    turn_of,
+    turned_reason,
 )
 from cmp_tactile_processing.tracking.numbering.result import Numbering
 from cmp_tactile_processing.tracking.numbering.torn_view import (
@@ -51,8 +52,6 @@ from cmp_tactile_processing.tracking.numbering.torn_view import (
 SMALLEST_ANCHORED = 0.1
 # On a cluttered image without pattern corners connect by chance: up to this share of those.
 BY_CHANCE = 0.5
-# Components of fewer corners are clutter as often as they are part of the pattern.
-SMALLEST_JOINED = 2
 # Corners with this share of the grid's that fit nowhere are another pattern.
 OTHER_PATTERN = 0.1
 # Checkers that differ by more than this from those of the pattern, in sides, are another one's.
@@ -66,11 +65,6 @@ OF_THE_DESCRIPTION = {
     GridFault.TURNED,
 }
 FEWEST_PIECE = 9
-# Checkers without sharp edges, and with less contrast than this, may be light where they should be
-# dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
-# leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
-# where neither has exchanged the colours, blur of a third of a side leaves more contrast.
-LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 # A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
 # of the whole; of the whole see `faulty_view.py`.
 LARGEST_TURN_OF_PART = 0.25
@@ -80,28 +74,6 @@ UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
 # And where rows or columns rest on one border alone, the other one out of sight: something along a
 # gridline that is as bright as the margin looks the same.
 ONE_BORDER = 0.5
-
-
-def _without_blurred(
-    components: list[Component], image: PreparedImage
-) -> tuple[list[Component], str]:
-    """The components in which light and dark can be trusted, and what speaks against the largest.
-
-    Components that are too small to be judged go with the largest.
-    """
-    kept: list[Component] = []
-    reason = ""
-    for index, component in enumerate(components):
-        if len(component.position) < FEWEST_CORNERS:
-            return kept if reason else kept + components[index:], reason
-        sharpness, contrast = blur_evidence(image.grey, *component.lattice())
-        if not (sharpness < LEAST_SHARPNESS and contrast < LEAST_CONTRAST):
-            kept.append(component)
-        elif index == 0:
-            reason = (
-                f"out of focus or smeared: checkers without sharp edges, of {contrast:.0%} contrast"
-            )
-    return kept, reason
 
 
 class GridNumbering:
@@ -121,13 +93,12 @@ class GridNumbering:
     ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
-        self._axes = NominalAxes(nominal)
-        self._pointers = GridlinePointers()
+        self._connected = ConnectedCorners(nominal)
         self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
         self._code: CodedView | None = None
         if dots is not None and dots.any():
-            self._code = CodedView(nominal, self._axes, dots, dark_first)
+            self._code = CodedView(nominal, self._connected.axes, dots, dark_first)
 
     def number(
         self,
@@ -173,11 +144,9 @@ class GridNumbering:
 
         Dots are read first: they show themselves whether light and dark can be trusted.
         """
-        steps = self._axes.near(graph.position)
-        components = self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
-        if self._code is not None or not components:
-            return components, ""
-        return _without_blurred(components, image)
+        if self._code is not None:
+            return self._connected.all_components(graph), ""
+        return self._connected.components(graph, image)
 
     def _parts_of(
         self,
@@ -240,7 +209,7 @@ class GridNumbering:
             by_code = self._code.number(components, image)
             if by_code is not None:
                 return by_code
-            components, reason = _without_blurred(components, image)
+            components, reason = without_blurred(components, image)
             if not components:
                 return self._missing(GridFault.NO_CONTRAST, reason)
         return self._numbered_by_border(components, image, previous)
@@ -334,12 +303,10 @@ class GridNumbering:
         number, position = number[inside], component.position[inside]
         fault, reason = self._others.seen_in(position, number, previous)
         if fault is GridFault.NONE and len(position) >= FEWEST_CORNERS:
-            angle = turn_of(position, number, self._nominal)
             few = len(position) < TURNED_SHARE * self._nominal.corners[..., 0].size
-            if abs(angle) > (LARGEST_TURN_OF_PART if few else LARGEST_TURN):
-                fault = GridFault.TURNED
-                reason = f"the pattern is turned in the image by {np.degrees(angle):.0f} degrees"
-                reason += " against the sensor's description"
+            largest = LARGEST_TURN_OF_PART if few else LARGEST_TURN
+            reason = turned_reason(position, number, self._nominal, largest)
+            fault = GridFault.TURNED if reason else GridFault.NONE
         if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
             fault = GridFault.TWO_PATTERNS
             reason = "two patterns seen, each of which could be the sensor's"
@@ -380,7 +347,7 @@ class GridNumbering:
         lattice, _ = component.lattice()
         known = np.isfinite(lattice[..., 0])
         off = []
-        for axis, nominal in enumerate(self._axes.near(lattice[known])):
+        for axis, nominal in enumerate(self._connected.axes.near(lattice[known])):
             steps = np.full_like(lattice, np.nan)
             if lattice.shape[axis] > 1:
                 steps = np.gradient(lattice, axis=axis)

@@ -63,7 +63,7 @@ class PrintView:
     def in_image(
         cls, image: NDArray[np.float32], noise: float, corners: NDArray[np.float64]
     ) -> PrintView | None:
-        """None where the image (H, W) has no contrast or too little of the print."""
+        """None where the image (H, W) has no contrast or too little of the print, or but glare."""
         known = np.isfinite(corners[..., 0])
         if known.sum() < max(LEAST_CORNERS, LEAST_SHARE * known.size):
             return None
@@ -82,6 +82,8 @@ class PrintView:
         if spots.glare.any():
             # Its light has spoilt what was expected around it.
             usable = usable & ~spots.glare
+            if not usable.any():
+                return None
             found = departure(image, noise, places, usable, side) or found
             spots = find_spots(found, usable, tolerance, side)
         return cls(corners, sound, lattice, places, usable & ~spots.glare, found, spots, side)

@@ -1,0 +1,160 @@
+"""What to print, how to mount it, and what the camera will see of it, in words and numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.printing.advice import (
+    PatternAdvice,
+    advise,
+    checker_sides_px,
+    code_advice,
+)
+from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintedPattern, PrintOptions
+from cmp_tactile_processing.printing.sheet import PrintedCopy, PrintSheet
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+PROCESSES = {
+    "along_axis": "along_axis: pad or transfer printing, or exposure, along the gel's z axis",
+    "unrolled": "unrolled: a film, printed flat and laid around the gel",
+}
+
+
+def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -> dict[str, str]:
+    """Size, process, side, marks and places on the sheet."""
+    options = printed.options
+    size = _size(printed)
+    with_margin = size + 2e3 * options.margin
+    facts = {
+        "Pattern": _kind(printed),
+        "Ink": _ink(options),
+        "Size": f"{_mm(size)}, {_mm(with_margin)} with its margin",
+        "Process": PROCESSES[printed.process],
+        "Seen from": "the camera's side (mirrored): the print side goes onto the gel"
+        if copy.mirrored
+        else "the touching side: the print side looks away from the gel",
+        "Targets": f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat "
+        f"print, apex at (0, 0); the one of corner (0, 0) is filled in one quarter",
+        "Sheet": f"{sheet.width:g} x {sheet.height:g} mm, copies: {len(sheet.origins)}",
+        "Apex on the sheet": _places(sheet),
+    }
+    if printed.process == "unrolled":
+        facts["Curved edges"] = f"polygons within {CHORD_TOLERANCE * 1e6:g} um"
+    if printed.rim_strain:
+        facts["Stretch of the film"] = (
+            f"{100 * printed.rim_strain:+.2f} % along the rim at the farthest corner of the "
+            f"margin, none along lines from the apex: a film does not unroll from a sphere"
+        )
+    return facts
+
+
+def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str, str]:
+    """What the camera will see of it, and which checkers would be better."""
+    distance = "Checker side" if pattern_type == "cmp" else "Distance of dots"
+    try:
+        sides = checker_sides_px(sensor)
+    except DescriptionError as error:
+        return {distance: _not_known(sensor, error)}
+    facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
+    facts["Advised"] = _advised(sensor)
+    if sensor.pattern.code != "none" and pattern_type == "cmp":
+        facts["Code"] = code_advice(sensor)
+    return facts
+
+
+def advice_of(sensor: SensorDescription) -> PatternAdvice:
+    """As advise has it; DescriptionError where a view does not show the whole print."""
+    for view, sides in checker_sides_px(sensor).items():
+        if not np.isfinite(sides).all():
+            raise DescriptionError(
+                f"{sensor.origin}: views.{view}: some corners of the pattern are beyond what "
+                f"the lens shows, so a print of this size gets no advice"
+            )
+    return advise(sensor)
+
+
+def _not_known(sensor: SensorDescription, error: DescriptionError) -> str:
+    """Without the file, which stands above."""
+    return f"not known: {str(error).removeprefix(f'{sensor.origin}: ')}"
+
+
+def _advised(sensor: SensorDescription) -> str:
+    try:
+        advice = advice_of(sensor)
+    except DescriptionError as error:
+        return _not_known(sensor, error)
+    return (
+        f"{advice.rows} x {advice.cols} corners, pitch {advice.pitch * 1e3:.6g} mm, "
+        f"{advice.points_per_segment} virtual markers between: {advice.reason}"
+    )
+
+
+def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list[str]:
+    """What should be known before it is printed."""
+    warnings = []
+    if not printed.fits_gel:
+        found = _mm(_size(printed) + 2e3 * printed.options.margin)
+        block = _mm(np.array(sensor.elastomer.size[:2]) * 1e3)
+        warnings.append(f"pattern with its margin is {found}, more than the gel's block of {block}")
+    if printed.gel is None:
+        warnings.append(
+            "the gel's block reaches beyond its surface (pattern.surface.radius): it has no "
+            "outline on the flat print"
+        )
+    if printed.options.pattern_type == "dmp":
+        warnings.append("dots are for comparisons: the nodes of cmp_tactile track checkers only")
+    return warnings
+
+
+def _kind(printed: PrintedPattern) -> str:
+    pattern, options = printed.pattern, printed.options
+    pitch = f"pitch {pattern.pitch * 1e3:.6g} mm"
+    if options.pattern_type == "dmp":
+        width = options.dot_diameter * pattern.pitch * 1e3
+        return f"{pattern.rows} x {pattern.cols} dots of {width:.6g} mm, {pitch}"
+    outside = f"{pattern.corner_checker} checker outside corner (0, 0)"
+    code = f", code: {pattern.code}, seed {pattern.code_seed}" if pattern.code != "none" else ""
+    return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}{code}"
+
+
+def _ink(options: PrintOptions) -> str:
+    part = "the dark checkers" if options.pattern_type == "cmp" else "the dots"
+    if options.invert:
+        part = f"all but {part}, margin and bleed included (inverted)"
+    gain = f"; {options.ink_gain * 1e6:g} um taken off each edge" if options.ink_gain else ""
+    return f"{part}{gain}"
+
+
+def _size(printed: PrintedPattern) -> NDArray[np.float64]:
+    """Of the checkers on the gel, x and y, mm."""
+    pattern = printed.pattern
+    return np.array([pattern.cols + 1, pattern.rows + 1]) * pattern.pitch * 1e3
+
+
+def _sides(values: NDArray[np.float64]) -> str:
+    seen = values[np.isfinite(values)]
+    if not len(seen):
+        return "not seen"
+    hidden = "" if len(seen) == len(values) else "; some corners are beyond what the lens shows"
+    return f"{seen.min():.1f} px at least, {seen.mean():.1f} px on average{hidden}"
+
+
+def _places(sheet: PrintSheet) -> str:
+    x, y = sheet.origins[0]
+    first = f"({x:.3f}, {y:.3f}) mm from the top left corner"
+    if len(sheet.origins) == 1:
+        return first
+    across = sorted({x for x, _ in sheet.origins})
+    down = sorted({y for _, y in sheet.origins})
+    steps = [
+        f"{axis[1] - axis[0]:.3f} mm {way}"
+        for axis, way in ((across, "to the right"), (down, "down"))
+        if len(axis) > 1
+    ]
+    return f"{first} for the first copy; {', '.join(steps)} to the next"
+
+
+def _mm(size: NDArray[np.float64]) -> str:
+    return f"{size[0]:.6g} x {size[1]:.6g} mm"

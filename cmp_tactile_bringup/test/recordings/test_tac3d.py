@@ -1,0 +1,175 @@
+"""Recordings of Tac3D sensors are read into the gel frame, and their forces found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.recordings.agreement import agreement
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
+from cmp_tactile_processing.elastic.model import ElasticModel
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.sensor.parts import PatternSurface
+
+SERIAL = "AD2-0001L"
+# The sensor's own frame begins below the gel.
+ORIGIN_MM = np.array([-0.4, 0.3, 11.4])
+PITCH_M, RADIUS_M, FORCE_N = 0.00099, 0.032, np.array([0.6, -0.4, -4.0])
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    """The packaged description with the pattern of one sensor."""
+    packaged = load_sensor("tac3d_ad2")
+    surface = PatternSurface("sphere_cap", RADIUS_M)
+    return replace(packaged, pattern=replace(packaged.pattern, pitch=PITCH_M, surface=surface))
+
+
+@pytest.fixture(scope="module")
+def arrays(sensor):
+    """What the vendor's recorder keeps of a press in 12 frames, the first three at rest."""
+    model = ElasticModel(sensor)
+    x, y = model.node_position[:, :2].T
+    spread = np.exp(-((x - 0.001) ** 2 + y**2) / (2 * 0.002**2))
+    spread /= spread.sum()
+    moved = (model.compliance @ (spread[:, None] * FORCE_N).ravel()).reshape(20, 20, 3)
+    rest = 1e3 * sensor.pattern.corners() + ORIGIN_MM
+    share = np.clip(np.arange(12) - 2, 0, 6) / 6
+    noise = np.random.default_rng(3).normal(0, [1e-3, 1e-3, 3e-3], (12, 20, 20, 3))
+    displacement = 1e3 * share[:, None, None, None] * moved + noise
+    force = share[:, None] * FORCE_N
+    moment = np.cross(ORIGIN_MM + [1.0, 0.0, 0.0], force)
+    turned = displacement[:, ::-1, ::-1], (rest + displacement)[:, ::-1, ::-1]
+    return {
+        "3D_Displacements": turned[0].reshape(12, 400, 3),
+        "3D_Positions": turned[1].reshape(12, 400, 3),
+        "3D_Forces": np.zeros((12, 400, 3)),
+        "3D_ResultantForce": force[:, None],
+        "3D_ResultantMoment": moment[:, None],
+        "index": np.array([7, 8, 9, 10, 13, 14, 15, 16, 17, 18, 19, 20]),
+        "sendTimestamp": 68.0 + np.arange(12) / 30,
+    }
+
+
+@pytest.fixture
+def folder(arrays, tmp_path):
+    """The recording as files."""
+    path = tmp_path / "press" / SERIAL
+    path.mkdir(parents=True)
+    for name, values in arrays.items():
+        np.save(path / f"{name}.npy", values)
+    return path
+
+
+def test_a_recording_is_turned_into_the_gel_frame(folder, sensor, arrays):
+    recording = read_tac3d(folder)
+    assert recording.serial == SERIAL
+    assert recording.lost == 2
+    assert recording.stamp_ns[:2].tolist() == [68_000_000_000, 68_033_333_333]
+    # To the noise of a marker, and what the middle of a cap lies above that of its four corners.
+    assert np.abs(recording.reference - sensor.pattern.corners())[..., :2].max() < 3e-6
+    assert np.abs(recording.reference - sensor.pattern.corners())[..., 2].max() < 2e-5
+    first = arrays["3D_Displacements"][5, 0]
+    assert recording.displacement[5, -1, -1] == pytest.approx(1e-3 * first)
+    # About the gel's origin: 1 mm along x from where the force acts.
+    assert recording.wrench[-1, 3:] == pytest.approx(np.cross([1e-3, 0, 0], FORCE_N), abs=2e-4)
+    described = recording.described(sensor)
+    assert described.pattern.pitch == pytest.approx(PITCH_M, rel=1e-3)
+    assert described.pattern.surface.radius == pytest.approx(RADIUS_M, rel=0.02)
+
+
+def test_a_flat_sensor_is_described_as_flat(folder, sensor, arrays):
+    flat = arrays["3D_Positions"].copy()
+    flat[..., 2] = 11.4 + arrays["3D_Displacements"][..., 2]
+    np.save(folder / "3D_Positions.npy", flat)
+    assert read_tac3d(folder).described(sensor).pattern.surface == PatternSurface()
+
+
+def test_the_force_is_found_again_and_lies_beside_the_sensors_own(folder, tmp_path, capsys):
+    output = tmp_path / "out"
+    assert main(["import", "tac3d", str(folder.parent), "--output", str(output)]) == 0
+    assert sorted(path.name for path in output.iterdir()) == [
+        f"{SERIAL}.mcap",
+        f"{SERIAL}.yaml",
+        f"{SERIAL}_wrench.csv",
+    ]
+    table = np.genfromtxt(output / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
+    found = np.array([table[f"f{axis}_N"][-1] for axis in "xyz"])
+    # The load is not made of the mesh's own hats; noise takes the rest.
+    assert found == pytest.approx(FORCE_N, abs=0.03 * np.linalg.norm(FORCE_N))
+    with (output / f"{SERIAL}.mcap").open("rb") as file:
+        counts = make_reader(file).get_summary()
+        topics = {channel.topic for channel in counts.channels.values()}
+    space = f"/{load_sensor(str(output / f'{SERIAL}.yaml')).ros_name}"
+    assert topics >= {f"{space}/{name}" for name in ("surface", "force_field", "tac3d/wrench")}
+    assert "correlation" in capsys.readouterr().out
+
+
+def test_calibrating_takes_the_modulus_from_the_sensors_own_force(folder, arrays, tmp_path):
+    np.save(folder / "3D_ResultantForce.npy", 1.5 * arrays["3D_ResultantForce"])
+    words = ["import", "tac3d", str(folder), "--output", str(tmp_path), "--calibrate"]
+    assert main(words) == 0
+    found = load_sensor(str(tmp_path / f"{SERIAL}.yaml")).elastomer
+    assert found.young == pytest.approx(1.5 * load_sensor("tac3d_ad2").elastomer.young, rel=0.03)
+    assert found.shading_layer.young == pytest.approx(found.young)
+
+
+def test_markers_that_are_no_numbers_are_missing_and_what_is_not_recorded_is_unknown(
+    folder, arrays
+):
+    moved = arrays["3D_Displacements"].copy()
+    moved[4, 10] = np.nan
+    np.save(folder / "3D_Displacements.npy", moved)
+    for name in ("3D_Forces", "3D_ResultantForce", "3D_ResultantMoment", "index"):
+        (folder / f"{name}.npy").unlink()
+    recording = read_tac3d(folder)
+    assert np.isnan(recording.displacement[4]).any(axis=-1).sum() == 1
+    assert np.isnan(recording.wrench).all()
+    assert recording.lost == 0
+    assert agreement(np.ones((12, 3)), recording.wrench[:, :3]) is None
+
+
+def test_frames_out_of_order_and_repeated_ones_are_put_right(folder, arrays):
+    order = [0, 2, 1, *range(3, 12), 11]
+    for name, values in arrays.items():
+        np.save(folder / f"{name}.npy", values[order])
+    recording = read_tac3d(folder)
+    assert len(recording.stamp_ns) == 12
+    assert (np.diff(recording.stamp_ns) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "expected"),
+    [
+        ("3D_Positions", lambda a: a[0], r"3D_Positions.*shape \(400, 3\).*\(frames, markers, 3\)"),
+        ("3D_Positions", lambda a: a[:, :399], r"3D_Displacements.*shape.*3D_Positions has them"),
+        ("3D_Positions", lambda a: 1e-3 * a, r"3D_Positions.*apart.*0\.1 to 20 mm"),
+        ("3D_Displacements", lambda a: a[:-1], r"3D_Displacements.*12 frames of 1200 numbers"),
+        ("sendTimestamp", lambda a: -a, r"sendTimestamp.*negative"),
+        ("sendTimestamp", lambda a: a.astype(object), r"sendTimestamp.*no array"),
+        ("3D_Forces", lambda a: a[..., :2], r"3D_Forces.*shape \(12, 400, 2\)"),
+    ],
+)
+def test_what_cannot_be_used_is_named(folder, arrays, name, change, expected):
+    np.save(folder / f"{name}.npy", change(arrays[name]), allow_pickle=True)
+    with pytest.raises(FrameSourceError, match=expected):
+        read_tac3d(folder)
+
+
+def test_files_that_are_cut_or_absent_are_named_and_nothing_is_written(folder, tmp_path, capsys):
+    path = folder / "3D_Positions.npy"
+    path.write_bytes(path.read_bytes()[:5000])
+    output = tmp_path / "out"
+    assert main(["import", "tac3d", str(folder), "--output", str(output)]) == 1
+    assert "3D_Positions.npy: found a file that is no array" in capsys.readouterr().err
+    assert not output.exists()
+    path.unlink()
+    with pytest.raises(
+        FrameSourceError, match=r"expected 3D_Positions\.npy, or folders of sensors"
+    ):
+        tac3d_folders(folder)

@@ -1,0 +1,270 @@
+"""Numbers that are carried from frame to frame, for a pattern that goes on beyond the view.
+
+Without a border nothing in an image says which corner is which.  The first frame numbers corners by
+the nominal corners that they lie next to; from then on each frame takes over the numbers of the one
+before, by where its corners were and how fast they moved.  Colours leave every second number only,
+so that the next one that is possible lies 1.4 checkers away.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.measured import GridFault
+from cmp_tactile_processing.tracking.detector import Component, CornerGraph, NominalGrid
+from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners
+from cmp_tactile_processing.tracking.numbering.connected_corners import ConnectedCorners
+from cmp_tactile_processing.tracking.numbering.faulty_view import turned_reason
+from cmp_tactile_processing.tracking.numbering.result import Numbering
+from cmp_tactile_processing.tracking.numbering.torn_view import (
+    cut_at,
+    is_torn,
+    suspected_tears,
+)
+
+Float = NDArray[np.float64]
+Whole = NDArray[np.intp]
+
+# Median distance of corners from where they are expected, in sides, up to which their numbers are
+# certain: those of the next possible numbers lie beyond 0.9; and where the pattern was lost.
+CARRIED, COME_BACK = 0.5, 0.25
+# Numbers are tried so far around the one that most corners vote for, by so many corners.
+AROUND, VOTING = 3, 400
+# From frame to frame a gel moves as a whole, turned and stretched alike, but for so much, in sides,
+# RMS, in a quick press.  More may be another number's motion, if it leaves no more than so many
+# times that: after a jump by whole checkers their shapes do not lie on one another.
+USUAL_CHANGE, AS_WELL = 0.03, 1.15
+# On an image without a pattern corners connect by chance, up to such a share of the grid's, and to
+# so many; any further set has so many at least.
+BY_CHANCE, FEWEST, MOST_BY_CHANCE, FEWEST_MORE = 0.05, 12, 36, 4
+# A set of fewer corners than this lies at most so many checkers from those that are numbered.
+ACROSS_A_GAP, GAP = 40, 3.0
+# What a number is worth that neither border nor code confirms.
+CONFIDENCE = 0.5
+
+
+class CarriedNumbering:
+    """Numbers the corners of one view by the frames before.
+
+    nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
+    is a dark one.
+    """
+
+    def __init__(self, nominal: NominalGrid, dark_first: bool) -> None:
+        self._nominal, self._dark_first = nominal, dark_first
+        steps = np.stack([nominal.row_step, nominal.col_step])
+        self._side = np.linalg.norm(steps, axis=-1).mean(axis=0)
+        self._numbers = np.argwhere(np.ones(self._side.shape, dtype=bool))
+        self._connected = ConnectedCorners(nominal)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames: the next one is numbered as a first one."""
+        self._first: Float | None = None
+        self._last: Float | None = None
+        self._speed: Float | None = None
+        self._lost = False
+
+    def saw(self, corners: Float) -> None:
+        """Take over a frame's corners (rows, cols, 2) px, NaN where missing."""
+        last, self._speed = self._last, None
+        self._lost = bool(np.isnan(corners[..., 0]).all())
+        if self._lost:
+            return
+        self._last, _ = self._filled(corners)
+        if self._first is None:
+            self._first = self._last
+        elif last is not None:
+            self._speed = self._last - last
+
+    def goes_on(self, corners: Float) -> bool:
+        """Whether a grid (rows, cols, 2) px without gaps continues the last frame by its numbers.
+
+        It does not where other numbers explain it as well, after a jump by whole checkers.
+        """
+        if self._last is None:
+            return True
+        number = self._numbers
+        even = (number.sum(axis=1) % 2 == 0) == self._dark_first
+        component = Component(corners.reshape(-1, 2), number, even)
+        shift = self._certain(component, self._last, CARRIED)
+        return shift is not None and not shift.any()
+
+    def number(self, graph: CornerGraph, image: PreparedImage, torn: list[int]) -> Numbering:
+        """Numbered corners of a graph, all in pixels of the prepared image.
+
+        torn: what `torn_rows` finds in the image.  Corners beyond the grid are left out.
+        """
+        side = self._nominal.side_px
+        tears = suspected_tears(graph, torn, image, side)
+        jumps = [tear for tear in tears if is_torn(graph, tear, side)]
+        graph = cut_at(graph, jumps, side) if jumps else graph
+        components, reason = self._connected.components(graph, image)
+        fewest = np.clip(BY_CHANCE * self._side.size, FEWEST, MOST_BY_CHANCE)
+        if not components or len(components[0].position) < fewest:
+            fault = GridFault.NO_CONTRAST if reason else GridFault.NO_PATTERN
+            return self._none(fault, reason or "no checker pattern seen")
+        bounds = [-np.inf, *jumps, np.inf]
+        part = int(np.searchsorted(jumps, components[0].position[0, 1]))
+        between = bounds[part], bounds[part + 1]
+        shift, reason = self._shift_of_largest(components[0])
+        if shift is None:
+            return self._none(GridFault.AMBIGUOUS, reason)
+        corners = np.full_like(self._nominal.corners, np.nan)
+        self._place(corners, components[0], shift)
+        known = np.isfinite(corners[..., 0])
+        if self._last is None:
+            numbers = self._numbers[known.ravel()]
+            turned = turned_reason(corners[known], numbers, self._nominal)
+            if turned:
+                return self._none(GridFault.TURNED, turned)
+        for component in components[1:]:
+            if between[0] < component.position[0, 1] < between[1]:
+                self._place_beside(corners, component)
+        if np.isnan(corners).any():
+            drop_loose_corners(corners, self._nominal.corners)
+        fault = GridFault.PARTLY_HIDDEN if np.isnan(corners).any() else GridFault.NONE
+        return Numbering(corners, "", fault, CONFIDENCE, between)
+
+    def _none(self, fault: GridFault, reason: str) -> Numbering:
+        return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault)
+
+    def _shift_of_largest(self, component: Component) -> tuple[Whole | None, str]:
+        """What to add to the numbers of the largest set; None, and why, where that is in doubt."""
+        if self._last is None:
+            return self._at_centre(component), ""
+        if self._lost:
+            places, limit = [self._last, self._first], COME_BACK
+        else:
+            places, limit = [self._last], CARRIED
+            if self._speed is not None:
+                places.append(self._last + self._speed)
+        found = [self._certain(component, place, limit) for place in places if place is not None]
+        shifts = {tuple(shift.tolist()) for shift in found if shift is not None}
+        if len(shifts) == 1:
+            return np.array(shifts.pop(), dtype=np.intp), ""
+        if self._lost:
+            return None, "the pattern is not back where it was when its numbers were lost"
+        return None, "the pattern has moved so far since the last frame that its numbers are lost"
+
+    def _at_centre(self, component: Component) -> Whole:
+        """The shift that numbers the corner nearest to the centre of the grid by where it lies.
+
+        There a pattern that is turned or of another scale is off least.
+        """
+        flat = self._nominal.corners.reshape(-1, 2)
+        nearest = np.linalg.norm(component.position - flat.mean(axis=0), axis=1).argmin()
+        place = self._numbers
+        on_even = (place.sum(axis=1) % 2 == 0) == self._dark_first
+        off = np.linalg.norm(flat - component.position[nearest], axis=1)
+        off[on_even != component.even[nearest]] = np.inf
+        return np.asarray(place[off.argmin()] - component.number[nearest])
+
+    def _certain(self, component: Component, expected: Float, limit: float) -> Whole | None:
+        """As `_nearest`; None, too, where another number explains the corners as well."""
+        tried = self._tried(component, expected)
+        best = min(tried, key=lambda place: place.off, default=None)
+        if best is None or best.off > limit:
+            return None
+        change = best.change()
+        rivals = (place for place in tried if place is not best)
+        if change > USUAL_CHANGE and any(rival.change() <= AS_WELL * change for rival in rivals):
+            return None
+        return best.shift
+
+    def _nearest(self, component: Component, expected: Float, limit: float) -> Whole | None:
+        """The shift by which corners lie nearest to where they are expected; None beyond a limit.
+
+        expected (rows, cols, 2) px; limit: in sides.
+        """
+        tried = self._tried(component, expected)
+        best = min(tried, key=lambda place: place.off, default=None)
+        return None if best is None or best.off > limit else best.shift
+
+    def _tried(self, component: Component, expected: Float) -> list[_Place]:
+        """Places around the one that most corners vote for, with the colours that they have."""
+        count = len(component.position)
+        chosen = np.linspace(0, count - 1, min(VOTING, count)).astype(np.intp)
+        position, number = component.position[chosen], component.number[chosen]
+        size = np.array(self._side.shape)
+        nearest = cKDTree(expected.reshape(-1, 2)).query(position)[1]
+        votes = np.stack(np.divmod(nearest, size[1]), axis=1) - number
+        values, counts = np.unique(votes, axis=0, return_counts=True)
+        voted = values[counts.argmax()]
+        found = []
+        for step in product(range(-AROUND, AROUND + 1), repeat=2):
+            shift = voted + np.array(step)
+            on_even = int((number[0] + shift).sum()) % 2 == 0
+            if (bool(component.even[chosen[0]]) == on_even) != self._dark_first:
+                continue
+            at = number + shift
+            inside = ((at >= 0) & (at < size)).all(axis=1)
+            if inside.any():
+                i, j = at[inside].T
+                moved = (position[inside] - expected[i, j]) / self._side[i, j][:, None]
+                found.append(_Place(shift, at[inside], moved))
+        return found
+
+    def _place_beside(self, corners: Float, component: Component) -> None:
+        """Add a set of corners where it continues those that have their place."""
+        if len(component.position) < FEWEST_MORE:
+            return
+        expected, gap = self._filled(corners)
+        shift = self._nearest(component, expected, CARRIED)
+        if shift is None:
+            return
+        i, j = np.clip(component.number + shift, 0, np.array(gap.shape) - 1).T
+        if len(component.position) >= ACROSS_A_GAP or gap[i, j].min() <= GAP:
+            self._place(corners, component, shift)
+
+    def _place(self, corners: Float, component: Component, shift: Whole) -> None:
+        """Add the corners of a set that have numbers on the grid, unless some are taken."""
+        number = component.number + shift
+        inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
+        i, j = number[inside].T
+        if np.isnan(corners[i, j, 0]).all():
+            corners[i, j] = component.position[inside]
+
+    def _filled(self, corners: Float) -> tuple[Float, Float]:
+        """Corners with those that are missing where the others let expect them, and their gap.
+
+        They have moved since the last frame, or at first from the nominal projection, as all
+        together, turned and stretched alike, and by what the nearest one in the grid differs from
+        that.  gap (rows, cols): distance of that one, in checkers.
+        """
+        before = self._nominal.corners if self._last is None else self._last
+        known = np.isfinite(corners[..., 0])
+        place = np.column_stack([self._numbers, np.ones(known.size)])
+        fit = np.linalg.lstsq(place[known.ravel()], (corners - before)[known], rcond=None)
+        smooth = before + (place @ fit[0]).reshape(corners.shape)
+        gap, (i, j) = distance_transform_edt(~known, return_indices=True)
+        return np.asarray(smooth + (corners - smooth)[i, j]), gap
+
+
+class _Place(NamedTuple):
+    """What to add to a set's numbers, the numbers (n, 2) that gives, how its corners then moved.
+
+    moved (n, 2): in sides.
+    """
+
+    shift: Whole
+    number: Whole
+    moved: Float
+
+    @property
+    def off(self) -> float:
+        """Median length of the motion, in sides."""
+        return float(np.median(np.linalg.norm(self.moved, axis=1)))
+
+    def change(self) -> float:
+        """RMS of the motion in sides, less that of a whole that turns and stretches alike."""
+        terms = np.column_stack([self.number, np.ones(len(self.number))])
+        left = self.moved - terms @ np.linalg.lstsq(terms, self.moved, rcond=None)[0]
+        return float(np.sqrt((left**2).sum(axis=1).mean()))
