@@ -17,6 +17,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, Checkerboard, Dots
 
@@ -208,7 +209,8 @@ def test_what_is_printed_and_mounted_is_what_the_simulator_sees(
     ink = Checkerboard(sensor.pattern)
     if options.pattern_type == "dmp":
         ink = Dots(sensor.pattern, diameter=options.dot_diameter)
-        points = far_from_dots(sensor.pattern, options.dot_diameter, points)
+        corners = sensor.pattern.corners()[..., :2].reshape(-1, 2)
+        points = far_from_dots(corners, options.dot_diameter * sensor.pattern.pitch, points)
     dark = ink.grey(points) == DARK_GREY
     assert 0.05 < dark.mean() < 0.6
     flat = laid_flat(sensor.pattern.surface, process, points) * 1e3
@@ -219,11 +221,31 @@ def test_what_is_printed_and_mounted_is_what_the_simulator_sees(
     assert (placed.corner[1] < placed.apex[1]) == mirrored
 
 
-def far_from_dots(pattern, diameter, points):
-    """Without what lies nearer than 1 um to a dot's edge."""
-    corners = pattern.corners()[..., :2].reshape(-1, 2)
-    distance = np.linalg.norm(points[:, None] - corners[None], axis=-1).min(axis=1)
-    return points[np.abs(distance - diameter * pattern.pitch / 2) > EDGE_MM * 1e-3]
+@pytest.mark.parametrize("options", [CMP, INVERTED], ids=["dark ink", "light ink"])
+@pytest.mark.parametrize("colour", ["dark", "light"])
+def test_the_dots_of_a_code_are_printed_as_the_simulator_has_them(options, colour, rig):
+    sensor = with_surface(
+        rig, "sphere_cap", corner_checker=colour, code="dots", code_seed=7, pitch=0.001
+    )
+    pattern = sensor.pattern
+    options = replace(options, process="unrolled")
+    sheet = svg_of(drawn(sensor, options, paper="fit"))
+    middles = pattern.checker_middles().reshape(-1, 2)
+    around = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2)) * pattern.pitch
+    points = np.concatenate([middles, (middles[:, None] + around).reshape(-1, 2)])
+    points = far_from_dots(middles, DOT_DIAMETER * pattern.pitch, points)
+    dark = Checkerboard(pattern).grey(points) == DARK_GREY
+    plain = Checkerboard(replace(pattern, code="none")).grey(points) == DARK_GREY
+    np.testing.assert_array_equal((dark != plain)[: len(middles)], pattern.dots().ravel())
+    flat = laid_flat(pattern.surface, "unrolled", points) * 1e3
+    assert (inked(sheet.ink, Placed(sheet).on_sheet(flat)) == (dark != options.invert)).all()
+    assert "code: dots, seed 7" in sheet.lines()
+
+
+def far_from_dots(centres, diameter, points):
+    """Without what lies nearer than 1 um to the edge of a dot around a centre."""
+    distance = np.linalg.norm(points[:, None] - centres[None], axis=-1).min(axis=1)
+    return points[np.abs(distance - diameter / 2) > EDGE_MM * 1e-3]
 
 
 def test_the_mirrored_sheet_is_what_the_cameras_see(rig):

@@ -42,6 +42,7 @@ class GridFault(str, Enum):
     TURNED = "turned"
     OTHER_COLOURS = "other_colours"
     TWO_PATTERNS = "two_patterns"
+    OTHER_PATTERN = "other_pattern"
     AMBIGUOUS = "ambiguous"
     PARTLY_HIDDEN = "partly_hidden"
 

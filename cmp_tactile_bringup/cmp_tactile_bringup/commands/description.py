@@ -21,6 +21,7 @@ FORMATS = ("svg", "pdf", "dxf")
 TYPES = ("cmp", "dmp")
 PROCESSES = ("along_axis", "unrolled")
 PAPERS = ("A4", "letter", "fit")
+CODES, LARGEST_SEED = ("none", "dots"), 65535
 DOT_DIAMETER = 0.5
 MOST_COPIES = 1000
 
@@ -73,6 +74,22 @@ class Pattern(Command):
     corner_checker: Annotated[
         str | None,
         option("checker outside corner (0, 0)", Choice(("dark", "light")), group=CHANGES),
+    ] = None
+    code: Annotated[
+        str | None,
+        option(
+            "dots in checkers, by which each part of the pattern shows its place, or none",
+            Choice(CODES),
+            group=CHANGES,
+        ),
+    ] = None
+    code_seed: Annotated[
+        int | None,
+        option(
+            "which of the sheets with different dots (0)",
+            Number(0, LARGEST_SEED, kind=int),
+            group=CHANGES,
+        ),
     ] = None
     advised: Annotated[
         bool,
@@ -250,12 +267,15 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     )
     from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
-    options = ("rows", "cols", "pitch", "corner_checker")
+    of_the_code = "code", "code_seed"
+    options = ("rows", "cols", "pitch", "corner_checker", *of_the_code)
     asked = {key: getattr(arguments, key) for key in options if getattr(arguments, key) is not None}
-    if arguments.advised and set(asked) - {"corner_checker"}:
+    if arguments.advised and set(asked) - {"corner_checker", *of_the_code}:
         misuse("--advised stands in the place of --rows, --cols and --pitch")
     sensor = SensorDescription.load(source)
     changes = asked | ({"pitch": asked["pitch"] / 1e3} if "pitch" in asked else {})
+    if asked.get("code") == "none":
+        changes = {"code_seed": 0, **changes}
     if arguments.advised:
         changes |= _advised(sensor)
     sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))

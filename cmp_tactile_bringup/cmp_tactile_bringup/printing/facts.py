@@ -6,7 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.printing.advice import PatternAdvice, advise, checker_sides_px
+from cmp_tactile_processing.printing.advice import (
+    PatternAdvice,
+    advise,
+    checker_sides_px,
+    code_advice,
+)
 from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintedPattern, PrintOptions
 from cmp_tactile_processing.printing.sheet import PrintedCopy, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -54,6 +59,8 @@ def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str
         return {distance: _not_known(sensor, error)}
     facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
     facts["Advised"] = _advised(sensor)
+    if sensor.pattern.code != "none" and pattern_type == "cmp":
+        facts["Code"] = code_advice(sensor)
     return facts
 
 
@@ -108,7 +115,8 @@ def _kind(printed: PrintedPattern) -> str:
         width = options.dot_diameter * pattern.pitch * 1e3
         return f"{pattern.rows} x {pattern.cols} dots of {width:.6g} mm, {pitch}"
     outside = f"{pattern.corner_checker} checker outside corner (0, 0)"
-    return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}"
+    code = f", code: {pattern.code}, seed {pattern.code_seed}" if pattern.code != "none" else ""
+    return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}{code}"
 
 
 def _ink(options: PrintOptions) -> str:

@@ -27,7 +27,9 @@ from cmp_tactile_processing.sensor.description import (
     load_sensor,
     write_sensor_description,
 )
+from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED
 from cmp_tactile_processing.sensor.parts import (
+    CODES,
     MAX_CORNERS,
     MIN_CORNERS,
     CalibrationRecord,
@@ -72,6 +74,18 @@ def test_changes_are_laid_into_the_description(folder):
     assert after.pattern == expected
     assert (folder / "new" / "wide.svg").is_file()
     assert not (folder / "new" / "wide.pdf").exists()
+
+
+def test_a_code_is_laid_into_the_description_and_taken_out_again(folder, capsys):
+    assert pattern("my_sensor.yaml", "--code", "dots", "--code-seed", 5, "--format", "svg") == 0
+    shown = capsys.readouterr().out
+    assert "code: dots, seed 5" in shown
+    assert "checkers of 15.1 px at their smallest dots are read in focus" in shown
+    coded = SensorDescription.load("my_sensor_pattern.yaml").pattern
+    assert (coded.code, coded.code_seed) == ("dots", 5)
+    assert pattern("my_sensor_pattern.yaml", "--code", "none", "--format", "svg", "-o", "bare") == 0
+    plain = SensorDescription.load("bare.yaml").pattern
+    assert plain == SensorDescription.load("my_sensor.yaml").pattern
 
 
 @pytest.mark.parametrize(
@@ -163,6 +177,8 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         (["--pitch", "0.0007"], 2, "found '0.0007', expected a number from 0.01 to 100 mm"),
         (["--format", "svg,png"], 2, "found 'svg,png', expected one or more of svg, pdf and dxf"),
         (["--paper", "A3"], 2, "--paper: found 'A3', expected one of A4, letter, fit"),
+        (["--code-seed", "5"], 1, "found 5, expected no such key without code: dots (with"),
+        (["--code", "dots", "--ink-gain", "120"], 1, "expected 0 to less than 62.14 um"),
         (["--advised", "--rows", "9"], 2, "--advised stands in the place of --rows, --cols and"),
         (["--dot-diameter", "0.3"], 2, "--dot-diameter goes with --type dmp"),
         (["-o", "."], 1, "error: .: is a folder, expected a name, as my_pattern"),
@@ -189,6 +205,7 @@ def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
     assert tuple(PAPERS) == description.PAPERS
     assert description.PROCESSES == PROCESSES
     assert description.TYPES == PATTERN_TYPES
+    assert (description.CODES, description.LARGEST_SEED) == (CODES, LARGEST_SEED)
     assert PrintOptions().dot_diameter == description.DOT_DIAMETER
 
 

@@ -19,6 +19,9 @@ from cmp_tactile_processing.sensor.parts import MAX_CORNERS, MIN_CORNERS, Patter
 # LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
 LEAST_SIDE_PX = 6.0
 RECOMMENDED_SIDE_PX = 7.0
+# Dots of a code are read from this side on, and from the second on gridlines are as exact as
+# without dots, to 5 %; both in focus: benchmarks/tracking/coded.py.
+LEAST_CODED_SIDE_PX, EXACT_CODED_SIDE_PX = 7.5, 16.0
 # A finer pitch than this share of the skin's thickness shows no more of a contact, however fine the
 # camera's pixels.  Measured with a skin of 0.3 mm and beads of 1.2 mm; that it goes with the skin
 # is assumed.
@@ -58,6 +61,23 @@ def _views_of(sensor: SensorDescription) -> dict[str, ViewGeometry]:
         msg = f"{sensor.origin}: views: found none, expected those in which the pattern is seen"
         raise DescriptionError(msg)
     return build_views(sensor)
+
+
+def code_advice(sensor: SensorDescription) -> str:
+    """What the dots of a code are like in this sensor's views, a sentence.
+
+    Raises DescriptionError where a view does not show the pattern.
+    """
+    side = _least(sensor.pattern, _views_of(sensor))
+    checkers = f"in checkers of {side:.1f} px at their smallest dots"
+    if side < LEAST_CODED_SIDE_PX:
+        return f"{checkers} cannot be read: {LEAST_CODED_SIDE_PX:g} px are needed"
+    if side < EXACT_CODED_SIDE_PX:
+        return (
+            f"{checkers} are read in focus, and make gridlines less exact: from "
+            f"{EXACT_CODED_SIDE_PX:g} px on they do not"
+        )
+    return f"{checkers} are read, and gridlines are as exact as without them"
 
 
 def advise(sensor: SensorDescription) -> PatternAdvice:

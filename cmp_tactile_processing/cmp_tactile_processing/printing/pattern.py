@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
 MOST_HALVINGS = 20
@@ -60,13 +61,24 @@ def light_checker_contours(pattern: Pattern) -> list[Contour]:
     return [_on_gel(pattern, contour) for contour in (_comb(pattern)[::-1], *inner)]
 
 
-def dot_contours(pattern: Pattern, diameter: float, tolerance: float) -> list[Contour]:
-    """Dots of that diameter at the places of the corners; m, as polygons within `tolerance`."""
+def dot_contours(centres: NDArray[np.float64], diameter: float, tolerance: float) -> list[Contour]:
+    """Dots of that diameter around centres (n, 2); m, as polygons within `tolerance`."""
     radius = diameter / 2
     count = max(12, math.ceil(math.pi / math.acos(1 - min(tolerance / radius, 0.5))))
     angles = np.arange(count) * (2 * math.pi / count)
     circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return [centre + circle for centre in pattern.corners()[..., :2].reshape(-1, 2)]
+    return [centre + circle for centre in centres]
+
+
+def code_contours(pattern: Pattern, *, dark_ink: bool) -> list[Contour]:
+    """Dots of the code: ink in checkers without ink, holes in those of ink; m."""
+    dots, inked = pattern.dots(), pattern.dark_checkers() == dark_ink
+    middles, diameter = pattern.checker_middles(), DOT_DIAMETER * pattern.pitch
+    ink, holes = (
+        dot_contours(middles[dots & chosen], diameter, CHORD_TOLERANCE)
+        for chosen in (~inked, inked)
+    )
+    return [*ink, *without(holes)]
 
 
 def on_print(
@@ -274,10 +286,12 @@ def printed_pattern(
 def _ink(pattern: Pattern, options: PrintOptions, clear: Contour) -> list[Contour]:
     """Contours on the gel, x and y, m."""
     if options.pattern_type == "cmp":
+        code = code_contours(pattern, dark_ink=not options.invert)
         if options.invert:
-            return [clear, *light_checker_contours(pattern)]
-        return checker_contours(pattern)
-    dots = dot_contours(pattern, options.dot_diameter * pattern.pitch, CHORD_TOLERANCE)
+            return [clear, *light_checker_contours(pattern), *code]
+        return [*checker_contours(pattern), *code]
+    places = pattern.corners()[..., :2].reshape(-1, 2)
+    dots = dot_contours(places, options.dot_diameter * pattern.pitch, CHORD_TOLERANCE)
     return [clear, *without(dots)] if options.invert else dots
 
 
@@ -308,7 +322,7 @@ def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> No
 
 def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
     """What is printed must not vanish: half a checker, a dot's radius or half the gap of dots."""
-    share = 1.0
+    share = 1.0 if pattern.code == "none" else DOT_DIAMETER
     if options.pattern_type == "dmp":
         share = 1 - options.dot_diameter if options.invert else options.dot_diameter
     most = share * pattern.pitch / 2

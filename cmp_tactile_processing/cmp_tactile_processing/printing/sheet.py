@@ -221,6 +221,8 @@ def _facts(
     yield name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 3]}..."
     kind = "corners" if options.pattern_type == "cmp" else "dots"
     yield f"{pattern.rows} x {pattern.cols} {kind}, pitch {pattern.pitch * 1e3:.5g} mm"
+    if pattern.code != "none" and options.pattern_type == "cmp":
+        yield f"code: {pattern.code}, seed {pattern.code_seed}"
     yield f"{_shape(pattern.surface)}, {printed.process}"
     yield "MIRRORED: seen from the camera" if mirrored else "seen from the touching side"
     yield "print side onto the gel" if mirrored else "print side away from the gel"

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import GridShape
+from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED, dot_map
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
     choice,
@@ -31,6 +32,7 @@ MAX_IMAGE_SIDE = 16384
 MIN_CORNERS, MAX_CORNERS, MAX_BEYOND_VIEW = 4, 60, 200
 MAX_POINTS_PER_SEGMENT = 20
 MAX_CALIBRATION_FRAMES = 1_000_000
+CODES, FEWEST_CODED = ("none", "dots"), 42
 # Beyond these it is not a gel or rig that this package can measure, but mostly another unit:
 # mm for m, kPa or MPa for Pa.
 PITCH_M = 1e-5, 0.05
@@ -214,11 +216,35 @@ def _read_surface(section: YamlSection, key: str) -> PatternSurface:
     return read_fields(surface, PatternSurface, **unused)
 
 
+def _read_code(section: YamlSection, key: str) -> str:
+    code = section.choice(key, CODES)
+    rows, cols = (section.integer(side, MIN_CORNERS, MAX_BEYOND_VIEW) for side in ("rows", "cols"))
+    if code == "dots" and "border" in section and section.text("border") == "beyond_view":
+        expected = "none with border: beyond_view; dots number any part of a pattern in_view"
+        raise section.error(key, code, expected)
+    if code == "dots" and (rows + 1) * (cols + 1) < FEWEST_CODED:
+        expected = (
+            f"none, or at least {FEWEST_CODED} checkers: the dots of {rows + 1} x {cols + 1} are "
+            "too few to show for certain which ones they are"
+        )
+        raise section.error(key, code, expected)
+    return code
+
+
+def _read_code_seed(section: YamlSection, key: str) -> int:
+    seed = section.integer(key, 0, LARGEST_SEED)
+    if "code" not in section or section.choice("code", CODES) == "none":
+        raise section.error(key, seed, "no such key without code: dots")
+    return seed
+
+
 @dataclass(frozen=True)
 class Pattern:
     """A checkerboard of rows x cols inner corners, regular in x and y with the given pitch, m.
 
     corner_checker: dark or light, the checker outside corner (0, 0).
+    code: dots where checkers bear dots that show which ones they are, else none; code_seed: which
+    of the sheets with different dots it is.
     border: in_view where the pattern ends within the view, beyond_view where it goes on, so that
     rows x cols number a part of it.
     """
@@ -229,6 +255,8 @@ class Pattern:
     corner_checker: str = field(metadata=choice("dark", "light"))
     points_per_segment: int = field(metadata=whole(0, MAX_POINTS_PER_SEGMENT))
     surface: PatternSurface = field(metadata=read_by(_read_surface))
+    code: str = field(default="none", metadata=read_by(_read_code))
+    code_seed: int = field(default=0, metadata=read_by(_read_code_seed))
     border: str = field(
         default="in_view", metadata=choice("in_view", "beyond_view", required=False)
     )
@@ -237,6 +265,22 @@ class Pattern:
     def shape(self) -> GridShape:
         """Numbers of corners and virtual markers."""
         return GridShape(self.rows, self.cols, self.points_per_segment)
+
+    def dots(self) -> NDArray[np.bool_]:
+        """Checkers with a dot, (rows + 1, cols + 1); [0, 0] is the one outside corner (0, 0)."""
+        if self.code == "none":
+            return np.zeros((self.rows + 1, self.cols + 1), dtype=np.bool_)
+        return dot_map(self.rows + 1, self.cols + 1, self.code_seed)
+
+    def dark_checkers(self) -> NDArray[np.bool_]:
+        """Checkers that are dark, (rows + 1, cols + 1), in the order of `dots`."""
+        even = np.indices((self.rows + 1, self.cols + 1)).sum(axis=0) % 2 == 0
+        return np.asarray(even == (self.corner_checker == "dark"))
+
+    def checker_middles(self) -> NDArray[np.float64]:
+        """Middles of all checkers at rest, x and y, (rows + 1, cols + 1, 2) m, gel frame."""
+        i, j = np.mgrid[: self.rows + 1, : self.cols + 1] - 0.5
+        return self.at(i, j)[..., :2]
 
     def corners(self) -> NDArray[np.float64]:
         """Corners at rest, (rows, cols, 3) m, gel frame."""

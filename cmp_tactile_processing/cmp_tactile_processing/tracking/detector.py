@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parts import Pattern
 
 # Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
@@ -64,6 +65,8 @@ class GridlineDetector(Protocol):
 SEARCH_MARGIN = 5.0
 # Smaller checkers than these cannot be distinguished.
 SMALLEST_SIDE_PX = 3.0
+# Nor smaller ones with dots.
+SMALLEST_CODED_SIDE_PX = 6.5
 
 
 @dataclass(frozen=True)
@@ -113,10 +116,12 @@ class NominalGrid:
         sides = np.concatenate(
             [np.linalg.norm(step, axis=-1).ravel() for step in (row_step, col_step)]
         )
-        if not sides.min() >= SMALLEST_SIDE_PX:
+        least = SMALLEST_SIDE_PX if pattern.code == "none" else SMALLEST_CODED_SIDE_PX
+        if not sides.min() >= least:
+            coded = "" if pattern.code == "none" else f" with code: {pattern.code}"
             msg = (
                 f"{view.name} view: found checkers of {sides.min():.2g} px, expected at least "
-                f"{SMALLEST_SIDE_PX:g} px; check pattern.pitch ({pattern.pitch:g} m) and the camera"
+                f"{least:g} px{coded}; check pattern.pitch ({pattern.pitch:g} m) and the camera"
             )
             raise GeometryError(msg)
         return cls(
@@ -194,11 +199,15 @@ SHIFT = 4
 
 
 def draw_nominal(
-    nominal: NominalGrid, shape: tuple[int, int], dark_first: bool
+    nominal: NominalGrid,
+    shape: tuple[int, int],
+    dark_first: bool,
+    dots: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.uint8]:
     """Picture (height, width) uint8 of the nominal grid on a light or dark margin, without shading.
 
     dark_first: whether the checker outside corner (0, 0) is dark; the margin is of the other kind.
+    dots (rows + 1, cols + 1): checkers that bear one; None where none does.
     """
     ring = np.pad(nominal.corners, ((1, 1), (1, 1), (0, 0)), mode="reflect", reflect_type="odd")
     ground, ink = (LIGHT, DARK) if dark_first else (DARK, LIGHT)
@@ -209,6 +218,11 @@ def draw_nominal(
             outline = ring[[i, i, i + 1, i + 1], [j, j + 1, j + 1, j]]
             fixed = np.rint(outline * 2**SHIFT).astype(np.int32)
             cv2.fillConvexPoly(picture, fixed, ink, cv2.LINE_AA, SHIFT)
+    radius = round(DOT_DIAMETER / 2 * nominal.side_px * 2**SHIFT)
+    for i, j in np.argwhere(dots) if dots is not None else ():
+        x, y = np.rint(ring[i : i + 2, j : j + 2].mean(axis=(0, 1)) * 2**SHIFT).astype(int)
+        grey = ground if (i + j) % 2 == 0 else ink
+        cv2.circle(picture, (int(x), int(y)), radius, grey, cv2.FILLED, cv2.LINE_AA, SHIFT)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.8), dtype=np.uint8)
 
 

@@ -26,22 +26,20 @@ from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
     CornerGraph,
     GridlineDetector,
+    ImageWindow,
     NominalGrid,
     draw_nominal,
     spoilt_pictures,
 )
 from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering
+from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     is_torn,
     lattice_graph,
     suspected_tears,
     torn_rows,
 )
-from cmp_tactile_processing.tracking.numbering.whole_view import (
-    GridNumbering,
-    Numbering,
-    without_strays,
-)
+from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
@@ -75,6 +73,9 @@ class GridTracker:
         full = NominalGrid.of_view(sensor.pattern, self._view)
         place = self._view.placement
         self._window = full.window(place.width, place.height)
+        if sensor.pattern.code != "none":
+            # Any part of the pattern may be anywhere.
+            self._window = ImageWindow(0, 0, place.width, place.height)
         self._nominal = full.seen_through(self._window)
         self._grey = np.empty((self._window.height, self._window.width), dtype=np.uint8)
         dark_first = sensor.pattern.corner_checker == "dark"
@@ -83,7 +84,7 @@ class GridTracker:
         beside = [
             other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
         ]
-        self._numbering = GridNumbering(self._nominal, dark_first, beside)
+        self._numbering = GridNumbering(self._nominal, dark_first, beside, sensor.pattern.dots())
         self._carried, self._kind = None, NumberingKind.ABSOLUTE
         if sensor.pattern.border == "beyond_view":
             self._carried = CarriedNumbering(self._nominal, dark_first)
@@ -141,7 +142,8 @@ class GridTracker:
         corners = self._markers.between(
             self._markers.repair_outliers(image, corners), numbering.between
         )
-        if self._carried is None:
+        if self._carried is None and not numbering.by_code:
+            # Pieces that do not continue each other, and what lies beyond a border, are doubtful.
             corners, numbering = self._within_border(image, corners, numbering)
         self._confidence = numbering.confidence
         return self._grid(image, corners, numbering, followed=False)
@@ -154,7 +156,7 @@ class GridTracker:
         the gel moves in them, FrameError for a wrong one; what was known before is then kept.
         """
         kept, self._defects = self._defects, None
-        inspection = PrintInspection(self._pattern.shape)
+        inspection = PrintInspection(self._pattern.shape, self._pattern.dots())
         origin = (float(self._window.x), float(self._window.y))
         try:
             for half_image in half_images:
@@ -300,7 +302,8 @@ class GridTracker:
         picture = np.zeros((place.height, place.width), dtype=np.uint8)
         part = self._window.cut(picture)
         self.track(picture)
-        drawn = draw_nominal(self._nominal, self._grey.shape, dark_first)
+        dots = self._pattern.dots()
+        drawn = draw_nominal(self._nominal, self._grey.shape, dark_first, dots)
         for image in (drawn, drawn, *spoilt_pictures(drawn, self._nominal)):
             part[:] = image
             self.track(picture)

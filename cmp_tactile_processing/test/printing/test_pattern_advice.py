@@ -14,6 +14,7 @@ from cmp_tactile_processing.printing.advice import (
     PatternAdvice,
     advise,
     checker_sides_px,
+    code_advice,
 )
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Camera, ImageSize, Optics, Roi, ViewDescription
@@ -105,3 +106,14 @@ def test_limits_of_a_pattern_are_named(focal: float, corners: int, words: str) -
     advice = advise(sensor)
     assert advice.rows == advice.cols == corners
     assert words in advice.reason
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [(43, "cannot be read"), (20, "less exact"), (16, "as exact as without")],
+)
+def test_what_dots_are_worth_goes_with_the_checkers_in_the_image(rows: int, expected: str) -> None:
+    rig = load_sensor("sample_rig")
+    pitch = rig.pattern.pitch * 21 / (rows + 1)
+    pattern = replace(rig.pattern, rows=rows, cols=rows, pitch=pitch, code="dots")
+    assert expected in code_advice(replace(rig, pattern=pattern))

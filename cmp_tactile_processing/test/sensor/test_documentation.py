@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from cmp_tactile_processing.sensor.parameter_table import renew
-from cmp_tactile_processing.sensor.parts import GelRelaxation, MaterialRecord
+from cmp_tactile_processing.sensor.parts import GelRelaxation, MaterialRecord, Pattern
 
 REPOSITORY = Path(__file__).parents[3]
 DOCUMENT = REPOSITORY / "docs" / "sensor_description.md"
@@ -29,6 +29,12 @@ def test_every_key_of_the_example_is_documented():
         assert re.search(rf"`(views\.\*|{section})", text), section
         for key in content if isinstance(content, dict) else ():
             assert re.search(rf"`[\w.*]*\b{key}`", text), f"{section}.{key}"
+
+
+def test_every_key_of_a_pattern_is_documented():
+    rows = "".join(re.findall(r"^\| `pattern\..*$", DOCUMENT.read_text(), re.MULTILINE))
+    for item in dataclasses.fields(Pattern):
+        assert re.search(rf"`[\w.]*\b{item.name}`", rows), f"pattern.{item.name}"
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,14 @@ def test_a_sensor_that_is_not_there_is_named():
         load_sensor("nowhere.yaml")
 
 
+def test_a_pattern_too_small_for_a_code_is_refused(content, load):
+    content["pattern"] |= {"rows": 4, "cols": 7, "code": "dots"}
+    with pytest.raises(DescriptionError, match=r"pattern\.code: found 'dots', .*5 x 8 are too few"):
+        load(content)
+    content["pattern"] |= {"rows": 5, "cols": 6}
+    assert load(content).pattern.dots().shape == (6, 7)
+
+
 @pytest.mark.parametrize(
     ("key_path", "value", "expected"),
     [
@@ -86,6 +94,9 @@ def test_a_sensor_that_is_not_there_is_named():
         ("name", None, r"name: found nothing, expected a text"),
         ("image.width", 4.5, r"image\.width: found 4\.5, expected a whole number from 16"),
         ("pattern.pitch", 0.69, r"pattern\.pitch: found 0\.69, .* m: did you mean 0\.00069\?"),
+        ("pattern.code", "dot", r"pattern\.code: found 'dot', expected one of none, dots"),
+        ("pattern.code_seed", 3, r"pattern\.code_seed: found 3, .* without code: dots"),
+        ("pattern.code_seed", -1, r"pattern\.code_seed: .*a whole number from 0 to 65535"),
         ("optics.T_camera_gel", MILLIMETRES, r".*T_camera_gel: .* mean \[0\.0, -0\.014, -0\.007\]"),
         ("pattern.rows", 80, r"pattern\.rows: found 80, .* 4 to 60; .* beyond_view up to 200"),
         ("pattern.border", "none", r"pattern\.border: found 'none', expected one of in_view, bey"),

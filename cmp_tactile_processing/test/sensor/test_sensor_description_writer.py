@@ -134,6 +134,7 @@ def rigs():
             triangulation=TriangulationParameters(method="common_normal", corner_noise=0.1 / 3),
             force=ForceParameters(regularization=1e-9),
         ),
+        "coded": replace(sample, pattern=replace(sample.pattern, code="dots", code_seed=9)),
         "calibrated": replace(sample, calibration=RECORD),
         "calibrated, no gap": replace(
             sample, calibration=CalibrationRecord("board", "2026-07-01T12:00:00.5+00:00", 1, 0.0)

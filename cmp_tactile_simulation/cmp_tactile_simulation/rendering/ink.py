@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
@@ -107,13 +108,16 @@ def stray_lattice(
     return Strays(values.astype(np.float32), x, y, 1 / length, slope, most)
 
 
-def scatter_blobs(
+def scattered_blobs(
     defects: PrintDefects,
     size: tuple[float, float],
     greys: tuple[float, float],
     rng: np.random.Generator,
-) -> Blobs:
-    """Blobs without ink, then splashes, of these greys, anywhere on a print of size (x, y) m."""
+) -> NDArray[np.float64]:
+    """Blobs without ink, then splashes, of these greys, anywhere on a print of size (x, y) m.
+
+    (n, 8), columns as those of `InkArrays.blobs`.
+    """
     count = defects.missing_ink + defects.splashes
     centre = rng.uniform(-0.5, 0.5, (count, 2)) * size
     radius = defects.blob_radius * rng.uniform(0.5, 1.5, count)
@@ -124,16 +128,32 @@ def scatter_blobs(
     columns = [centre[:, 0], centre[:, 1]]
     columns += [cosine * along, sine * along, -sine * across, cosine * across, radius / stretch]
     columns.append(np.repeat(greys, [defects.missing_ink, defects.splashes]))
-    side = max(2 * defects.blob_radius, max(size) / 60)
+    return np.stack(columns, axis=1)
+
+
+def code_blobs(pattern: Pattern) -> NDArray[np.float64]:
+    """The dots of a pattern's code as round blobs (n, 8), each of the other checkers' grey."""
+    dots = pattern.dots()
+    centre = pattern.checker_middles()[dots]
+    radius = DOT_DIAMETER * pattern.pitch / 2
+    matrix = np.broadcast_to(np.eye(2).ravel() / radius, (len(centre), 4))
+    grey = np.where(pattern.dark_checkers()[dots], LIGHT_GREY, DARK_GREY)
+    return np.column_stack([centre, matrix, np.full(len(centre), radius), grey])
+
+
+def bin_blobs(blobs: NDArray[np.float64], size: tuple[float, float], largest: float) -> Blobs:
+    """Blobs (n, 8) on a print of size (x, y) m in bins; largest: usual radius of such, m."""
+    side = max(2 * largest, max(size) / 60)
     x, y = -size[0] / 2 - AROUND * side, -size[1] / 2 - AROUND * side
     cols, rows = (math.ceil(extent / side) + 2 * AROUND for extent in size)
     middle_x = x + side * (np.arange(cols) + 0.5)
     middle_y = y + side * (np.arange(rows) + 0.5)
     # The margin is one side of a bin, from any point of it.
-    reach = radius * stretch + 1.5 * side
-    near_x = np.abs(middle_x[:, None] - centre[:, 0]) <= reach
-    near_y = np.abs(middle_y[:, None] - centre[:, 1]) <= reach
-    bins = _binned(np.stack(columns, axis=1), near_y, near_x)
+    longer = 1 / np.hypot(blobs[:, 2], blobs[:, 3])
+    reach = longer + 1.5 * side
+    near_x = np.abs(middle_x[:, None] - blobs[:, 0]) <= reach
+    near_y = np.abs(middle_y[:, None] - blobs[:, 1]) <= reach
+    bins = _binned(blobs, near_y, near_x)
     return Blobs(bins, x, y, 1 / side, side)
 
 
@@ -168,6 +188,7 @@ class Ink(Protocol):
 class Checkerboard:
     """Continuous marker pattern: (rows + 1) x (cols + 1) checkers with their inner corners.
 
+    Where the pattern has a code, its dots are in the middles of checkers.
     margin: grey of the skin around the checkers.  Print defects are set by the seed.
     """
 
@@ -235,9 +256,9 @@ def _grey(arrays: InkArrays, xy: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _arrays(
-    pattern: Pattern, kind: int, margin: float, flaws: tuple[PrintDefects, int]
+    pattern: Pattern, kind: int, margin: float, print_flaws: tuple[PrintDefects, int]
 ) -> InkArrays:
-    defects, seed = flaws
+    defects, seed = print_flaws
     size = (pattern.cols + 1) * pattern.pitch, (pattern.rows + 1) * pattern.pitch
     # Apart, so that more blobs leave the edges as they are.
     edge_rng, blob_rng = (
@@ -254,10 +275,12 @@ def _arrays(
         light=LIGHT_GREY,
         margin=float(margin),
     )
-    if not (defects.missing_ink or defects.splashes or defects.ragged_edge):
+    code = code_blobs(pattern) if kind == CHECKERS else np.empty((0, 8))
+    if not (defects.missing_ink or defects.splashes or defects.ragged_edge or len(code)):
         return InkArrays(plain, None, None)
     strays = stray_lattice(defects, size, edge_rng)
-    blobs = scatter_blobs(defects, size, (LIGHT_GREY, DARK_GREY), blob_rng)
+    flaws = scattered_blobs(defects, size, (LIGHT_GREY, DARK_GREY), blob_rng)
+    blobs = bin_blobs(np.concatenate([code, flaws]), size, defects.blob_radius)
     flawed = plain._replace(
         stray_x=strays.x,
         stray_y=strays.y,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
@@ -53,11 +56,31 @@ def test_dots_lie_on_the_corners_with_the_diameter_asked_for():
     assert set(np.unique(grey)) == {DARK_GREY, LIGHT_GREY}
 
 
+@pytest.mark.parametrize("corner_checker", ["dark", "light"])
+def test_the_dots_of_a_code_have_the_other_colour(corner_checker):
+    coded = replace(_pattern(corner_checker), code="dots", code_seed=2)
+    y, x = np.mgrid[-3:3:1201j, -4.5:4.5:1801j] * PITCH
+    xy = np.stack([x, y], axis=-1)
+    grey, plain = (Checkerboard(pattern).grey(xy) for pattern in (coded, _pattern(corner_checker)))
+    changed = grey != plain
+    np.testing.assert_array_equal(grey[changed] == LIGHT_GREY, plain[changed] == DARK_GREY)
+    # Points of a lattice of 5 um, counted in dots of 180 um.
+    area = np.count_nonzero(changed) * (PITCH / 200) ** 2
+    assert area == pytest.approx(
+        coded.dots().sum() * np.pi / 4 * (DOT_DIAMETER * PITCH) ** 2, rel=2e-2
+    )
+    middles = coded.checker_middles()
+    beyond = np.linalg.norm(xy[changed][:, None] - middles[coded.dots()], axis=-1).min(axis=1)
+    assert beyond.max() <= DOT_DIAMETER / 2 * PITCH * (1 + 1e-9)
+    # Discrete markers have no checkers, so no code either.
+    np.testing.assert_array_equal(Dots(coded).grey(xy), Dots(_pattern()).grey(xy))
+
+
 @pytest.mark.parametrize("defects", [PrintDefects(), DEFECTS], ids=["clean", "flawed"])
-@pytest.mark.parametrize("kind", ["cmp", "dmp"])
-def test_grey_is_the_same_within_the_clear_distance(kind, defects):
+@pytest.mark.parametrize(("kind", "code"), [("cmp", "none"), ("cmp", "dots"), ("dmp", "none")])
+def test_grey_is_the_same_within_the_clear_distance(kind, code, defects):
     # The renderer takes pixels for evenly grey on the strength of this distance.
-    ink = ink_of(_pattern(), kind, defects, seed=3)
+    ink = ink_of(replace(_pattern(), code=code), kind, defects, seed=3)
     rng = np.random.default_rng(5)
     for point in rng.uniform(-6e-3, 6e-3, (1500, 2)):
         grey, clear, _, _ = ink_at(*ink.arrays, *point)

@@ -37,6 +37,7 @@ FAULT_LEVELS: dict[GridFault, bytes] = {
     GridFault.AMBIGUOUS: DiagnosticStatus.WARN,
     # The sensor description is not that of this sensor: it does not pass by itself.
     GridFault.OTHER_SIZE: DiagnosticStatus.ERROR,
+    GridFault.OTHER_PATTERN: DiagnosticStatus.ERROR,
     GridFault.MIRRORED: DiagnosticStatus.ERROR,
     GridFault.TURNED: DiagnosticStatus.ERROR,
     GridFault.OTHER_COLOURS: DiagnosticStatus.ERROR,

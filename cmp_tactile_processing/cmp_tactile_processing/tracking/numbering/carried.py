@@ -22,12 +22,12 @@ from cmp_tactile_processing.tracking.detector import Component, CornerGraph, Nom
 from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners
 from cmp_tactile_processing.tracking.numbering.connected_corners import ConnectedCorners
 from cmp_tactile_processing.tracking.numbering.faulty_view import turned_reason
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     cut_at,
     is_torn,
     suspected_tears,
 )
-from cmp_tactile_processing.tracking.numbering.whole_view import Numbering
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]

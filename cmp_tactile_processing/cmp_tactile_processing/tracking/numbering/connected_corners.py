@@ -34,12 +34,16 @@ class ConnectedCorners:
 
     def components(self, graph: CornerGraph, image: PreparedImage) -> tuple[list[Component], str]:
         """Sets of connected corners, the largest first, and why some are not to be believed."""
+        components = self.all_components(graph)
+        return without_blurred(components, image) if components else ([], "")
+
+    def all_components(self, graph: CornerGraph) -> list[Component]:
+        """Sets of connected corners, the largest first, however blurred they are."""
         steps = self.axes.near(graph.position)
-        components = self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
-        return _without_blurred(components, image) if components else ([], "")
+        return self._pointers.components(graph, *steps, fewest=SMALLEST_JOINED)
 
 
-def _without_blurred(
+def without_blurred(
     components: list[Component], image: PreparedImage
 ) -> tuple[list[Component], str]:
     """The components in which light and dark can be trusted, and what speaks against the largest.

@@ -6,7 +6,7 @@ Rows or columns that rest on one border alone may be wrong: their confidence is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -19,6 +19,7 @@ from cmp_tactile_processing.tracking.detector import (
     CornerGraph,
     NominalGrid,
 )
+from cmp_tactile_processing.tracking.numbering.coded_view import CodedView
 from cmp_tactile_processing.tracking.numbering.component_placement import (
     FEWEST_CORNERS,
     Anchor,
@@ -29,13 +30,17 @@ from cmp_tactile_processing.tracking.numbering.components import (
     in_order,
     joined,
 )
-from cmp_tactile_processing.tracking.numbering.connected_corners import ConnectedCorners
+from cmp_tactile_processing.tracking.numbering.connected_corners import (
+    ConnectedCorners,
+    without_blurred,
+)
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
     turned_reason,
 )
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     continues,
     cut_at,
@@ -60,8 +65,6 @@ OF_THE_DESCRIPTION = {
     GridFault.TURNED,
 }
 FEWEST_PIECE = 9
-# Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
-FEWEST_STRAYS = 6
 # A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
 # of the whole; of the whole see `faulty_view.py`.
 LARGEST_TURN_OF_PART = 0.25
@@ -73,43 +76,12 @@ UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
 ONE_BORDER = 0.5
 
 
-@dataclass(frozen=True)
-class Numbering:
-    """corners (rows, cols, 2) px, NaN where missing; reason, fault: why some are, else empty.
-
-    confidence: 1 for a complete grid that was seen to end on all four sides and fits the nominal
-    projection; each missing piece of evidence takes a fixed share.  It orders numberings by their
-    evidence and is not a measured probability.  0.5 and less: rows or columns rest on one
-    border alone.  0 where nothing is numbered.
-    between: the image rows between which the corners lie, px; beyond them the image is torn.
-    """
-
-    corners: NDArray[np.float64]
-    reason: str
-    fault: GridFault = GridFault.NONE
-    confidence: float = 0.0
-    between: tuple[float, float] = (-np.inf, np.inf)
-
-
-def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
-    """What is to be said where so many numbered corners turned out to be another pattern's.
-
-    missing: corners without a position in the end.
-    """
-    if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
-        return numbering
-    reason = (
-        f"{missing} corners not seen, and {strays} that do not continue the others: another "
-        "pattern, or pieces of this one beside something that hides the rest"
-    )
-    return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)
-
-
 class GridNumbering:
     """Numbers the corners that a detector found in one view; keeps its buffers.
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
-    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views.
+    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views; dots
+    (rows + 1, cols + 1): the checkers that bear one, of a pattern with a code.
     """
 
     def __init__(
@@ -117,12 +89,16 @@ class GridNumbering:
         nominal: NominalGrid,
         dark_first: bool,
         beside: Sequence[NDArray[np.float64]] = (),
+        dots: NDArray[np.bool_] | None = None,
     ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
         self._connected = ConnectedCorners(nominal)
         self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
+        self._code: CodedView | None = None
+        if dots is not None and dots.any():
+            self._code = CodedView(nominal, self._connected.axes, dots, dark_first)
 
     def number(
         self,
@@ -156,12 +132,21 @@ class GridNumbering:
         self, graph: CornerGraph, image: PreparedImage, previous: NDArray[np.float64] | None
     ) -> Numbering:
         """A graph without regard to tears."""
-        components, reason = self._connected.components(graph, image)
+        components, reason = self._components(graph, image)
         if components:
             return self._numbered(components, image, previous)
         if reason:
             return self._missing(GridFault.NO_CONTRAST, reason)
         return self._missing(GridFault.NO_PATTERN, "no checker pattern seen")
+
+    def _components(self, graph: CornerGraph, image: PreparedImage) -> tuple[list[Component], str]:
+        """Sets of connected corners, and why some of them are not to be believed.
+
+        Dots are read first: they show themselves whether light and dark can be trusted.
+        """
+        if self._code is not None:
+            return self._connected.all_components(graph), ""
+        return self._connected.components(graph, image)
 
     def _parts_of(
         self,
@@ -176,9 +161,7 @@ class GridNumbering:
 
         proven: gridlines jump there; without that, parts are one unless they contradict each other.
         """
-        components, _ = self._connected.components(
-            cut_at(graph, tears, self._nominal.side_px), image
-        )
+        components, _ = self._components(cut_at(graph, tears, self._nominal.side_px), image)
         bounds = [-np.inf, *tears, np.inf]
         parts: list[list[Component]] = [[] for _ in bounds[1:]]
         for component in components:
@@ -222,6 +205,22 @@ class GridNumbering:
         previous: NDArray[np.float64] | None,
     ) -> Numbering:
         """The components of an image, or of one part of it, largest first."""
+        if self._code is not None:
+            by_code = self._code.number(components, image)
+            if by_code is not None:
+                return by_code
+            components, reason = without_blurred(components, image)
+            if not components:
+                return self._missing(GridFault.NO_CONTRAST, reason)
+        return self._numbered_by_border(components, image, previous)
+
+    def _numbered_by_border(
+        self,
+        components: list[Component],
+        image: PreparedImage,
+        previous: NDArray[np.float64] | None,
+    ) -> Numbering:
+        """The components in which light and dark can be trusted, by where the pattern ends."""
         anchors = self._anchors(components, image, previous)
         corners = np.full_like(self._nominal.corners, np.nan)
         placed = []

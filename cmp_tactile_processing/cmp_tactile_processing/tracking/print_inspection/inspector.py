@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import Grid, GridShape, Status
+from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.tracking.print_inspection.defects import (
     Defect,
     DefectKind,
@@ -31,11 +34,13 @@ RAGGED_RATIO, LEAST_RAGGED_PX, LEAST_MARKERS = 2.5, 0.3, 3
 class PrintInspection:
     """Inspects a print in one frame at rest or, better, in the mean of several.
 
-    shape: numbers of corners and virtual markers.
+    shape: numbers of corners and virtual markers.  dots (rows + 1, cols + 1): checkers that bear
+    one, which is no defect; None where none does.
     """
 
-    def __init__(self, shape: GridShape) -> None:
+    def __init__(self, shape: GridShape, dots: NDArray[np.bool_] | None = None) -> None:
         self._shape = shape
+        self._dots = dots
         self._mean: MeanFrame | None = None
 
     def add(
@@ -55,7 +60,19 @@ class PrintInspection:
         if self._mean is None:
             msg = "print inspection: found no frames, expected at least one at rest"
             raise ReferenceFramesError(msg)
-        return _judged(self._mean)
+        found = _judged(self._mean)
+        if self._dots is None:
+            return found
+        defects = tuple(item for item in found.defects if not _is_dot(item, self._dots))
+        return replace(found, defects=defects)
+
+
+def _is_dot(defect: Defect, dots: NDArray[np.bool_]) -> bool:
+    """Whether a defect lies in the middle of a checker that bears a dot."""
+    place = np.array([defect.row, defect.col]) + 0.5
+    checker = np.clip(np.rint(place), 0, np.array(dots.shape) - 1).astype(np.intp)
+    near = np.linalg.norm(place - checker) <= DOT_DIAMETER
+    return bool(near and dots[checker[0], checker[1]])
 
 
 def _judged(frame: MeanFrame) -> PrintDefects:
