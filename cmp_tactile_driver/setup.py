@@ -17,6 +17,7 @@ setup(
     ],
     # Only what has no rosdep key; package.xml names the rest.
     install_requires=["setuptools", "linuxpy", "mcap", "zstandard"],
+    extras_require={"tac3d": ["PyTac3D"]},
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

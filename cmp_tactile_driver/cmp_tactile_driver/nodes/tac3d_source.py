@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -81,11 +82,11 @@ class Tac3dSource(StageNode):
 def _client() -> Any:
     """The class of PyTac3D that receives frames."""
     try:
-        from PyTac3D import Sensor
+        # Of all who use the driver only those with such a sensor want it: it brings a 3-D viewer.
+        return import_module("PyTac3D").Sensor
     except ImportError as error:
         msg = f"PyTac3D: found none ({error}), expected the vendor's client: pip install PyTac3D"
         raise FrameSourceError(msg) from None
-    return Sensor
 
 
 def _wrench_message(wrench: Any, header: Any) -> WrenchStamped:
