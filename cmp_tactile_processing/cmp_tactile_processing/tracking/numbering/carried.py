@@ -42,7 +42,7 @@ AROUND, VOTING, NEAR = 3, 400, 1.5
 # in sides, in a quick press.  More may be another number's motion, if that leaves no more than so
 # many times as much: after a jump by whole checkers the shapes do not lie on one another.  Numbers
 # of which fewer corners than such a share are on the grid are no rivals.
-USUAL_CHANGE, AS_WELL, AS_MANY = 0.03, 1.15, 0.8
+USUAL_CHANGE, AS_WELL, AS_MANY = 0.02, 1.15, 0.6
 ROUNDS, LEAST_LEFT = 5, 1e-4
 # On an image without a pattern corners connect by chance, up to such a share of the grid's, and to
 # so many; any further set has so many at least.
