@@ -157,9 +157,12 @@ class SurfaceVisualizer(StageNode):
         if not self._anybody_looks():
             self._shown = {}
             return
+        surface = self._shown.get("surface")
         self._shown.pop(topic, None)
         self._shown[topic] = shown
-        self._rate.request()
+        # In a container a frame's force comes before its surface, and is drawn with that.
+        if topic == "surface" or surface is None or not _follows(shown, surface):
+            self._rate.request()
 
     def _draw_again(self, look: MarkerParameters) -> None:
         self._rate.limit(look.max_rate)
@@ -187,6 +190,11 @@ class SurfaceVisualizer(StageNode):
         if isinstance(value, Surface):
             return surface_markers(laid_on_known_surface(value, self.sensor.pattern.surface), look)
         return force_markers(value, look)
+
+
+def _follows(later: Shown, earlier: Shown) -> bool:
+    """Whether it is of a later frame, by so little that both may be on show."""
+    return 0 < later.stamp_ns - earlier.stamp_ns <= KEPT_NS
 
 
 def main() -> int:
