@@ -34,9 +34,8 @@ from cmp_tactile_processing.tracking.detector import (
 from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering
 from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.torn_view import (
-    is_torn,
     lattice_graph,
-    suspected_tears,
+    proven_tears,
     torn_rows,
 )
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
@@ -218,9 +217,7 @@ class GridTracker:
         """Whether a followed grid jumps where `torn_rows` suspects a tear."""
         if not rows:
             return False
-        graph, side = lattice_graph(corners), self._nominal.side_px
-        tears = suspected_tears(graph, rows, image, side)
-        return any(is_torn(graph, tear, side) for tear in tears)
+        return bool(proven_tears(lattice_graph(corners), rows, image, self._nominal.side_px))
 
     def _grid(
         self,

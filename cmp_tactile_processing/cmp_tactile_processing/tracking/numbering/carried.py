@@ -19,15 +19,11 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import Component, CornerGraph, NominalGrid
-from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners
+from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners, placed
 from cmp_tactile_processing.tracking.numbering.connected_corners import ConnectedCorners
 from cmp_tactile_processing.tracking.numbering.faulty_view import turned_reason
 from cmp_tactile_processing.tracking.numbering.result import Numbering
-from cmp_tactile_processing.tracking.numbering.torn_view import (
-    cut_at,
-    is_torn,
-    suspected_tears,
-)
+from cmp_tactile_processing.tracking.numbering.torn_view import cut_at, proven_tears
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]
@@ -65,6 +61,7 @@ class CarriedNumbering:
         steps = np.stack([nominal.row_step, nominal.col_step])
         self._side = np.linalg.norm(steps, axis=-1).mean(axis=0)
         self._numbers = np.argwhere(np.ones(self._side.shape, dtype=bool))
+        self._even = (self._numbers.sum(axis=1) % 2 == 0) == dark_first
         self._connected = ConnectedCorners(nominal)
         self.reset()
 
@@ -94,9 +91,7 @@ class CarriedNumbering:
         """
         if self._last is None:
             return True
-        number = self._numbers
-        even = (number.sum(axis=1) % 2 == 0) == self._dark_first
-        component = Component(corners.reshape(-1, 2), number, even)
+        component = Component(corners.reshape(-1, 2), self._numbers, self._even)
         shift = self._certain(component, self._last, CARRIED)
         return shift is not None and not shift.any()
 
@@ -106,8 +101,7 @@ class CarriedNumbering:
         torn: what `torn_rows` finds in the image.  Corners beyond the grid are left out.
         """
         side = self._nominal.side_px
-        tears = suspected_tears(graph, torn, image, side)
-        jumps = [tear for tear in tears if is_torn(graph, tear, side)]
+        jumps = proven_tears(graph, torn, image, side)
         graph = cut_at(graph, jumps, side) if jumps else graph
         components, reason = self._connected.components(graph, image)
         fewest = np.clip(BY_CHANCE * self._side.size, FEWEST, MOST_BY_CHANCE)
@@ -121,23 +115,23 @@ class CarriedNumbering:
         if shift is None:
             return self._none(GridFault.AMBIGUOUS, reason)
         corners = np.full_like(self._nominal.corners, np.nan)
-        self._place(corners, components[0], shift)
-        known = np.isfinite(corners[..., 0])
+        placed(corners, components[0], shift)
         if self._last is None:
-            numbers = self._numbers[known.ravel()]
-            turned = turned_reason(corners[known], numbers, self._nominal)
+            known = np.isfinite(corners[..., 0])
+            turned = turned_reason(corners[known], np.argwhere(known), self._nominal)
             if turned:
                 return self._none(GridFault.TURNED, turned)
-        for component in components[1:]:
-            if between[0] < component.position[0, 1] < between[1]:
-                self._place_beside(corners, component)
+        further = [item for item in components[1:] if len(item.position) >= FEWEST_MORE]
+        self._place_beside(
+            corners, [item for item in further if between[0] < item.position[0, 1] < between[1]]
+        )
         if np.isnan(corners).any():
             drop_loose_corners(corners, self._nominal.corners)
         fault = GridFault.PARTLY_HIDDEN if np.isnan(corners).any() else GridFault.NONE
         return Numbering(corners, "", fault, CONFIDENCE, between)
 
     def _none(self, fault: GridFault, reason: str) -> Numbering:
-        return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault)
+        return Numbering.nothing(self._side.shape, fault, reason)
 
     def _shift_of_largest(self, component: Component) -> tuple[Whole | None, str]:
         """What to add to the numbers of the largest set; None, and why, where that is in doubt."""
@@ -164,32 +158,25 @@ class CarriedNumbering:
         """
         flat = self._nominal.corners.reshape(-1, 2)
         nearest = np.linalg.norm(component.position - flat.mean(axis=0), axis=1).argmin()
-        place = self._numbers
-        on_even = (place.sum(axis=1) % 2 == 0) == self._dark_first
         off = np.linalg.norm(flat - component.position[nearest], axis=1)
-        off[on_even != component.even[nearest]] = np.inf
-        return np.asarray(place[off.argmin()] - component.number[nearest])
+        off[self._even != component.even[nearest]] = np.inf
+        return np.asarray(self._numbers[off.argmin()] - component.number[nearest])
 
     def _certain(self, component: Component, expected: Float, limit: float) -> Whole | None:
-        """As `_nearest`; None, too, where another number explains the corners as well."""
+        """The shift by which corners lie nearest to where they are expected.
+
+        expected (rows, cols, 2) px; limit: in sides.  None beyond it, and where another number
+        explains the corners as well.
+        """
         tried = self._tried(component, expected)
-        best = min(tried, key=lambda place: place.off, default=None)
-        if best is None or best.off > limit:
+        best = _nearest(tried, limit)
+        if best is None:
             return None
         change, count = best.change(), AS_MANY * len(best.number)
         rivals = (place for place in tried if place is not best and len(place.number) >= count)
         if change > USUAL_CHANGE and any(rival.change() <= AS_WELL * change for rival in rivals):
             return None
         return best.shift
-
-    def _nearest(self, component: Component, expected: Float, limit: float) -> Whole | None:
-        """The shift by which corners lie nearest to where they are expected; None beyond a limit.
-
-        expected (rows, cols, 2) px; limit: in sides.
-        """
-        tried = self._tried(component, expected)
-        best = min(tried, key=lambda place: place.off, default=None)
-        return None if best is None or best.off > limit else best.shift
 
     def _tried(self, component: Component, expected: Float) -> list[_Place]:
         """Places around the one that most corners vote for, with the colours that they have."""
@@ -218,25 +205,18 @@ class CarriedNumbering:
                 found.append(_Place(shift, at[inside], moved))
         return found
 
-    def _place_beside(self, corners: Float, component: Component) -> None:
-        """Add a set of corners where it continues those that have their place."""
-        if len(component.position) < FEWEST_MORE:
-            return
-        expected, gap = self._filled(corners)
-        shift = self._nearest(component, expected, CARRIED)
-        if shift is None:
-            return
-        i, j = np.clip(component.number + shift, 0, np.array(gap.shape) - 1).T
-        if len(component.position) >= ACROSS_A_GAP or gap[i, j].min() <= GAP:
-            self._place(corners, component, shift)
-
-    def _place(self, corners: Float, component: Component, shift: Whole) -> None:
-        """Add the corners of a set that have numbers on the grid, unless some are taken."""
-        number = component.number + shift
-        inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
-        i, j = number[inside].T
-        if np.isnan(corners[i, j, 0]).all():
-            corners[i, j] = component.position[inside]
+    def _place_beside(self, corners: Float, components: list[Component]) -> None:
+        """Add sets of corners where they continue those that have their place."""
+        filled = None
+        for component in components:
+            expected, gap = filled = filled or self._filled(corners)
+            best = _nearest(self._tried(component, expected), CARRIED)
+            if best is None:
+                continue
+            i, j = np.clip(component.number + best.shift, 0, np.array(gap.shape) - 1).T
+            is_near = len(component.position) >= ACROSS_A_GAP or gap[i, j].min() <= GAP
+            if is_near and placed(corners, component, best.shift):
+                filled = None
 
     def _filled(self, corners: Float) -> tuple[Float, Float]:
         """Corners with those that are missing where the others let expect them, and their gap.
@@ -279,3 +259,9 @@ class _Place(NamedTuple):
             # What is pressed aside counts less.
             weight = 1 / np.hypot(1.0, left / max(float(np.median(left)), LEAST_LEFT))[:, None]
         return float(np.median(left))
+
+
+def _nearest(tried: list[_Place], limit: float) -> _Place | None:
+    """The place by which corners have moved least; None beyond a limit, in sides."""
+    best = min(tried, key=lambda place: place.off, default=None)
+    return None if best is None or best.off > limit else best

@@ -20,11 +20,12 @@ from cmp_tactile_processing.tracking.numbering.components import (
     drop_loose_corners,
     in_order,
     joined,
+    placed,
 )
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
-    LARGEST_TURN,
     TURNED_SHARE,
-    turn_of,
+    turned_by,
+    turned_reason,
 )
 from cmp_tactile_processing.tracking.numbering.result import Numbering
 
@@ -109,7 +110,7 @@ class CodedView:
             return None if found is None else self._missing(*found)
         corners = np.full_like(self._nominal.corners, np.nan)
         for piece in certain:
-            if piece.is_upright and not self._place(corners, piece, piece.shift()):
+            if piece.is_upright and not placed(corners, piece.component, piece.shift()):
                 reason = "two pieces seen with the same dots: the pattern is there twice"
                 return self._missing(GridFault.TWO_PATTERNS, reason)
         left = [piece for piece in pieces if not piece.is_certain and not piece.is_foreign]
@@ -126,16 +127,6 @@ class CodedView:
         found = self._decoder.decode(reading.bits, even) if reading.bits.any() else None
         return _Piece(component, reading, even, found)
 
-    def _place(self, corners: Float, piece: _Piece, shift: NDArray[np.intp]) -> bool:
-        """Add a piece's corners as far as they are on the sheet; False where one is there."""
-        number = piece.component.number + shift
-        inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
-        i, j = number[inside].T
-        if np.isfinite(corners[i, j, 0]).any():
-            return False
-        corners[i, j] = piece.component.position[inside]
-        return True
-
     def _join(self, corners: Float, left: list[_Piece]) -> bool:
         """Add pieces that continue what is numbered; whether one was added without its dots."""
         by_shape = False
@@ -144,7 +135,7 @@ class CodedView:
             before = len(left)
             for piece in list(left):
                 shift, decoded = self._near(corners, piece)
-                if shift is not None and self._place(corners, piece, shift):
+                if shift is not None and placed(corners, piece.component, shift):
                     by_shape |= not decoded
                     left.remove(piece)
         return by_shape
@@ -183,9 +174,9 @@ class CodedView:
         known = np.isfinite(corners[..., 0])
         missing = int(known.size - known.sum())
         if known.sum() >= TURNED_SHARE * known.size:
-            angle = turn_of(corners[known], np.argwhere(known), self._nominal)
-            if abs(angle) > LARGEST_TURN:
-                return self._missing(*_turned(f"by {np.degrees(angle):.0f} degrees"))
+            turned = turned_reason(corners[known], np.argwhere(known), self._nominal)
+            if turned:
+                return self._missing(GridFault.TURNED, turned)
         if not missing:
             return Numbering(corners, "", GridFault.NONE, confidence, by_code=True)
         fault, reason = GridFault.PARTLY_HIDDEN, f"{missing} corners not seen"
@@ -195,7 +186,7 @@ class CodedView:
         return Numbering(corners, reason, fault, confidence, by_code=True)
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
-        return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault, 0.0)
+        return Numbering.nothing(self._nominal.corners.shape[:2], fault, reason)
 
 
 def _refused(piece: _Piece) -> tuple[GridFault, str] | None:
@@ -208,7 +199,7 @@ def _refused(piece: _Piece) -> tuple[GridFault, str] | None:
                 "check views.<view>.mirror and views.<view>.roi in the sensor's description"
             )
         if found.turns:
-            return _turned(f"by {90 * found.turns} degrees")
+            return GridFault.TURNED, turned_by(90 * found.turns)
         return GridFault.OTHER_COLOURS, "the dots fit, and dark and light checkers are exchanged"
     if piece.is_foreign:
         return _other_code(piece)
@@ -216,11 +207,6 @@ def _refused(piece: _Piece) -> tuple[GridFault, str] | None:
         return None
     reason = f"{found.readable} checkers seen whose dots do not show for certain which ones"
     return GridFault.AMBIGUOUS, reason
-
-
-def _turned(how_far: str) -> tuple[GridFault, str]:
-    reason = f"the pattern is turned in the image {how_far} against the sensor's description"
-    return GridFault.TURNED, reason
 
 
 def _other_code(piece: _Piece) -> tuple[GridFault, str]:

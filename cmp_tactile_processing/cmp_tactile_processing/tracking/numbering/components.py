@@ -323,6 +323,21 @@ def joined(
     return shift if in_order(together, nominal) else None
 
 
+def placed(corners: Float, component: Component, shift: Index) -> bool:
+    """Whether a component's corners could be added to the known ones: none of theirs is taken.
+
+    corners (rows, cols, 2) px, NaN where not known, are changed; shift (2,): what is to be added to
+    the component's numbers.  Those beyond the grid are left out.
+    """
+    number = component.number + shift
+    inside = ((number >= 0) & (number < corners.shape[:2])).all(axis=1)
+    i, j = number[inside].T
+    if np.isfinite(corners[i, j, 0]).any():
+        return False
+    corners[i, j] = component.position[inside]
+    return True
+
+
 def in_order(corners: Float, nominal: NominalGrid) -> bool:
     """Whether all corners of a line follow one another at about their nominal distances."""
     along_rows = _in_order(corners, nominal.corners)

@@ -158,8 +158,15 @@ def turned_reason(
     angle = turn_of(position, number, nominal)
     if abs(angle) <= largest:
         return ""
-    degrees = f"{np.degrees(angle):.0f} degrees"
-    return f"the pattern is turned in the image by {degrees} against the sensor's description"
+    return turned_by(float(np.degrees(angle)))
+
+
+def turned_by(degrees: float) -> str:
+    """What is to be said of a pattern that is turned by so much."""
+    return (
+        f"the pattern is turned in the image by {degrees:.0f} degrees against the sensor's "
+        "description"
+    )
 
 
 def shape_misfit(

@@ -32,6 +32,11 @@ class Numbering:
     between: tuple[float, float] = (-np.inf, np.inf)
     by_code: bool = False
 
+    @classmethod
+    def nothing(cls, shape: tuple[int, ...], fault: GridFault, reason: str) -> Numbering:
+        """That of a grid (rows, cols) of which no corner has a number."""
+        return cls(np.full((*shape, 2), np.nan), reason, fault)
+
 
 def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
     """What is to be said where so many numbered corners turned out to be another pattern's.

@@ -105,6 +105,15 @@ def is_torn(graph: CornerGraph, tear: float, side: float) -> bool:
     return not _runs_along(graph, tear, side) if jump is None else jump
 
 
+def proven_tears(
+    graph: CornerGraph, rows: list[int], image: PreparedImage, side: float
+) -> list[float]:
+    """Of the tears that `suspected_tears` finds those at which gridlines jump."""
+    return [
+        tear for tear in suspected_tears(graph, rows, image, side) if is_torn(graph, tear, side)
+    ]
+
+
 def jumps_at(graph: CornerGraph, tear: float, side: float) -> bool | None:
     """Whether the gridlines jump across a row, on the left, in the middle and on the right.
 

@@ -257,7 +257,7 @@ class GridNumbering:
         return self._missing(GridFault.AMBIGUOUS, reason)
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
-        return Numbering(np.full_like(self._nominal.corners, np.nan), reason, fault, 0.0)
+        return Numbering.nothing(self._nominal.corners.shape[:2], fault, reason)
 
     def _anchors(
         self,
