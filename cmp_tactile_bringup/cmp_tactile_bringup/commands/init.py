@@ -88,22 +88,33 @@ def _asked_pitch() -> float:
 
 def _picture(name: str) -> NDArray[np.uint8]:
     """The picture, or one from the camera, grey; FrameError where there is none."""
+    from cmp_tactile_driver.sources.files import decode_file
+    from cmp_tactile_processing.errors import FrameError
+    from cmp_tactile_processing.geometry.split import to_grey
+
+    device = re.fullmatch(r"/dev/video(\d+)", name)
+    try:
+        image = _photograph(int(device[1])) if device else decode_file(Path(name).expanduser())
+    except FrameError as error:
+        expected = "a picture or a camera"
+        msg = f"{name}: found nothing that can be read, expected {expected} ({error})"
+        raise FrameError(msg) from None
+    return to_grey(image)
+
+
+def _photograph(number: int) -> NDArray[np.uint8]:
+    """A frame of a camera, once its exposure has settled; FrameError where there is none."""
     import cv2
     import numpy as np
 
     from cmp_tactile_processing.errors import FrameError
 
-    image, device = None, re.fullmatch(r"/dev/video(\d+)", name)
-    if device:
-        camera = cv2.VideoCapture(int(device[1]), cv2.CAP_V4L2)
-        for _ in range(FRAMES_TO_SETTLE):
-            image = camera.read()[1]
-        camera.release()
-        image = None if image is None else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    elif Path(name).expanduser().is_file():
-        image = cv2.imread(str(Path(name).expanduser()), cv2.IMREAD_GRAYSCALE)
+    camera, image = cv2.VideoCapture(number, cv2.CAP_V4L2), None
+    for _ in range(FRAMES_TO_SETTLE):
+        image = camera.read()[1]
+    camera.release()
     if image is None:
-        msg = f"{name}: found nothing that can be read, expected a picture or a camera"
+        msg = "it gives no frames"
         raise FrameError(msg)
     return np.asarray(image, dtype=np.uint8)
 
