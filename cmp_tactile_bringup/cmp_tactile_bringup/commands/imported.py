@@ -11,7 +11,7 @@ from cmp_tactile_bringup.commands.options import Command, argument, option
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cmp_tactile_bringup.recordings.agreement import Agreement
+    from cmp_tactile_bringup.offline.imported import Agreement
     from cmp_tactile_driver.sources.tac3d import Tac3dRecording
     from cmp_tactile_processing.sensor.description import SensorDescription
 

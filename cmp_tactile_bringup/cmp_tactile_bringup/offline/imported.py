@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.identity import software_version
@@ -19,7 +20,6 @@ from cmp_tactile_bringup.offline.outputs import (
     csv_table,
 )
 from cmp_tactile_bringup.recordings import results
-from cmp_tactile_bringup.recordings.agreement import Agreement, agreement
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.sources.tac3d import Tac3dRecording
@@ -34,11 +34,27 @@ from cmp_tactile_processing.sensor.description import (
     write_sensor_description,
 )
 
+Array = NDArray[np.float64]
+
 NS_PER_S = 10**9
 SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 REFERENCE = "markers at rest, as the sensor has them"
 NO_IMAGE = np.zeros((0, 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How two forces over time agree, along x, y and z.
+
+    correlation (3,); scale: of ours that comes nearest to theirs, all axes together; left (3,) N:
+    root mean square of the difference then; frames: that were compared.
+    """
+
+    correlation: Array
+    scale: float
+    left: Array
+    frames: int
 
 
 def forces_of(
@@ -121,3 +137,21 @@ def _own_messages(recording: Tac3dRecording, number: int, gel_frame: str) -> Ite
     force = recording.force[number]
     cloud = make.cloud(header, recording.reference, force, ("fx", "fy", "fz"))
     yield "tac3d/force_points", POINT_CLOUD, cloud
+
+
+def agreement(ours: Array, theirs: Array) -> Agreement | None:
+    """Of forces (n, 3) N; None where there are fewer than two frames with both."""
+    known = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
+    ours, theirs = ours[known], theirs[known]
+    if len(ours) < 2 or not ours.any():
+        return None
+    scale = float(np.vdot(ours, theirs) / np.vdot(ours, ours))
+    left = np.sqrt(np.mean((scale * ours - theirs) ** 2, axis=0))
+    return Agreement(_correlations(ours, theirs), scale, left, len(ours))
+
+
+def _correlations(ours: Array, theirs: Array) -> Array:
+    """Along each axis (3,), NaN where one of the two does not change."""
+    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    sizes = np.sqrt((ours**2).sum(axis=0) * (theirs**2).sum(axis=0))
+    return np.asarray((ours * theirs).sum(axis=0) / np.where(sizes > 0, sizes, np.nan))

@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.recordings.agreement import agreement
+from cmp_tactile_bringup.offline.imported import agreement
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
 from cmp_tactile_processing.elastic.model import ElasticModel

@@ -103,10 +103,10 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
     side = round(markers**0.5)
     if side**2 != markers:
         raise _error(folder, POSITIONS, f"{markers} markers", "a square number, as 400")
-    order = np.argsort(arrays[STAMPS].ravel(), kind="stable")
-    stamps = np.rint(arrays[STAMPS].ravel()[order] * 1e9).astype(np.int64)
+    by_time = np.argsort(arrays[STAMPS].ravel(), kind="stable")
+    stamps = np.rint(arrays[STAMPS].ravel()[by_time] * 1e9).astype(np.int64)
     new = np.append(True, np.diff(stamps) > 0)
-    order, stamps = order[new], stamps[new]
+    order, stamps = by_time[new], stamps[new]
 
     def on_grid(name: str) -> Array:
         return _turned(arrays[name].reshape(frames, -1, 3)[order], (side, side))
@@ -121,7 +121,7 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
     return Tac3dRecording(
         serial=folder.resolve().name,
         stamp_ns=stamps,
-        lost=_lost(arrays[INDEX].ravel()[np.argsort(arrays[STAMPS].ravel(), kind="stable")]),
+        lost=_lost(arrays[INDEX].ravel()[by_time]),
         reference=MILLI * (rest - origin),
         displacement=MILLI * moved,
         force=on_grid(FORCES),
@@ -242,7 +242,7 @@ def _wrong_at_rest(rest: Array) -> str:
 
 
 def _lost(index: Array) -> int:
-    """Frames that are missing between those of some numbers (n,); NaN where there are none."""
+    """Frames that are missing between those of some numbers (n,), which may be NaN."""
     steps = np.diff(index)
     return int(np.sum(steps[steps > 1] - 1))
 
