@@ -429,7 +429,7 @@ class PatternStudio:
         return PatternFrame(case.name, case.sensor, image, truth, visible, far)
 
     def _renderer(self, case: PatternCase) -> Renderer:
-        ink = Checkerboard(case.sensor.pattern, case.defects, case.seed, case.margin)
+        ink = Checkerboard(case.sensor.sheet, case.defects, case.seed, case.margin)
         for sensor, known, renderer in self._renderers:
             if sensor is case.sensor and known == ink:
                 return renderer

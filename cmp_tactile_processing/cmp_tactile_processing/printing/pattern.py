@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -238,7 +238,8 @@ class PrintedPattern:
 
     ink: as Contour says, no two overlap.  clear: what is kept free for pattern, margin and bleed.
     gel: outline of the gel's block, None where it reaches beyond the surface.
-    rim_strain: of a film that is laid on a sphere.  fits_gel: pattern and margin lie on the block.
+    rim_strain: of a film that is laid on a sphere.  fits_gel: pattern and margin lie on the block,
+    or the pattern goes on beyond the view and is to cover it.
     """
 
     pattern: Pattern
@@ -254,12 +255,13 @@ class PrintedPattern:
 def printed_pattern(
     sensor: SensorDescription, options: PrintOptions | None = None
 ) -> PrintedPattern:
-    """The ink of a sensor's pattern.
+    """The ink of a sensor's pattern; of one that goes on beyond the view, on the whole skin.
 
     Raises DescriptionError for a pattern that does not lie on its surface, ParameterError for an
     option that does not go with it.
     """
     options = options or PrintOptions()
+    sensor = replace(sensor, pattern=sensor.sheet)
     pattern = sensor.pattern
     process = options.process or default_process(pattern.surface)
     _check(sensor, options, process)
@@ -279,7 +281,7 @@ def printed_pattern(
         clear=on_print([clear], flat, CHORD_TOLERANCE)[0] * 1e3,
         gel=_outline(gel, pattern, process),
         rim_strain=rim_strain(pattern.surface, process, rectangle(*with_margin)),
-        fits_gel=bool(fits.all()),
+        fits_gel=bool(fits.all()) or pattern.border == "beyond_view",
     )
 
 

@@ -103,6 +103,11 @@ class SensorDescription:
         return self.image.width, self.image.height
 
     @property
+    def sheet(self) -> parts.Pattern:
+        """The whole print on the gel: the pattern, and what goes on around it beyond the view."""
+        return self.pattern.sheet(self.elastomer.size[:2])
+
+    @property
     def ros_name(self) -> str:
         """The name as a ROS namespace and frame prefix: other characters become underscores."""
         name = re.sub(r"[^A-Za-z0-9_]", "_", self.name)

@@ -6,14 +6,14 @@ The fields declare what the keys of a file may hold.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import GridShape
-from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED, dot_map
+from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED, LARGEST_SHEET, dot_map
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
     choice,
@@ -219,8 +219,11 @@ def _read_surface(section: YamlSection, key: str) -> PatternSurface:
 def _read_code(section: YamlSection, key: str) -> str:
     code = section.choice(key, CODES)
     rows, cols = (section.integer(side, MIN_CORNERS, MAX_BEYOND_VIEW) for side in ("rows", "cols"))
-    if code == "dots" and "border" in section and section.text("border") == "beyond_view":
-        expected = "none with border: beyond_view; dots number any part of a pattern in_view"
+    if code == "dots" and max(rows, cols) > MAX_CORNERS:
+        expected = (
+            f"none, or at most {MAX_CORNERS} rows and cols: with {LARGEST_SHEET} checkers along a "
+            f"side {rows} x {cols} corners are more than the largest sheet has"
+        )
         raise section.error(key, code, expected)
     if code == "dots" and (rows + 1) * (cols + 1) < FEWEST_CODED:
         expected = (
@@ -246,7 +249,7 @@ class Pattern:
     code: dots where checkers bear dots that show which ones they are, else none; code_seed: which
     of the sheets with different dots it is.
     border: in_view where the pattern ends within the view, beyond_view where it goes on, so that
-    rows x cols number a part of it.
+    rows x cols number a part of it: with a code the middle of the largest sheet.
     """
 
     rows: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
@@ -270,7 +273,31 @@ class Pattern:
         """Checkers with a dot, (rows + 1, cols + 1); [0, 0] is the one outside corner (0, 0)."""
         if self.code == "none":
             return np.zeros((self.rows + 1, self.cols + 1), dtype=np.bool_)
-        return dot_map(self.rows + 1, self.cols + 1, self.code_seed)
+        if self.border == "in_view":
+            return dot_map(self.rows + 1, self.cols + 1, self.code_seed)
+        row, col = (MAX_CORNERS - self.rows) // 2, (MAX_CORNERS - self.cols) // 2
+        sheet = dot_map(LARGEST_SHEET, LARGEST_SHEET, self.code_seed)
+        return sheet[row : row + self.rows + 1, col : col + self.cols + 1]
+
+    def sheet(self, size: tuple[float, float]) -> Pattern:
+        """The print that this is a part of, about the same middle: itself where it ends in view.
+
+        It covers a skin of that size (x, y), m; with a code it ends where the largest sheet does.
+        """
+        if self.border == "in_view":
+            return self
+        more = []
+        for count, extent in ((self.rows, size[1]), (self.cols, size[0])):
+            most = math.inf if self.code == "none" else (MAX_CORNERS - count) // 2
+            around = min((extent / self.pitch - count - 1) / 2, most)
+            more.append(max(math.ceil(around), 0))
+        colours = ("dark", "light") if sum(more) % 2 == 0 else ("light", "dark")
+        return replace(
+            self,
+            rows=self.rows + 2 * more[0],
+            cols=self.cols + 2 * more[1],
+            corner_checker=colours[("dark", "light").index(self.corner_checker)],
+        )
 
     def dark_checkers(self) -> NDArray[np.bool_]:
         """Checkers that are dark, (rows + 1, cols + 1), in the order of `dots`."""

@@ -24,14 +24,13 @@ from cmp_tactile_processing.tracking.corners.measured_markers import (
 )
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
-    CornerGraph,
     GridlineDetector,
     ImageWindow,
     NominalGrid,
     draw_nominal,
     spoilt_pictures,
 )
-from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering
+from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering, filled
 from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.torn_view import (
     lattice_graph,
@@ -46,6 +45,9 @@ from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarke
 # From frame to frame the way to a neighbour changes by less than this share of a checker's side;
 # where it changes by more, a corner has been taken for another one.
 LARGEST_CHANGE = 0.3
+# Of a pattern that goes on beyond the view corners may be missing within so many sides from the
+# image's edge, up to such a share of the grid.
+AT_EDGE, MOST_BEYOND_VIEW = 1.0, 0.5
 # A corner of less weight is destroyed by a flaw of the print: it is where its surroundings have it.
 LEAST_WEIGHT = 0.05
 # What this process has compiled or loaded everything for: the other view of a sensor, or another
@@ -83,11 +85,15 @@ class GridTracker:
         beside = [
             other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
         ]
-        self._numbering = GridNumbering(self._nominal, dark_first, beside, sensor.pattern.dots())
-        self._carried, self._kind = None, NumberingKind.ABSOLUTE
-        if sensor.pattern.border == "beyond_view":
-            self._carried = CarriedNumbering(self._nominal, dark_first)
+        coded = sensor.pattern if sensor.pattern.code != "none" else None
+        self._goes_on = sensor.pattern.border == "beyond_view"
+        self._numbering: GridNumbering | CarriedNumbering
+        if self._goes_on and coded is None:
+            self._numbering = CarriedNumbering(self._nominal, dark_first)
             self._kind = NumberingKind.RELATIVE
+        else:
+            self._numbering = GridNumbering(self._nominal, dark_first, beside, coded)
+            self._kind = NumberingKind.ABSOLUTE
         self._markers = MeasuredMarkers(self._nominal, dark_first)
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
@@ -111,8 +117,8 @@ class GridTracker:
         """Forget what earlier frames showed; what is known of the print is kept."""
         self._last: NDArray[np.float64] | None = None
         self._confidence = 0.0
-        if self._carried is not None:
-            self._carried.reset()
+        if isinstance(self._numbering, CarriedNumbering):
+            self._numbering.reset()
 
     def track(self, half_image: NDArray[np.uint8]) -> Grid:
         """Gridlines of a view image, (H, W) grey or (H, W, 3) BGR uint8, as `split_frame` cuts it.
@@ -133,7 +139,7 @@ class GridTracker:
         if corners is not None and not self._is_torn(image, corners.position, torn):
             return self._grid(image, corners, Numbering(corners.position, ""), followed=True)
         graph = self._detector.corner_graph(image)
-        numbering = self._numbered(graph, image, last, torn)
+        numbering = self._numbering.number(graph, image, last, torn)
         corners = self._markers.measure(image, numbering.corners)
         if 0 < corners.missing < corners.std.size:
             corners = self._markers.complete(image, corners, numbering.corners)
@@ -141,7 +147,7 @@ class GridTracker:
         corners = self._markers.between(
             self._markers.repair_outliers(image, corners), numbering.between
         )
-        if self._carried is None and not numbering.by_code:
+        if not (self._goes_on or numbering.by_code):
             # Pieces that do not continue each other, and what lies beyond a border, are doubtful.
             corners, numbering = self._within_border(image, corners, numbering)
         self._confidence = numbering.confidence
@@ -175,34 +181,44 @@ class GridTracker:
     def _followed(
         self, image: PreparedImage, last: NDArray[np.float64] | None
     ) -> MeasuredCorners | None:
-        """The complete grid near its place in the last frame; None where that is in any doubt."""
-        if not self._parameters.follow or last is None or np.isnan(last).any():
+        """The grid near its place in the last frame, but for corners beyond the view.
+
+        None where that is in any doubt, or a corner in sight is missing.
+        """
+        if not self._parameters.follow or last is None or self._lacks(last):
             return None
         corners = self._markers.measure(image, last)
-        if corners.missing > 0.1 * corners.std.size:
+        if corners.missing - np.isnan(last[..., 0]).sum() > 0.1 * corners.std.size:
             return None
-        if corners.missing:
+        if self._lacks(corners.position):
             corners = self._markers.complete(image, corners, np.full_like(last, np.nan))
         corners = self._markers.repair_outliers(image, corners)
         limit = LARGEST_CHANGE * self._nominal.side_px
-        if corners.missing or not _moved_alike(corners.position, last, limit):
+        if self._lacks(corners.position) or not _moved_alike(corners.position, last, limit):
             return None
         if self._markers.without_strays(corners)[1]:
             return None
-        if self._carried is not None:
-            return corners if self._carried.goes_on(corners.position) else None
-        return corners if self._markers.is_bounded(image, corners.position) else None
+        return corners if self._confirmed(image, corners.position) else None
 
-    def _numbered(
-        self,
-        graph: CornerGraph,
-        image: PreparedImage,
-        last: NDArray[np.float64] | None,
-        torn: list[int],
-    ) -> Numbering:
-        if self._carried is not None:
-            return self._carried.number(graph, image, torn)
-        return self._numbering.number(graph, image, last, torn)
+    def _lacks(self, corners: NDArray[np.float64]) -> bool:
+        """Whether a corner is missing (rows, cols, 2) px that is not beyond the view."""
+        missing = np.isnan(corners[..., 0])
+        if not missing.any():
+            return False
+        if not self._goes_on or missing.mean() > MOST_BEYOND_VIEW:
+            return True
+        place, _ = filled(corners, self._nominal.corners)
+        near = AT_EDGE * self._nominal.side_px
+        inside = (place >= near) & (place <= np.array(self._grey.shape[::-1]) - 1 - near)
+        return bool((missing & inside.all(axis=-1)).any())
+
+    def _confirmed(self, image: PreparedImage, corners: NDArray[np.float64]) -> bool:
+        """Whether it is certain that a followed grid bears the right numbers."""
+        if isinstance(self._numbering, CarriedNumbering):
+            return self._numbering.goes_on(corners)
+        if self._goes_on:
+            return self._numbering.confirms(corners, image)
+        return self._markers.is_bounded(image, corners)
 
     def _within_border(
         self, image: PreparedImage, corners: MeasuredCorners, numbering: Numbering
@@ -210,7 +226,9 @@ class GridTracker:
         """The corners less those of another pattern; none where further ones lie beyond them."""
         corners, strays = self._markers.without_strays(corners)
         if not self._markers.is_bounded(image, corners.position):
-            numbering, corners = self._numbering.unbounded(), corners.none()
+            reason = "beyond a border of the pattern that was seen there are further checkers"
+            numbering = Numbering.nothing(corners.std.shape, GridFault.AMBIGUOUS, reason)
+            corners = corners.none()
         return corners, without_strays(numbering, strays, corners.missing)
 
     def _is_torn(self, image: PreparedImage, corners: NDArray[np.float64], rows: list[int]) -> bool:
@@ -231,8 +249,8 @@ class GridTracker:
         placement, shape = self._view.placement, self._pattern.shape
         known = np.isfinite(position[..., 0])
         self._last = position if known.any() else None
-        if self._carried is not None:
-            self._carried.saw(position)
+        if isinstance(self._numbering, CarriedNumbering):
+            self._numbering.saw(position)
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault, self._kind)
@@ -312,15 +330,18 @@ class GridTracker:
 
 @kernel
 def _moved_alike(corners: NDArray[np.float64], last: NDArray[np.float64], limit: float) -> bool:
-    """Whether neighbours moved alike between two frames (rows, cols, 2), to `limit` px."""
+    """Whether neighbours moved alike between two frames (rows, cols, 2), to `limit` px.
+
+    Corners that are NaN in either count for nothing.
+    """
     rows, cols = corners.shape[:2]
     for i in range(rows):
         for j in range(cols):
             for d in range(2):
                 moved = corners[i, j, d] - last[i, j, d]
-                if i > 0 and not abs(moved - (corners[i - 1, j, d] - last[i - 1, j, d])) < limit:
+                if i > 0 and abs(moved - (corners[i - 1, j, d] - last[i - 1, j, d])) >= limit:
                     return False
-                if j > 0 and not abs(moved - (corners[i, j - 1, d] - last[i, j - 1, d])) < limit:
+                if j > 0 and abs(moved - (corners[i, j - 1, d] - last[i, j - 1, d])) >= limit:
                     return False
     return True
 

@@ -30,7 +30,7 @@ class LiveCamera:
     def __init__(self, scene: Scene) -> None:
         """scene: as it is to be rendered live."""
         self._scene = scene
-        ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
+        ink = ink_of(scene.sensor.sheet, scene.pattern_type, scene.defects, scene.seed)
         half = with_half_the_pixels(scene.sensor)
         self._is_half = half is not None
         samples = scene.samples * (2 if half else 1)

@@ -129,7 +129,7 @@ class SceneCamera:
     def __init__(self, scene: description.Scene, observers: SurfaceGrid) -> None:
         self._scene = scene
         self._observers = observers
-        ink = ink_of(scene.sensor.pattern, scene.pattern_type, scene.defects, scene.seed)
+        ink = ink_of(scene.sensor.sheet, scene.pattern_type, scene.defects, scene.seed)
         self._renderer = Renderer(scene.sensor, ink, samples=scene.samples)
         self._truth = OpticalTruth(scene.sensor)
 

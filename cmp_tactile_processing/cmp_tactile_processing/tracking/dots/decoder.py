@@ -34,7 +34,7 @@ TURNS = tuple((turns, mirrored) for mirrored in (False, True) for turns in range
 class Decoding:
     """The likeliest place of a set of checkers on the sheet.
 
-    shift (2,): the sheet's row and column of checker (0, 0) of the set, where it is upright.
+    shift (2,): row and column of checker (0, 0) of the set, from the origin, where it is upright.
     turns: quarter turns by which the sheet is seen turned, counter-clockwise in the image;
     mirrored: by columns, after that; exchanged: dark checkers are seen light.
     odds: of all other places against this one.  by_chance: bound on the probability that random
@@ -66,9 +66,13 @@ class DotDecoder:
     """Decodes sets of checkers of one sheet.
 
     dots (rows, cols): which of its checkers bear one; dark_first: whether checker (0, 0) is dark.
+    origin: the checker of the sheet from which shifts count.
     """
 
-    def __init__(self, dots: NDArray[np.bool_], dark_first: bool) -> None:
+    def __init__(
+        self, dots: NDArray[np.bool_], dark_first: bool, origin: tuple[int, int] = (0, 0)
+    ) -> None:
+        self._origin = np.array(origin)
         self._sheets = [_seen(np.where(dots, 1.0, -1.0), *view) for view in TURNS]
         dark = (np.indices(dots.shape).sum(axis=0) % 2 == 0) == dark_first
         self._dark_first = np.array([bool(_seen(dark, *view)[0, 0]) for view in TURNS])
@@ -87,6 +91,7 @@ class DotDecoder:
         """
         agreement, count, shift = self._compared(bits)
         colours = (shift.sum(axis=-1) % 2 == 0) == (self._dark_first[:, None, None] == dark)
+        shift = shift - self._origin
         expected = colours & (np.arange(len(TURNS)) == 0)[:, None, None]
         possible = count >= max(LEAST_ON_SHEET * np.count_nonzero(bits), 1.0)
         if within is not None:
@@ -116,7 +121,7 @@ class DotDecoder:
         """Logarithm of the odds of a place, upright, against that of random dots; bits as above."""
         sheet = self._sheets[0]
         cells = np.argwhere(bits != 0)
-        places = cells + shift
+        places = cells + shift + self._origin
         on_sheet = ((places >= 0) & (places < sheet.shape)).all(axis=1)
         read, printed = bits[tuple(cells[on_sheet].T)], sheet[tuple(places[on_sheet].T)]
         agreement = np.array(float((read * printed).sum()))

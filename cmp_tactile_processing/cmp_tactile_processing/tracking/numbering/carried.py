@@ -70,34 +70,37 @@ class CarriedNumbering:
         self._first: Float | None = None
         self._last: Float | None = None
         self._speed: Float | None = None
-        self._lost = False
 
     def saw(self, corners: Float) -> None:
         """Take over a frame's corners (rows, cols, 2) px, NaN where missing."""
         last, self._speed = self._last, None
-        self._lost = bool(np.isnan(corners[..., 0]).all())
-        if self._lost:
+        if np.isnan(corners).all():
             return
-        self._last, _ = self._filled(corners)
+        self._last, _ = filled(corners, self._before)
         if self._first is None:
             self._first = self._last
         elif last is not None:
             self._speed = self._last - last
 
     def goes_on(self, corners: Float) -> bool:
-        """Whether a grid (rows, cols, 2) px without gaps continues the last frame by its numbers.
+        """Whether a grid (rows, cols, 2) px, NaN where missing, continues the last frame.
 
         It does not where other numbers explain it as well, after a jump by whole checkers.
         """
         if self._last is None:
             return True
-        component = Component(corners.reshape(-1, 2), self._numbers, self._even)
+        known = np.isfinite(corners[..., 0]).ravel()
+        position = corners.reshape(-1, 2)[known]
+        component = Component(position, self._numbers[known], self._even[known])
         shift = self._certain(component, self._last, CARRIED)
         return shift is not None and not shift.any()
 
-    def number(self, graph: CornerGraph, image: PreparedImage, torn: list[int]) -> Numbering:
+    def number(
+        self, graph: CornerGraph, image: PreparedImage, previous: Float | None, torn: list[int]
+    ) -> Numbering:
         """Numbered corners of a graph, all in pixels of the prepared image.
 
+        previous: the last frame's corners, None where it had none: the numbers are lost.
         torn: what `torn_rows` finds in the image.  Corners beyond the grid are left out.
         """
         side = self._nominal.side_px
@@ -111,7 +114,7 @@ class CarriedNumbering:
         bounds = [-np.inf, *jumps, np.inf]
         part = int(np.searchsorted(jumps, components[0].position[0, 1]))
         between = bounds[part], bounds[part + 1]
-        shift, reason = self._shift_of_largest(components[0])
+        shift, reason = self._shift_of_largest(components[0], lost=previous is None)
         if shift is None:
             return self._none(GridFault.AMBIGUOUS, reason)
         corners = np.full_like(self._nominal.corners, np.nan)
@@ -133,11 +136,13 @@ class CarriedNumbering:
     def _none(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering.nothing(self._side.shape, fault, reason)
 
-    def _shift_of_largest(self, component: Component) -> tuple[Whole | None, str]:
+    def _shift_of_largest(
+        self, component: Component, *, lost: bool
+    ) -> tuple[Whole | None, str]:
         """What to add to the numbers of the largest set; None, and why, where that is in doubt."""
         if self._last is None:
             return self._at_centre(component), ""
-        if self._lost:
+        if lost:
             places, limit = [self._last, self._first], COME_BACK
         else:
             places, limit = [self._last], CARRIED
@@ -147,7 +152,7 @@ class CarriedNumbering:
         shifts = {tuple(shift.tolist()) for shift in found if shift is not None}
         if len(shifts) == 1:
             return np.array(shifts.pop(), dtype=np.intp), ""
-        if self._lost:
+        if lost:
             return None, "the pattern is not back where it was when its numbers were lost"
         return None, "the pattern has moved so far since the last frame that its numbers are lost"
 
@@ -207,31 +212,36 @@ class CarriedNumbering:
 
     def _place_beside(self, corners: Float, components: list[Component]) -> None:
         """Add sets of corners where they continue those that have their place."""
-        filled = None
+        around = None
         for component in components:
-            expected, gap = filled = filled or self._filled(corners)
+            expected, gap = around = around or filled(corners, self._before)
             best = _nearest(self._tried(component, expected), CARRIED)
             if best is None:
                 continue
             i, j = np.clip(component.number + best.shift, 0, np.array(gap.shape) - 1).T
             is_near = len(component.position) >= ACROSS_A_GAP or gap[i, j].min() <= GAP
             if is_near and placed(corners, component, best.shift):
-                filled = None
+                around = None
 
-    def _filled(self, corners: Float) -> tuple[Float, Float]:
-        """Corners with those that are missing where the others let expect them, and their gap.
+    @property
+    def _before(self) -> Float:
+        """Where corners were in the last frame, or at first the nominal projection."""
+        return self._nominal.corners if self._last is None else self._last
 
-        They have moved since the last frame, or at first from the nominal projection, as all
-        together, turned and stretched alike, and by what the nearest one in the grid differs from
-        that.  gap (rows, cols): distance of that one, in checkers.
-        """
-        before = self._nominal.corners if self._last is None else self._last
-        known = np.isfinite(corners[..., 0])
-        place = np.column_stack([self._numbers, np.ones(known.size)])
-        fit = np.linalg.lstsq(place[known.ravel()], (corners - before)[known], rcond=None)
-        smooth = before + (place @ fit[0]).reshape(corners.shape)
-        gap, (i, j) = distance_transform_edt(~known, return_indices=True)
-        return np.asarray(smooth + (corners - smooth)[i, j]), gap
+
+def filled(corners: Float, before: Float) -> tuple[Float, Float]:
+    """Corners with those that are missing where the others let expect them, and their gap.
+
+    corners, before (rows, cols, 2) px, NaN in corners where missing.  The missing ones have moved
+    since `before` as all together, turned and stretched alike, and by what the nearest one in the
+    grid differs from that.  gap (rows, cols): distance of that one, in checkers.
+    """
+    known = np.isfinite(corners[..., 0])
+    place = np.stack([*np.indices(known.shape), np.ones(known.shape)], axis=-1)
+    fit = np.linalg.lstsq(place[known], (corners - before)[known], rcond=None)
+    smooth = before + place @ fit[0]
+    gap, (i, j) = distance_transform_edt(~known, return_indices=True)
+    return np.asarray(smooth + (corners - smooth)[i, j]), gap
 
 
 class _Place(NamedTuple):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
+from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.detector import Component, NominalAxes, NominalGrid
 from cmp_tactile_processing.tracking.dots.decoder import Decoding, DotDecoder
 from cmp_tactile_processing.tracking.dots.reading import DotReading, read_dots
@@ -86,23 +87,29 @@ class _Piece:
 class CodedView:
     """Numbers components of corners of one view.
 
-    nominal: in pixels of the prepared image.  dots (rows + 1, cols + 1): checkers that bear one.
-    dark_first: whether the checker outside corner (0, 0) is a dark one.
+    nominal: of the pattern, in pixels of the prepared image.  Of a sheet that goes on beyond the
+    view all checkers are read, and the corners of the pattern are numbered.
     """
 
-    def __init__(
-        self, nominal: NominalGrid, axes: NominalAxes, dots: NDArray[np.bool_], dark_first: bool
-    ) -> None:
+    def __init__(self, nominal: NominalGrid, axes: NominalAxes, pattern: Pattern) -> None:
         self._nominal, self._axes = nominal, axes
-        self._dark_first = dark_first
-        self._decoder = DotDecoder(dots, dark_first)
+        self._dark_first = pattern.corner_checker == "dark"
+        sheet = pattern.sheet((np.inf, np.inf))
+        self._goes_on = pattern.border == "beyond_view"
+        origin = (sheet.rows - pattern.rows) // 2, (sheet.cols - pattern.cols) // 2
+        self._decoder = DotDecoder(sheet.dots(), sheet.corner_checker == "dark", origin)
 
     def number(self, components: list[Component], image: PreparedImage) -> Numbering | None:
-        """The corners of components, largest first; None where no dots can be read in any."""
+        """The corners of components, largest first.
+
+        None where no dots can be read in any, and the border may show the numbers.
+        """
         pieces = [self._read(component, image) for component in components]
         if all(np.isnan(piece.reading.strength) for piece in pieces):
-            bare = pieces[0].size >= FEWEST_READ and pieces[0].reading.is_bare
-            return self._missing(*_other_code(pieces[0])) if bare else None
+            if pieces[0].size >= FEWEST_READ and pieces[0].reading.is_bare:
+                return self._missing(*_other_code(pieces[0]))
+            unread = self._missing(GridFault.AMBIGUOUS, "no dots can be read in the checkers seen")
+            return unread if self._goes_on else None
         certain = [piece for piece in pieces if piece.is_certain]
         if not certain or not certain[0].is_upright:
             refused = certain[0] if certain else pieces[0]
@@ -113,11 +120,21 @@ class CodedView:
             if piece.is_upright and not placed(corners, piece.component, piece.shift()):
                 reason = "two pieces seen with the same dots: the pattern is there twice"
                 return self._missing(GridFault.TWO_PATTERNS, reason)
+        if np.isnan(corners).all():
+            reason = f"{certain[0].size} corners seen, all of them outside of rows x cols"
+            return self._missing(GridFault.PARTLY_HIDDEN, reason)
         left = [piece for piece in pieces if not piece.is_certain and not piece.is_foreign]
         joins = self._join(corners, left)
         drop_loose_corners(corners, self._nominal.corners)
         other = max((piece.size for piece in pieces if piece.is_foreign), default=0)
         return self._judged(corners, other, JOINED if joins else 1.0)
+
+    def confirms(self, corners: Float, image: PreparedImage) -> bool:
+        """Whether the dots beside corners (rows, cols, 2) px show that their numbers are right."""
+        bits = read_dots(image, corners, self._dark_first).bits
+        reach = np.array([REACH, REACH])
+        found = self._decoder.decode(bits, self._dark_first, (-reach, reach))
+        return found is not None and found.is_certain and not found.shift.any()
 
     def _read(self, component: Component, image: PreparedImage) -> _Piece:
         lattice, even = component.lattice()

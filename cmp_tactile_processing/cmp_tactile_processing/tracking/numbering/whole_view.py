@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
+from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.detector import (
     Component,
     CornerGraph,
@@ -80,8 +81,8 @@ class GridNumbering:
     """Numbers the corners that a detector found in one view; keeps its buffers.
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
-    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views; dots
-    (rows + 1, cols + 1): the checkers that bear one, of a pattern with a code.
+    is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views; coded:
+    the pattern, where it has a code.
     """
 
     def __init__(
@@ -89,16 +90,14 @@ class GridNumbering:
         nominal: NominalGrid,
         dark_first: bool,
         beside: Sequence[NDArray[np.float64]] = (),
-        dots: NDArray[np.bool_] | None = None,
+        coded: Pattern | None = None,
     ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
         self._connected = ConnectedCorners(nominal)
         self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
-        self._code: CodedView | None = None
-        if dots is not None and dots.any():
-            self._code = CodedView(nominal, self._connected.axes, dots, dark_first)
+        self._code = CodedView(nominal, self._connected.axes, coded) if coded else None
 
     def number(
         self,
@@ -251,10 +250,9 @@ class GridNumbering:
         reason = f"the pattern is seen in {pieces} pieces, none of which shows its own place"
         return self._missing(GridFault.AMBIGUOUS, reason)
 
-    def unbounded(self) -> Numbering:
-        """What is reported where further corners lie beyond a border of what was numbered."""
-        reason = "beyond a border of the pattern that was seen there are further checkers"
-        return self._missing(GridFault.AMBIGUOUS, reason)
+    def confirms(self, corners: NDArray[np.float64], image: PreparedImage) -> bool:
+        """Whether the pattern's code shows that corners (rows, cols, 2) px have right numbers."""
+        return self._code is not None and self._code.confirms(corners, image)
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering.nothing(self._nominal.corners.shape[:2], fault, reason)
