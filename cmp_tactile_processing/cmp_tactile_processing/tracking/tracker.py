@@ -74,7 +74,8 @@ class GridTracker:
         full = NominalGrid.of_view(sensor.pattern, self._view)
         place = self._view.placement
         self._window = full.window(place.width, place.height)
-        if sensor.pattern.code != "none":
+        self._goes_on = sensor.pattern.border == "beyond_view"
+        if sensor.pattern.code != "none" and not self._goes_on:
             # Any part of the pattern may be anywhere.
             self._window = ImageWindow(0, 0, place.width, place.height)
         self._nominal = full.seen_through(self._window)
@@ -86,7 +87,6 @@ class GridTracker:
             other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
         ]
         coded = sensor.pattern if sensor.pattern.code != "none" else None
-        self._goes_on = sensor.pattern.border == "beyond_view"
         self._numbering: GridNumbering | CarriedNumbering
         if self._goes_on and coded is None:
             self._numbering = CarriedNumbering(self._nominal, dark_first)

@@ -18,6 +18,7 @@ from cmp_tactile_processing.sensor.description import (
     load_sensor,
     packaged_sensors,
 )
+from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 
 # A camera's pose with its translation in mm.
@@ -85,6 +86,23 @@ def test_a_pattern_too_small_for_a_code_is_refused(content, load):
         load(content)
     content["pattern"] |= {"rows": 5, "cols": 6}
     assert load(content).pattern.dots().shape == (6, 7)
+
+
+def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(content, load):
+    content["pattern"] |= {"rows": 25, "cols": 15, "pitch": 5e-4, "border": "beyond_view"}
+    content["pattern"] |= {"code": "dots", "code_seed": 3}
+    part = load(content).pattern
+    whole = dot_map(61, 61, 3)
+    np.testing.assert_array_equal(part.dots(), whole[17:43, 22:38])
+    # The skin is 22 mm wide, 44 checkers; the sheet begins at checkers of the same place.
+    sheet = load(content).sheet
+    assert (sheet.rows, sheet.cols) == (43, 43)
+    np.testing.assert_array_equal(sheet.dots()[9:-9, 14:-14], part.dots())
+    np.testing.assert_array_equal(sheet.dark_checkers()[9:-9, 14:-14], part.dark_checkers())
+    np.testing.assert_allclose(sheet.corners()[9:-9, 14:-14], part.corners(), atol=1e-12)
+    content["pattern"] |= {"rows": 61}
+    with pytest.raises(DescriptionError, match=r"pattern\.code: found 'dots', .* at most 60 rows"):
+        load(content)
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import GridFault, NumberingKind
-from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The print has 20 x 20 corners, of which the description numbers the middle ones.
@@ -37,18 +38,9 @@ def tracker(kept_tracker):
 
 
 @pytest.fixture
-def photograph(sensor, whole):
+def photograph(draw, whole):
     """Draws the print with its corners displaced by (20, 20, 2) or (2,) px."""
-    place = build_views(sensor)["left"].placement
-    rng = np.random.default_rng(5)
-
-    def draw(displacement):
-        moved = replace(whole, corners=whole.corners + displacement)
-        picture = draw_nominal(moved, (place.height, place.width), dark_first=True)
-        noisy = picture + rng.normal(0, 1.5, picture.shape)
-        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-
-    return draw
+    return partial(draw, whole)
 
 
 def along(whole, rows=0.0, cols=0.0):
@@ -89,6 +81,21 @@ def test_a_motion_that_speeds_up_beyond_half_a_checker_a_frame_is_expected(
         moved = along(whole, cols=place)
         grid = tracker.track(photograph(moved))
         assert wrong(grid, whole, moved) == (0, NUMBERED**2), speed
+
+
+def test_corners_leave_the_view_and_come_back_while_the_others_are_followed(
+    tracker, photograph, whole
+):
+    missing = []
+    for step in (*range(41), *range(40, -1, -1)):
+        moved = along(whole, rows=-0.2 * step)
+        grid = tracker.track(photograph(moved))
+        count, known = wrong(grid, whole, moved)
+        assert count == 0
+        assert grid.followed == bool(missing), step
+        missing.append(NUMBERED**2 - known)
+    assert max(missing) > 2 * NUMBERED
+    assert missing[-1] == 0
 
 
 def test_a_jump_by_whole_checkers_loses_the_numbers_until_the_gel_is_back(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,12 +11,11 @@ from command_output import output_of
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
 DRAWN_PX = 0.3
-NOISE_SEED = 5
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +35,9 @@ def tracker(kept_tracker):
 
 
 @pytest.fixture
-def photograph(sensor, nominal):
+def photograph(draw, nominal):
     """Draws the pattern with its corners displaced by (rows, cols, 2) or (2,) px."""
-    place = build_views(sensor)["left"].placement
-    rng = np.random.default_rng(NOISE_SEED)
-
-    def draw(displacement, noise=1.5):
-        moved = replace(nominal, corners=nominal.corners + displacement)
-        picture = draw_nominal(moved, (place.height, place.width), dark_first=True)
-        noisy = picture + rng.normal(0, noise, picture.shape)
-        return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-
-    return draw
+    return partial(draw, nominal)
 
 
 def push(nominal, size_px, reach=0.35):

@@ -136,9 +136,7 @@ class CarriedNumbering:
     def _none(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering.nothing(self._side.shape, fault, reason)
 
-    def _shift_of_largest(
-        self, component: Component, *, lost: bool
-    ) -> tuple[Whole | None, str]:
+    def _shift_of_largest(self, component: Component, *, lost: bool) -> tuple[Whole | None, str]:
         """What to add to the numbers of the largest set; None, and why, where that is in doubt."""
         if self._last is None:
             return self._at_centre(component), ""

@@ -108,13 +108,12 @@ class CodedView:
         if all(np.isnan(piece.reading.strength) for piece in pieces):
             if pieces[0].size >= FEWEST_READ and pieces[0].reading.is_bare:
                 return self._missing(*_other_code(pieces[0]))
-            unread = self._missing(GridFault.AMBIGUOUS, "no dots can be read in the checkers seen")
-            return unread if self._goes_on else None
+            return self._unread()
         certain = [piece for piece in pieces if piece.is_certain]
         if not certain or not certain[0].is_upright:
             refused = certain[0] if certain else pieces[0]
             found = _refused(refused)
-            return None if found is None else self._missing(*found)
+            return self._unread() if found is None else self._missing(*found)
         corners = np.full_like(self._nominal.corners, np.nan)
         for piece in certain:
             if piece.is_upright and not placed(corners, piece.component, piece.shift()):
@@ -201,6 +200,12 @@ class CodedView:
             fault = GridFault.TWO_PATTERNS
             reason += f", and {other} of another pattern, by their dots"
         return Numbering(corners, reason, fault, confidence, by_code=True)
+
+    def _unread(self) -> Numbering | None:
+        """What is reported where no dots can be read; None where there may be a border."""
+        if not self._goes_on:
+            return None
+        return self._missing(GridFault.AMBIGUOUS, "no dots can be read in the checkers seen")
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering.nothing(self._nominal.corners.shape[:2], fault, reason)

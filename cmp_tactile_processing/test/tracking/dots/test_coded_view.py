@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import Grid, GridFault
+from cmp_tactile_processing.measured import Grid, GridFault, NumberingKind
 from cmp_tactile_processing.sensor.dot_code import dot_map
-from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
@@ -46,16 +47,11 @@ def tracker(kept_tracker):
 
 
 @pytest.fixture
-def draw(coded, nominal):
+def photograph(draw, nominal):
     """Draws the pattern, moved by px, with the dots of a seed; None: without any."""
-    place = build_views(coded)["left"].placement
 
     def drawn(moved: tuple[float, float] = (0.0, 0.0), seed: int | None = 4) -> Image:
-        grid = replace(nominal, corners=nominal.corners + moved)
-        dots = np.zeros((21, 21), bool) if seed is None else dot_map(21, 21, seed)
-        picture = draw_nominal(grid, (place.height, place.width), True, dots)
-        noise = np.random.default_rng(0).normal(0, 1.5, picture.shape)
-        return np.clip(np.rint(picture + noise), 0, 255).astype(np.uint8)
+        return draw(nominal, moved, None if seed is None else dot_map(21, 21, seed))
 
     return drawn
 
@@ -83,10 +79,10 @@ def _far_from(covered: NDArray[np.bool_], truth: NDArray[np.float64], side: floa
 @pytest.mark.parametrize(
     "checkers", [(0.0, 0.0), (2.0, 0.0), (-7.0, 3.0), (4.3, -9.6), (13.0, 0.0)]
 )
-def test_slides_of_any_size(checkers, tracker, draw, nominal):
+def test_slides_of_any_size(checkers, tracker, photograph, nominal):
     """Also by whole checkers, and with one border after the other out of the image."""
     moved = nominal.side_px * np.array(checkers)
-    image = draw(tuple(moved))
+    image = photograph(tuple(moved))
     grid = tracker.track(image)
     truth = nominal.corners + moved
     expected = _far_from(np.zeros(image.shape, bool), truth, nominal.largest_side_px)
@@ -94,18 +90,18 @@ def test_slides_of_any_size(checkers, tracker, draw, nominal):
     _assert_right(grid, truth, expected)
 
 
-def test_a_knock_by_two_checkers_between_frames(tracker, draw, nominal):
+def test_a_knock_by_two_checkers_between_frames(tracker, photograph, nominal):
     for checkers in (0.0, 2.0, -2.0, 6.0):
         moved = nominal.side_px * np.array((checkers, 0.0))
-        grid = tracker.track(draw(tuple(moved)))
+        grid = tracker.track(photograph(tuple(moved)))
         expected = np.ones((20, 20), bool) if abs(checkers) <= 2 else np.zeros((20, 20), bool)
         _assert_right(grid, nominal.corners + moved, expected)
         assert np.isfinite(grid.corners).any()
 
 
 @pytest.mark.parametrize("pieces", ["cross", "frame", "strip"])
-def test_what_hides_the_border_and_cuts_the_grid_into_pieces(pieces, tracker, draw, nominal):
-    image = draw()
+def test_what_hides_the_border_and_cuts_the_grid_into_pieces(pieces, tracker, photograph, nominal):
+    image = photograph()
     low, high = nominal.corners.min(axis=(0, 1)), nominal.corners.max(axis=(0, 1))
     y, x = np.indices(image.shape)
     u, v = (x - low[0]) / (high[0] - low[0]), (y - low[1]) / (high[1] - low[1])
@@ -132,9 +128,9 @@ def test_what_hides_the_border_and_cuts_the_grid_into_pieces(pieces, tracker, dr
     ],
 )
 @pytest.mark.parametrize("covered", [0.0, 0.6])
-def test_views_that_are_described_otherwise(seen, fault, covered, tracker, draw):
+def test_views_that_are_described_otherwise(seen, fault, covered, tracker, photograph):
     """Of a part of the pattern as of the whole."""
-    image = draw()
+    image = photograph()
     image[: int(covered * image.shape[0] / 2)] = GREY
     grid = tracker.track(np.ascontiguousarray(seen(image)))
     assert not np.isfinite(grid.corners).any()
@@ -142,15 +138,15 @@ def test_views_that_are_described_otherwise(seen, fault, covered, tracker, draw)
 
 
 @pytest.mark.parametrize(("seed", "reason"), [(5, "another sheet"), (None, "bear no dots")])
-def test_other_patterns_are_refused(seed, reason, tracker, draw):
-    grid = tracker.track(draw(seed=seed))
+def test_other_patterns_are_refused(seed, reason, tracker, photograph):
+    grid = tracker.track(photograph(seed=seed))
     assert not np.isfinite(grid.corners).any()
     assert grid.fault is GridFault.OTHER_PATTERN
     assert reason in grid.reason
 
 
-def test_a_second_pattern_of_another_code_beside_a_part_of_ours(tracker, draw, nominal):
-    image, other = draw(), draw(seed=9)
+def test_a_second_pattern_of_another_code_beside_a_part_of_ours(tracker, photograph, nominal):
+    image, other = photograph(), photograph(seed=9)
     middle = int(nominal.corners[..., 0].mean())
     image[:, middle:] = other[:, middle:]
     image[:, middle - 6 : middle + 6] = GREY
@@ -161,8 +157,8 @@ def test_a_second_pattern_of_another_code_beside_a_part_of_ours(tracker, draw, n
     assert grid.fault is GridFault.TWO_PATTERNS
 
 
-def test_dots_are_no_defects_of_the_print(tracker, draw, nominal):
-    image = draw()
+def test_dots_are_no_defects_of_the_print(tracker, photograph, nominal):
+    image = photograph()
     x, y = np.rint(nominal.corners[5, 6]).astype(int)
     image[y - 3 : y + 4, x - 3 : x + 4] = 190
     defects = tracker.inspect_print([image]).defects
@@ -179,3 +175,59 @@ def test_checkers_too_small_for_dots_are_an_error(sensor):
     GridTracker(replace(sensor, pattern=pattern), "left")
     with pytest.raises(GeometryError, match=r"expected at least 6.5 px with code: dots"):
         GridTracker(replace(sensor, pattern=replace(pattern, code="dots")), "left")
+
+
+# Beyond the view.
+
+NUMBERED, BESIDE = 16, 2
+
+
+@pytest.fixture(scope="module")
+def part(coded):
+    """The middle 16 x 16 corners of a sheet, of which the view shows 20 x 20."""
+    pattern = replace(coded.pattern, rows=NUMBERED, cols=NUMBERED, border="beyond_view")
+    return replace(coded, pattern=pattern)
+
+
+@pytest.fixture
+def sheet(draw, part, nominal):
+    """Draws what the view shows of the sheet, moved by px."""
+    extent = 21 * part.pattern.pitch
+    shown = part.pattern.sheet((extent, extent))
+    assert shown.rows == shown.cols == NUMBERED + 2 * BESIDE
+    return lambda moved=(0.0, 0.0): draw(nominal, moved, shown.dots())
+
+
+@pytest.mark.parametrize("seen", [slice(None), slice(0, 400), slice(380, None)])
+def test_part_of_a_sheet_that_goes_on_beyond_the_view(seen, part, sheet, nominal):
+    """Each frame by itself, after knocks that would be taken for no motion without the dots."""
+    tracker = GridTracker(part, "left")
+    inner = slice(BESIDE, BESIDE + NUMBERED)
+    for checkers in ((0.0, 0.0), (2.0, 0.0), (1.0, -1.0), (1.1, -1.0), (-4.0, 3.0)):
+        moved = nominal.side_px * np.array(checkers)
+        image = sheet(moved)
+        covered = np.ones(image.shape, bool)
+        covered[seen] = False
+        image[covered] = GREY
+        grid = tracker.track(image)
+        assert grid.numbering is NumberingKind.ABSOLUTE
+        truth = (nominal.corners + moved)[inner, inner]
+        expected = _far_from(covered, truth, nominal.largest_side_px)
+        assert expected.sum() >= 40
+        _assert_right(grid, truth, expected)
+
+
+def test_a_view_of_another_part_of_the_sheet_is_reported(part, draw, nominal):
+    """Of corners outside of rows x cols none gets a number."""
+    elsewhere = dot_map(61, 61, part.pattern.code_seed)[:21, :21]
+    grid = GridTracker(part, "left").track(draw(nominal, 0.0, elsewhere))
+    assert not np.isfinite(grid.corners).any()
+    assert "outside of rows x cols" in grid.reason
+
+
+def test_dots_that_cannot_be_read_leave_a_sheet_beyond_the_view_without_numbers(
+    part, draw, nominal
+):
+    grid = GridTracker(part, "left").track(cv2.GaussianBlur(draw(nominal), (0, 0), 3.0))
+    assert not np.isfinite(grid.corners).any()
+    assert grid.fault is GridFault.AMBIGUOUS
