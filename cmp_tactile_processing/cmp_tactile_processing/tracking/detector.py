@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -133,6 +134,21 @@ class NominalGrid:
             largest_side_px=float(sides.max()),
             tree=cKDTree(corners.reshape(-1, 2)),
         )
+
+    def with_surroundings(self, pattern: Pattern, view: ViewGeometry) -> NominalGrid:
+        """The grid of a pattern that goes on beyond the view, with what the view shows around it.
+
+        It ends where checkers are too small or beyond what the lens shows.
+        """
+        if pattern.border == "in_view":
+            return self
+        place = view.placement
+        along = np.sqrt(place.width * place.height) / self.smallest_side_px
+        for more in range(int(along - min(pattern.rows, pattern.cols)) // 2, 0, -1):
+            rows, cols = pattern.rows + 2 * more, pattern.cols + 2 * more
+            with suppress(GeometryError):
+                return self.of_view(replace(pattern, rows=rows, cols=cols, code="none"), view)
+        return self
 
     def window(self, width: int, height: int) -> ImageWindow:
         """The part of a width x height image around the pattern, with room for displacement."""

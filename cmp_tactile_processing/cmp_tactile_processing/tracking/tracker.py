@@ -26,6 +26,7 @@ from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
     GridlineDetector,
     ImageWindow,
+    NominalAxes,
     NominalGrid,
     draw_nominal,
     spoilt_pictures,
@@ -75,24 +76,27 @@ class GridTracker:
         place = self._view.placement
         self._window = full.window(place.width, place.height)
         self._goes_on = sensor.pattern.border == "beyond_view"
-        if sensor.pattern.code != "none" and not self._goes_on:
+        if sensor.pattern.code != "none":
             # Any part of the pattern may be anywhere.
             self._window = ImageWindow(0, 0, place.width, place.height)
         self._nominal = full.seen_through(self._window)
         self._grey = np.empty((self._window.height, self._window.width), dtype=np.uint8)
         dark_first = sensor.pattern.corner_checker == "dark"
         self._prefilter = Prefilter(self._grey.shape, self._nominal.side_px)
-        self._detector = self._chosen_detector(dark_first)
+        coded = sensor.pattern if sensor.pattern.code != "none" else None
+        shown = full.with_surroundings(coded, self._view) if coded else full
+        shown = shown.seen_through(self._window)
+        self._detector = self._chosen_detector(shown, dark_first)
         beside = [
             other.project(sensor.pattern.corners()) for name, other in views.items() if name != view
         ]
-        coded = sensor.pattern if sensor.pattern.code != "none" else None
         self._numbering: GridNumbering | CarriedNumbering
         if self._goes_on and coded is None:
             self._numbering = CarriedNumbering(self._nominal, dark_first)
             self._kind = NumberingKind.RELATIVE
         else:
-            self._numbering = GridNumbering(self._nominal, dark_first, beside, coded)
+            axes = NominalAxes(shown)
+            self._numbering = GridNumbering(self._nominal, dark_first, beside, coded, axes)
             self._kind = NumberingKind.ABSOLUTE
         self._markers = MeasuredMarkers(self._nominal, dark_first)
         method = sensor.tracking.virtual_markers
@@ -173,10 +177,10 @@ class GridTracker:
             raise
         return self._defects
 
-    def _chosen_detector(self, dark_first: bool) -> GridlineDetector:
+    def _chosen_detector(self, shown: NominalGrid, dark_first: bool) -> GridlineDetector:
         if self._parameters.detector == "contour_stitching":
-            return ContourStitching(self._nominal, dark_first)
-        return SaddleLattice(self._nominal, self._grey.shape)
+            return ContourStitching(shown, dark_first)
+        return SaddleLattice(shown, self._grey.shape)
 
     def _followed(
         self, image: PreparedImage, last: NDArray[np.float64] | None

@@ -18,7 +18,12 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.detector import Component, CornerGraph, NominalGrid
+from cmp_tactile_processing.tracking.detector import (
+    Component,
+    CornerGraph,
+    NominalAxes,
+    NominalGrid,
+)
 from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners, placed
 from cmp_tactile_processing.tracking.numbering.connected_corners import ConnectedCorners
 from cmp_tactile_processing.tracking.numbering.faulty_view import turned_reason
@@ -62,7 +67,7 @@ class CarriedNumbering:
         self._side = np.linalg.norm(steps, axis=-1).mean(axis=0)
         self._numbers = np.argwhere(np.ones(self._side.shape, dtype=bool))
         self._even = (self._numbers.sum(axis=1) % 2 == 0) == dark_first
-        self._connected = ConnectedCorners(nominal)
+        self._connected = ConnectedCorners(NominalAxes(nominal))
         self.reset()
 
     def reset(self) -> None:

@@ -8,7 +8,6 @@ from cmp_tactile_processing.tracking.detector import (
     Component,
     CornerGraph,
     NominalAxes,
-    NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.component_placement import FEWEST_CORNERS
 from cmp_tactile_processing.tracking.numbering.components import GridlinePointers
@@ -25,11 +24,11 @@ LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 class ConnectedCorners:
     """Finds them in the graphs of one view; keeps its buffers.
 
-    nominal: in pixels of the prepared image.  axes: steps of the pattern at rest near a point.
+    axes: steps of the pattern at rest near a point of the prepared image.
     """
 
-    def __init__(self, nominal: NominalGrid) -> None:
-        self.axes = NominalAxes(nominal)
+    def __init__(self, axes: NominalAxes) -> None:
+        self.axes = axes
         self._pointers = GridlinePointers()
 
     def components(self, graph: CornerGraph, image: PreparedImage) -> tuple[list[Component], str]:

@@ -18,6 +18,7 @@ from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.detector import (
     Component,
     CornerGraph,
+    NominalAxes,
     NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.coded_view import CodedView
@@ -82,7 +83,7 @@ class GridNumbering:
 
     nominal: in pixels of the prepared image; dark_first: whether the checker outside corner (0, 0)
     is a dark one; beside: nominal corners (rows, cols, 2) px of the sensor's other views; coded:
-    the pattern, where it has a code.
+    the pattern, where it has a code; axes: where corners may lie, default those of `nominal`.
     """
 
     def __init__(
@@ -91,10 +92,11 @@ class GridNumbering:
         dark_first: bool,
         beside: Sequence[NDArray[np.float64]] = (),
         coded: Pattern | None = None,
+        axes: NominalAxes | None = None,
     ) -> None:
         self._nominal = nominal
         self._dark_first = dark_first
-        self._connected = ConnectedCorners(nominal)
+        self._connected = ConnectedCorners(axes or NominalAxes(nominal))
         self._anchor = ComponentPlacement(nominal, dark_first)
         self._others = OtherViews(nominal, beside)
         self._code = CodedView(nominal, self._connected.axes, coded) if coded else None
