@@ -152,6 +152,25 @@ def test_two_cameras_measure_all_three(measured, zones):
     assert errors[..., 2].mean() < 3e-6
 
 
+def _sheet(rig):
+    """The rig with a coded print on its whole skin, of which the middle is numbered."""
+    part = replace(rig.pattern, rows=14, cols=13, code="dots", border="beyond_view")
+    return replace(rig, pattern=part)
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [one_view_rig(PatternSurface()), two_camera_rig(), pattern_rig()],
+    ids=["one view", "two cameras", "mirrors"],
+)
+def test_a_coded_sheet_beyond_the_view_is_measured_after_a_slide_by_checkers(rig, measured):
+    """In a first frame: nothing but the dots shows that the gel has moved."""
+    sensor = _sheet(rig)
+    shift = 2 * sensor.pattern.pitch, -sensor.pattern.pitch
+    found, truth = measured(sensor, (Zone(radius=1.0, shift=shift),))
+    assert _errors(found, truth)[..., :2].mean() < 2 * IN_PLANE_M
+
+
 @dataclass(frozen=True)
 class Played:
     """Messages of a replay that is repeated by topic, and how the container ended."""

@@ -5,7 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from tracking.photographs import FOLDER, SIDES_PX, colours_that_disagree, sheet, track
+from tracking.photographs import (
+    FOLDER,
+    SIDES_PX,
+    colours_that_disagree,
+    detect,
+    sheet,
+    track,
+)
 
 from cmp_tactile_processing.measured import GridFault, NumberingKind
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -56,6 +63,18 @@ def test_nothing_is_found_in_the_black_ring(found):
     around = cv2.dilate(image, np.ones((9, 9))) - cv2.erode(image, np.ones((9, 9))).astype(int)
     x, y = np.rint(grid.corners[np.isfinite(grid.corners[..., 0])]).astype(int).T
     assert around[y, x].min() > 40
+
+
+def test_the_detector_finds_a_lattice_inside_the_ring_that_gets_no_numbers(found):
+    image = picture("ring_1")
+    detected = detect(sheet(SIDES_PX["ring_1"], image.shape[::-1]), image, found["ring_1"].grid)
+    inside = np.linalg.norm(detected.unnumbered - (638, 402), axis=1) < 200
+    assert np.count_nonzero(inside) > 1500
+    wrong, judged = detected.disagree
+    assert wrong == 0
+    assert judged > 1300
+    # Measured: 11 of 14,672, all where the rim of the ring presses checkers together to 4 px.
+    assert detected.open_pointers[0] < 0.001 * detected.open_pointers[1]
 
 
 @pytest.mark.parametrize("name", SIDES_PX)

@@ -7,13 +7,15 @@ python3 benchmarks/tracking/photographs.py --side 9.6 FILE...    others; side of
 --overlays FOLDER writes each picture with its corners.
 
 Without truth three things can be checked: that numbers and colours agree everywhere, that what is
-numbered is dark and light as a corner is, and how smoothly corners lie along their gridlines.
+numbered is dark and light as a corner is, and how smoothly corners lie along their gridlines.  The
+detector alone finds corners that get no number, too: those are checked as connected sets.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from time import thread_time
@@ -21,10 +23,16 @@ from time import thread_time
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.prefilter import Prefilter
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
 from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
+from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid
+from cmp_tactile_processing.tracking.numbering.components import GridlinePointers
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 FOLDER = Path(__file__).parents[2] / "test" / "data" / "photographs"
@@ -35,6 +43,9 @@ OWN_NOISE, DEVIATION = 1.39, 1.4826
 SUBPIX_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 1e-3)
 PITCH_M, DISTANCE_M = 0.001, 0.2
 COLOURS = {1: (0, 200, 0), 2: (0, 140, 255)}
+WITHOUT_NUMBER = (255, 120, 0)
+# A corner that is numbered lies so near to where the detector found it, in sides.
+SAME = 0.3
 MAGNIFIED = 2
 
 Float = NDArray[np.float64]
@@ -106,6 +117,57 @@ def colours_that_disagree(image: Image, corners: Float) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
+class Detected:
+    """What the detector alone finds.
+
+    unnumbered (n, 2) px: corners that the grid lacks.  disagree: as `colours_that_disagree`, of
+    connected sets of these.  open_pointers: pointers that contradict the others about how many
+    corners lie between two, of how many.
+    """
+
+    unnumbered: Float
+    disagree: tuple[int, int]
+    open_pointers: tuple[int, int]
+
+
+def detect(sensor: SensorDescription, image: Image, grid: Grid) -> Detected:
+    """Detect a picture whole, and compare with what the tracker numbered of it."""
+    nominal = NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
+    prepared = Prefilter(image.shape, nominal.side_px).prepare(image.copy())
+    graph = SaddleLattice(nominal, image.shape).corner_graph(prepared)
+    numbered = cKDTree(grid.corners[np.isfinite(grid.corners[..., 0])])
+    limit = SAME * nominal.side_px
+    unnumbered = graph.position[numbered.query(graph.position)[0] > limit]
+    wrong = judged = 0
+    for component in GridlinePointers().components(graph, *nominal.axes_near(graph.position)):
+        if np.median(numbered.query(component.position)[0]) > limit:
+            lattice, even = component.lattice()
+            first = np.full((0 if even else 1, *lattice.shape[1:]), np.nan)
+            found = colours_that_disagree(image, np.concatenate([first, lattice]))
+            wrong, judged = wrong + found[0], judged + found[1]
+    return Detected(unnumbered, (wrong, judged), _open_pointers(graph))
+
+
+def _open_pointers(graph: CornerGraph) -> tuple[int, int]:
+    """Pointers by which loops do not close, and all: of two that answer each other, one."""
+    number: dict[int, NDArray[np.intp]] = {}
+    for start in range(len(graph.position)):
+        queue = deque([start] if start not in number else [])
+        number.setdefault(start, np.zeros(2, dtype=np.intp))
+        while queue:
+            node = queue.popleft()
+            for step, other in zip(STEPS, graph.neighbour[node].tolist(), strict=True):
+                if other >= 0 and other not in number:
+                    number[other] = number[node] + step
+                    queue.append(other)
+    node, towards = np.nonzero(graph.neighbour[:, 1:3] >= 0)
+    other = graph.neighbour[:, 1:3][node, towards]
+    numbers = np.array([number[index] for index in range(len(graph.position))])
+    closed = (numbers[other] == numbers[node] + STEPS[1:3][towards]).all(axis=1)
+    return int(np.count_nonzero(~closed)), len(closed)
+
+
+@dataclass(frozen=True)
 class Found:
     """What a picture gave: ours, and cornerSubPix started from our corners."""
 
@@ -136,12 +198,15 @@ def track(tracker: GridTracker, image: Image) -> Found:
     return Found(grid, seconds, disagree, roughness(grid.corners), roughness(refined), peers)
 
 
-def overlay(image: Image, grid: Grid) -> Image:
-    """The picture, twice as large, with its corners: measured green, predicted orange."""
+def overlay(image: Image, grid: Grid, unnumbered: Float) -> Image:
+    """The picture, twice as large, with its corners.
+
+    Measured ones green, predicted ones orange, those without a number (n, 2) px blue.
+    """
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     canvas = cv2.resize(canvas, None, fx=MAGNIFIED, fy=MAGNIFIED, interpolation=cv2.INTER_CUBIC)
-    for status, colour in COLOURS.items():
-        chosen = grid.corners[grid.corner_status == status]
+    drawn = [(grid.corners[grid.corner_status == status], COLOURS[status]) for status in COLOURS]
+    for chosen, colour in [*drawn, (unnumbered, WITHOUT_NUMBER)]:
         for x, y in np.rint(MAGNIFIED * (chosen + 0.5) - 0.5).astype(int).tolist():
             cv2.circle(canvas, (x, y), 2, colour, -1, cv2.LINE_AA)
     return np.asarray(canvas, dtype=np.uint8)
@@ -158,27 +223,33 @@ def main() -> None:
         parser.error("files and --side go together")
     files = given.files or [FOLDER / f"{name}.png" for name in SIDES_PX]
     print("| picture | corners | numbers | colours that disagree | roughness | cornerSubPix's | "
-          "OpenCV classic / SB | time |\n|---|---|---|---|---|---|---|---|")  # fmt: skip
+          "OpenCV classic / SB | time | found without a number | their colours that disagree | "
+          "pointers that close no loop |\n" + 11 * "|---" + "|")  # fmt: skip
     tracker, last = None, None
     for file in files:
         image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
         if image is None:
             sys.exit(f"{file}: found no picture that can be read")
         side, size = given.side or SIDES_PX[file.stem], image.shape[::-1]
+        sensor = sheet(side, size)
         if tracker is None or (side, size) != last:
-            tracker, last = GridTracker(sheet(side, size)), (side, size)
+            tracker, last = GridTracker(sensor), (side, size)
         found = track(tracker, image)
+        detected = detect(sensor, image, found.grid)
         known, shape = int(np.isfinite(found.grid.corners[..., 0]).sum()), found.grid.shape
         print(
             f"| {file.stem} | {known} of {shape.rows} x {shape.cols} "
             f"| {found.grid.fault.value or 'all'} | {found.disagree[0]} of {found.disagree[1]} "
             f"| {found.rough[0]:.3f}, {found.rough[1]:.3f} px "
             f"| {found.subpix[0]:.3f}, {found.subpix[1]:.3f} px "
-            f"| {found.peers['classic']} / {found.peers['SB']} | {1e3 * found.seconds:.0f} ms |"
+            f"| {found.peers['classic']} / {found.peers['SB']} | {1e3 * found.seconds:.0f} ms "
+            f"| {len(detected.unnumbered)} | {detected.disagree[0]} of {detected.disagree[1]} "
+            f"| {detected.open_pointers[0]} of {detected.open_pointers[1]} |"
         )
         if given.overlays:
             given.overlays.mkdir(parents=True, exist_ok=True)
-            cv2.imwrite(str(given.overlays / f"{file.stem}.png"), overlay(image, found.grid))
+            drawn = overlay(image, found.grid, detected.unnumbered)
+            cv2.imwrite(str(given.overlays / f"{file.stem}.png"), drawn)
 
 
 if __name__ == "__main__":
