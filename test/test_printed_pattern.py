@@ -222,12 +222,17 @@ def test_what_is_printed_and_mounted_is_what_the_simulator_sees(
 
 
 @pytest.mark.parametrize("options", [CMP, INVERTED], ids=["dark ink", "light ink"])
-@pytest.mark.parametrize("colour", ["dark", "light"])
-def test_the_dots_of_a_code_are_printed_as_the_simulator_has_them(options, colour, rig):
-    sensor = with_surface(
-        rig, "sphere_cap", corner_checker=colour, code="dots", code_seed=7, pitch=0.001
-    )
-    pattern = sensor.pattern
+@pytest.mark.parametrize(
+    ("colour", "border"), [("dark", "in_view"), ("light", "in_view"), ("light", "beyond_view")]
+)
+def test_the_dots_of_a_code_are_printed_as_the_simulator_has_them(options, colour, border, rig):
+    coded = {"code": "dots", "code_seed": 7, "pitch": 0.001, "border": border}
+    # The small cap does not span the whole gel.
+    surface = "sphere_cap" if border == "in_view" else "plane"
+    sensor = with_surface(rig, surface, corner_checker=colour, **coded)
+    pattern = sensor.sheet
+    larger = pattern.rows > sensor.pattern.rows and pattern.cols > sensor.pattern.cols
+    assert larger == (border == "beyond_view")
     options = replace(options, process="unrolled")
     sheet = svg_of(drawn(sensor, options, paper="fit"))
     middles = pattern.checker_middles().reshape(-1, 2)
