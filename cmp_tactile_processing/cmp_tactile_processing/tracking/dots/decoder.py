@@ -89,10 +89,11 @@ class DotDecoder:
         bits (h, w): 1 a dot, -1 none, 0 not known; dark: whether checker (0, 0) is seen dark.
         within: least and largest shift, both (2,), where only these come into question, upright.
         """
-        agreement, count, shift = self._compared(bits)
-        colours = (shift.sum(axis=-1) % 2 == 0) == (self._dark_first[:, None, None] == dark)
+        views = len(TURNS) if within is None else 1
+        agreement, count, shift = self._compared(bits, views)
+        colours = (shift.sum(axis=-1) % 2 == 0) == (self._dark_first[:views, None, None] == dark)
         shift = shift - self._origin
-        expected = colours & (np.arange(len(TURNS)) == 0)[:, None, None]
+        expected = colours & (np.arange(views) == 0)[:, None, None]
         possible = count >= max(LEAST_ON_SHEET * np.count_nonzero(bits), 1.0)
         if within is not None:
             possible &= expected & ((shift >= within[0]) & (shift <= within[1])).all(axis=-1)
@@ -127,10 +128,12 @@ class DotDecoder:
         agreement = np.array(float((read * printed).sum()))
         return float(_log_odds(agreement, np.array(float(len(read))), np.ones(()), MISREAD))
 
-    def _compared(self, bits: NDArray[np.int8]) -> tuple[Float, Float, NDArray[np.intp]]:
+    def _compared(
+        self, bits: NDArray[np.int8], views: int
+    ) -> tuple[Float, Float, NDArray[np.intp]]:
         """Agreeing less disagreeing checkers at each place, those on the sheet, and the places.
 
-        (8, n, n) twice, the first axis that of TURNS, and (n, n, 2) shifts.
+        (views, n, n) twice, the first axis that of the first of TURNS, and (n, n, 2) shifts.
         """
         longest = max(self._sheets[0].shape)
         side = int(next_fast_len(longest + max(bits.shape) - 1, real=True))
@@ -140,8 +143,8 @@ class DotDecoder:
         shape = (side, side)
         read = np.conj(rfft2(bits.astype(np.float64), shape))
         known = np.conj(rfft2((bits != 0).astype(np.float64), shape))
-        agreement = np.rint(irfft2(printed * read, shape))
-        count = np.rint(irfft2(covered * known, shape))
+        agreement = np.rint(irfft2(printed[:views] * read, shape))
+        count = np.rint(irfft2(covered[:views] * known, shape))
         along = np.arange(side)
         along = np.where(along < longest, along, along - side)
         shift = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
