@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.looking import Looking, newest_frames
+from cmp_tactile_bringup.commands.looking import Looking
 from cmp_tactile_bringup.commands.options import argument
 
 if TYPE_CHECKING:
@@ -55,10 +56,10 @@ class Focus(Looking):
         console, shown = output_console(), -LINE_S
         stop = StopSignal()
         with (
-            self.opened(self.source) as source,
-            Live(console=console, auto_refresh=False, transient=False) as live,
+            closing(self.frames(self.source)) as frames,
+            Live(console=console, auto_refresh=False) as live,
         ):
-            for image in newest_frames(source):
+            for image in frames:
                 if stop.wait(0.0):
                     break
                 if image is None:
@@ -86,11 +87,9 @@ class _Meter:
         rows = self._rows(image)
         if isinstance(rows, str):
             return rows
-        table = Table(caption="(um): a marker, if this alone were good", caption_justify="left")
+        table = Table("", *rows, caption="(um): a marker, if this alone were good")
         for heading in next(iter(rows.values())):
-            table.add_column(heading)
-        for cells in rows.values():
-            table.add_row(*cells.values())
+            table.add_row(heading, *(cells[heading] for cells in rows.values()))
         return table
 
     def line(self, image: NDArray[np.uint8]) -> str:
@@ -98,8 +97,10 @@ class _Meter:
         rows = self._rows(image)
         if isinstance(rows, str):
             return rows
-        texts = (", ".join(f"{name} {text}" for name, text in row.items()) for row in rows.values())
-        return "; ".join(texts)
+        return "; ".join(
+            f"{view}: " + ", ".join(f"{heading} {text}" for heading, text in cells.items())
+            for view, cells in rows.items()
+        )
 
     def _rows(self, image: NDArray[np.uint8]) -> dict[str, dict[str, str]] | str:
         """Cells by view and heading; a text where no checkers are seen."""
@@ -111,7 +112,7 @@ class _Meter:
             views = find_views(image, self._layout)
         except FrameError as error:
             return str(error)
-        names = VIEW_NAMES if len(views) > 1 else ("one",)
+        names = VIEW_NAMES if len(views) > 1 else ("view",)
         return {
             name: self._cells(name, view.seen.worth)
             for name, view in zip(names, views, strict=True)
@@ -132,7 +133,6 @@ class _Meter:
         }
         advice = [*worth.advice(LEAST_GAIN), "nothing: a good picture"]
         return {
-            "view": name,
             **cells,
             "overexposed": f"{worth.saturated:.0%}",
             "marker": f"{um * worth.std_pitch:.2f} um",

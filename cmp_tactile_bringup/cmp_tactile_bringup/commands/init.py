@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.looking import DEVICES, LAYOUTS, Looking, newest_frames
+from cmp_tactile_bringup.commands.looking import DEVICES, LAYOUTS, Looking
 from cmp_tactile_bringup.commands.options import Choice, Number, argument, misuse, option
 
 if TYPE_CHECKING:
@@ -92,9 +93,8 @@ class Init(Looking):
         from cmp_tactile_driver.errors import FrameSourceError
 
         count = FRAMES_TO_SETTLE if name.startswith(DEVICES) else 1
-        with self.opened(name) as source:
-            frames = (image for image in newest_frames(source) if image is not None)
-            taken = list(islice(frames, count))
+        with closing(self.frames(name)) as frames:
+            taken = list(islice((image for image in frames if image is not None), count))
         if not taken:
             msg = f"{name}: found no frame, expected a picture or a camera"
             raise FrameSourceError(msg)

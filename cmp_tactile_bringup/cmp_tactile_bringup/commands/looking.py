@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Generator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cmp_tactile_driver.sources.frames import FrameSource
+    Images = Generator[NDArray[np.uint8] | None, None, None]
 
 T = TypeVar("T")
 
@@ -80,68 +80,65 @@ class Looking(Command):
             misuse("--pitch: found nothing, expected the side of a checker, mm")
         return (self.pitch or self.ask("Side of a checker, mm", USUAL_PITCH, PITCH.parse)) / 1e3
 
-    @contextmanager
-    def opened(self, name: str) -> Iterator[FrameSource]:
-        """A camera of /dev (or two with a comma between), a scene's name, or a recording.
+    def frames(self, name: str) -> Images:
+        """Grey frames (H, W): of a camera the newest, None where none came in POLL_S; else all.
 
-        Raises FrameSourceError where there is none.
+        name: a camera of /dev, or two with a comma between; a scene; or a recording.  Raises
+        FrameSourceError where there is none, and where a camera is away.
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
-        from cmp_tactile_driver.sources.frames import SourceOptions, find_source
-        from cmp_tactile_driver.sources.parameters import CameraParameters
-        from cmp_tactile_processing.sensor import parts
-        from cmp_tactile_processing.sensor.description import load_sensor
+        from cmp_tactile_driver.bags.recording import open_recording
+        from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
+        from cmp_tactile_processing.geometry.split import to_grey
 
-        options = SourceOptions(name, load_sensor("sample_rig"))
         if name.startswith(DEVICES):
-            width, height = map(int, self.size.split("x"))
-            count = 1 + name.count(",")
-            rois = [parts.Roi(k * width, 0, width, height) for k in range(2)]
-            sensor = replace(
-                options.sensor,
-                image=parts.ImageSize(count * width, height),
-                views=dict(zip(("left", "right"), map(parts.ViewDescription, rois), strict=True)),
-            )
-            camera = CameraParameters(device=name)
-            source = find_source("v4l2")(replace(options, sensor=sensor, camera=camera))
+            images: Images = self._of_camera(name)
         elif is_packaged(Path(name)):
-            from cmp_tactile_simulation.scenes.file import load_scene
-
-            sensor = load_scene(name).sensor
-            source = find_source("simulated")(replace(options, sensor=sensor))
+            images = _of_scene(name)
         else:
-            from cmp_tactile_driver.bags.recording import RecordedSource, open_recording
-            from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
-
             path, rate = Path(name).expanduser(), DEFAULT_FRAME_RATE
             recording = open_recording(
                 path, topic="", frame_rate=rate, frame_id="", expected_size=None
             )
-            source = RecordedSource(recording, options)
+            images = (frame.image for frame in recording.frames())
+        with closing(images):
+            for image in images:
+                yield image if image is None else to_grey(image)
+
+    def _of_camera(self, name: str) -> Images:
+        from cmp_tactile_driver.errors import FrameSourceError
+        from cmp_tactile_driver.sources.frames import SourceOptions
+        from cmp_tactile_driver.sources.parameters import CameraParameters
+        from cmp_tactile_driver.v4l2.pair import VIEWS, open_cameras
+        from cmp_tactile_processing.sensor import parts
+        from cmp_tactile_processing.sensor.description import load_sensor
+
+        width, height = map(int, self.size.split("x"))
+        image = parts.ImageSize(width * (1 + name.count(",")), height)
+        rois = (parts.Roi(k * width, 0, width, height) for k in range(len(VIEWS)))
+        views = dict(zip(VIEWS, map(parts.ViewDescription, rois), strict=True))
+        sensor = replace(load_sensor("sample_rig"), image=image, views=views)
+        source = open_cameras(SourceOptions("", sensor, camera=CameraParameters(device=name)))
         try:
-            yield source
+            source.start()
+            while True:
+                frame = source.poll(POLL_S)
+                while frame is not None and (newer := source.poll(0.0)) is not None:
+                    frame = newer
+                if source.health.silent:
+                    raise FrameSourceError(source.health.problem)
+                yield None if frame is None else frame.image
         finally:
             source.close()
 
 
-def newest_frames(source: FrameSource) -> Iterator[NDArray[np.uint8] | None]:
-    """Grey frames (H, W): of a camera the newest, None where none came in POLL_S; else all.
+def _of_scene(name: str) -> Images:
+    from cmp_tactile_simulation.live.source import SimulatedSource
+    from cmp_tactile_simulation.scenes.file import load_scene
 
-    Raises FrameSourceError where a camera is away.
-    """
-    from cmp_tactile_driver.errors import FrameSourceError
-    from cmp_tactile_driver.sources.frames import SelfPacedSource
-    from cmp_tactile_processing.geometry.split import to_grey
-
-    if not isinstance(source, SelfPacedSource):
-        while (frame := source.read()) is not None:
-            yield to_grey(frame.image)
-        return
-    source.start()
-    while True:
-        frame = source.poll(POLL_S)
-        while frame is not None and (newer := source.poll(0.0)) is not None:
-            frame = newer
-        if source.health.silent:
-            raise FrameSourceError(source.health.problem)
-        yield None if frame is None else to_grey(frame.image)
+    source = SimulatedSource(load_scene(name))
+    try:
+        while True:
+            yield source.read().image
+    finally:
+        source.close()

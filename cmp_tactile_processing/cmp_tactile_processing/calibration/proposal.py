@@ -84,57 +84,36 @@ class Proposal:
 def find_views(image: Image, layout: str = "") -> tuple[View, ...]:
     """The views that a picture (H, W) uint8 holds: one, or the left and the right one.
 
-    Two lie beside or above one another.  layout: one of LAYOUTS, or empty for what is seen.
-    Raises FrameError where that is not seen.
+    layout: one of LAYOUTS, or empty for what is seen.  Raises FrameError where that is not seen.
     """
     height, width = image.shape
-    problem: FrameError | None = None
-    for axis in (1, 0) if layout != "one" else ():
-        cut = _cut(image, axis)
-        rois = (
-            (parts.Roi(0, 0, cut, height), parts.Roi(cut, 0, width - cut, height))
-            if axis == 1
-            else (parts.Roi(0, 0, width, cut), parts.Roi(0, cut, width, height - cut))
-        )
+    if layout != "one":
+        cut = _cut(image)
+        rois = parts.Roi(0, 0, cut, height), parts.Roi(cut, 0, width - cut, height)
+        left, right = np.split(image, [cut], axis=1)
         try:
-            seen = _on_both_sides(image, rois, 2 * axis, must_be=bool(layout))
-        except FrameError as error:
-            problem = problem or error
-            continue
-        if seen:
-            return tuple(View(roi, item) for roi, item in zip(rois, seen, strict=True))
-    if layout and problem is not None:
-        raise problem
+            first = View(rois[0], count_corners(np.ascontiguousarray(left), "left view"))
+            # Of one pattern that is cut, neither part ends at the cut.
+            if layout or first.seen.ends[-1]:
+                second = View(rois[1], count_corners(np.ascontiguousarray(right), "right view"))
+                if layout or second.seen.ends[-2]:
+                    return first, second
+        except FrameError:
+            if layout:
+                raise
     return (View(parts.Roi(0, 0, width, height), count_corners(image)),)
 
 
-def _on_both_sides(
-    image: Image, rois: Sequence[parts.Roi], before: int, *, must_be: bool
-) -> list[Sighting]:
-    """The patterns on both sides of a cut; none where it is one pattern that is cut.
-
-    before: which of `Sighting.ends` faces the cut from behind.
-    """
-    seen: list[Sighting] = []
-    for name, roi, facing in zip(VIEW_NAMES, rois, (before + 1, before), strict=True):
-        part = image[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
-        found = count_corners(np.ascontiguousarray(part), f"picture, {name} view")
-        if not found.ends[facing] and not must_be:
-            return []
-        seen.append(found)
-    return seen
-
-
-def _cut(image: Image, axis: int) -> int:
-    """The column (axis 1) or row (axis 0) between two patterns."""
+def _cut(image: Image) -> int:
+    """The column between two patterns."""
     smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SADDLE_PX)
     xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((2, 0), (0, 2), (1, 1)))
-    saddles = np.maximum(xy * xy - xx * yy, 0.0).sum(axis=1 - axis)
-    size = len(saddles)
-    place = np.arange(size // 4, size - size // 4)
+    saddles = np.maximum(xy * xy - xx * yy, 0.0).sum(axis=0)
+    width = len(saddles)
+    place = np.arange(width // 4, width - width // 4)
     inside = np.convolve(saddles, np.ones(CUT_PX), "same")[place] / CUT_PX
     free = place[inside <= inside.min() + FREE_SHARE * saddles.mean()]
-    return int(free[np.abs(free - size / 2).argmin()])
+    return int(free[np.abs(free - width / 2).argmin()])
 
 
 def _check_alike(views: Sequence[View]) -> None:
@@ -266,43 +245,41 @@ def _centre(size: parts.ImageSize, roi: parts.Roi, layout: str) -> tuple[float, 
     return (roi.width - 1 - x if layout == "mirrors" else x), y
 
 
+@dataclass(frozen=True)
 class _Fit:
-    """Corners as cameras of one kind see them.
+    """Corners (rows, cols, 2) px as cameras of one kind see them, with their principal points.
 
     A vector of values: log of the focal length over the usual one, curvature of the surface in
     units of the pattern's half width, first coefficient of distortion, then turn and shift of the
     pattern in each view.
     """
 
-    def __init__(
-        self,
-        pattern: parts.Pattern,
-        corners: Sequence[Float],
-        centres: Sequence[tuple[float, float]],
-        usual_focal: float,
-    ) -> None:
-        self.half = (max(pattern.rows, pattern.cols) - 1) / 2 * pattern.pitch
-        self._points, self._usual = pattern.corners(), usual_focal
-        self._known = [np.isfinite(item[..., 0]) for item in corners]
-        self._seen = [item[known] for item, known in zip(corners, self._known, strict=True)]
-        self._centres = centres
+    pattern: parts.Pattern
+    corners: Sequence[Float]
+    centres: Sequence[tuple[float, float]]
+    usual_focal: float
+
+    @property
+    def half(self) -> float:
+        """Half width of the pattern, m."""
+        return (max(self.pattern.rows, self.pattern.cols) - 1) / 2 * self.pattern.pitch
 
     def best(self, *, fixed: bool) -> tuple[Float, float]:
         """The most probable values, and the corners' root mean square distance, px.
 
-        fixed: the focal length is the usual one.  One view says nothing of the surface.
+        fixed: the focal length is the usual one.  One view says nothing of surface and distortion.
         """
         start, std = [0.0] * SHARED, [np.log(FOCAL_FACTOR), CURVATURE, DISTORTION]
-        for k, (seen, known) in enumerate(zip(self._seen, self._known, strict=True)):
-            _, turn, shift = cv2.solvePnP(self._points[known], seen, self._matrix(k, 0.0), None)
+        for k, seen in enumerate(self.corners):
+            known, points = np.isfinite(seen[..., 0]), self.pattern.corners()
+            _, turn, shift = cv2.solvePnP(points[known], seen[known], self._matrix(k, 0.0), None)
             start += [*turn[:, 0], *shift[:, 0]]
             std += [TURN_RAD] * 3 + [SHIFT * float(np.linalg.norm(shift))] * 3
-        several = len(self._seen) > 1
+        several = len(self.corners) > 1
         free = np.array([not fixed, several, several] + [True] * (len(std) - SHARED))
-        begin: Float = np.array(start)
 
         def changed(change: Float) -> Float:
-            values = begin.copy()
+            values = np.array(start, dtype=np.float64)
             values[free] += change
             return values
 
@@ -311,23 +288,22 @@ class _Fit:
         return changed(fit.values), float(off)
 
     def _matrix(self, view: int, log_focal: float) -> Float:
-        focal = self._usual * float(np.exp(log_focal))
-        x, y = self._centres[view]
+        focal = self.usual_focal * float(np.exp(log_focal))
+        x, y = self.centres[view]
         return np.array([[focal, 0, x], [0, focal, y], [0, 0, 1]])
 
     def _residuals(self, values: Float) -> Float:
         """Corners less where they are expected, in CORNER_PX."""
-        points, bend = self._points.copy(), values[1] / self.half
+        points, bend = self.pattern.corners(), values[1] / self.half
         square = (points[..., :2] ** 2).sum(axis=-1)
         with np.errstate(invalid="ignore"):
             points[..., 2] = -bend * square / (1 + np.sqrt(1 - bend**2 * square))
-        lens = np.array([values[2], 0.0, 0.0, 0.0])
-        found = []
-        for k, (seen, known) in enumerate(zip(self._seen, self._known, strict=True)):
+        lens, found = np.array([values[2], 0.0, 0.0, 0.0]), []
+        for k, seen in enumerate(self.corners):
+            known, matrix = np.isfinite(seen[..., 0]), self._matrix(k, values[0])
             turn, shift = np.split(values[SHARED + 6 * k : SHARED + 6 + 6 * k], 2)
-            matrix = self._matrix(k, values[0])
             shown = cv2.projectPoints(points[known], turn, shift, matrix, lens)[0][:, 0]
-            found.append((seen - shown) / CORNER_PX)
+            found.append((seen[known] - shown) / CORNER_PX)
         return np.asarray(np.concatenate(found).ravel())
 
 
