@@ -26,8 +26,9 @@ Image = NDArray[np.uint8]
 # Of a larger picture the spectrum is that of a smaller one, of so many px at most along a side;
 # light that changes over so many px of that is taken out.
 SAMPLES, LIGHT_PX = 1024, 25.0
-# Checkers are looked for from this many px a side to a quarter of the picture.
-SMALLEST_SIDE_PX = 4.0
+# Checkers are looked for from this many px a side to a quarter of the picture; of those that are
+# larger than such a share too few are in sight.
+SMALLEST_SIDE_PX, LARGEST_SHARE = 4.0, 1 / 7
 # The second direction of the diagonals is across the first one to so many degrees, and as long to
 # such a share.
 ACROSS_DEG, AS_LONG = 25.0, 0.4
@@ -35,8 +36,8 @@ ACROSS_DEG, AS_LONG = 25.0, 0.4
 LEAST_SEEN = 0.5
 # Fewer corners may be there by chance.
 FEWEST_CORNERS = 36
-# The camera that looks for the corners: any will do; rows and columns are a multiple of ROUND.
-ANGLE_DEG, PITCH_M, ROUND = 60.0, 1e-3, 8
+# The camera that looks for the corners: any will do.
+ANGLE_DEG, PITCH_M = 60.0, 1e-3
 # What is not to be seen in a picture.
 THICKNESS_M, SKIN_M, YOUNG_PA, POISSON, RIM = 0.005, 0.0003, 5e5, 0.48, 4
 # Grey levels are compared so near to an edge; pixels and the interpolation between them blur it by
@@ -46,8 +47,8 @@ NEAR_PX, SAMPLING_PX2 = 0.5, 0.25
 BLURS, HARMONICS = np.geomspace(5e-3, 1.0, 200), np.arange(1, 200, 2)
 # Standard deviations of a corner were measured on pictures drawn with known blur, noise and
 # contrast: below FLOOR_PX they do not fall; the rest is proportional to noise, to 1 / contrast, to
-# (blur^2 + BLUR_PX^2)^0.75 and, in units of the pitch, to side^-1.5.
-FLOOR_PX, BLUR_PX = 0.005, 0.85
+# blur^2 + BLUR_PX^2 and, in units of the pitch, to side^-1.5.
+FLOOR_PX, BLUR_PX = 0.005, 1.37
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Worth:
         good, floor = getattr(GOOD, name), min(FLOOR_PX, self.std_px)
         share = {
             "side_px": (self.side_px / good) ** 1.5,
-            "blur_px": (np.hypot(good, BLUR_PX) / np.hypot(self.blur_px, BLUR_PX)) ** 1.5,
+            "blur_px": (good**2 + BLUR_PX**2) / (self.blur_px**2 + BLUR_PX**2),
             "contrast": self.contrast / good,
             "noise": good / max(self.noise, good),
         }[name]
@@ -154,7 +155,10 @@ def count_corners(image: Image, name: str = "picture") -> Sighting:
         msg = f"{name}: found it {reason}, expected checkers"
         raise FrameError(msg)
     step = lattice_step(image, name)
-    side = float(np.linalg.norm(step))
+    side, largest = float(np.linalg.norm(step)), LARGEST_SHARE * min(image.shape)
+    if side > largest:
+        msg = f"{name}: found checkers of {side:.0f} px, expected at most {largest:.0f}: go farther"
+        raise FrameError(msg)
     wide = _wide_description(image, step)
     grid = GridTracker(wide).track(image)
     known = np.isfinite(grid.corners[..., 0])
@@ -220,11 +224,7 @@ def _wide_description(image: Image, step: Float) -> SensorDescription:
     """A description that numbers all corners there may be, looking straight at the pattern."""
     height, width = image.shape
     side, focal = float(np.linalg.norm(step)), focal_px(width, ANGLE_DEG)
-    # Of few sizes, as a tracker of a new one takes longer to make.
-    rows, cols = (
-        min(ROUND * (int(extent / side / ROUND) + 1), parts.MAX_BEYOND_VIEW)
-        for extent in image.shape
-    )
+    rows, cols = (min(int(extent / side) + 1, parts.MAX_BEYOND_VIEW) for extent in image.shape)
     cosine, sine = step / side
     pose = np.eye(4)
     pose[:2, :2] = [[cosine, -sine], [sine, cosine]]
