@@ -47,6 +47,8 @@ FOUND_AGAIN = 0.9
 # the surface in units of the pattern's half width; and distortion.  Values that all views share.
 CORNER_PX, FOCAL_FACTOR, CURVATURE, DISTORTION = 1.0, 1.35, 0.5, 0.2
 SHARED = 3
+# Focal lengths that a camera may have, over the width of the frame.
+FOCAL = 0.12, 12.0
 # Poses begin near the truth: a turn, rad, and a shift as share of the distance.
 TURN_RAD, SHIFT = 0.5, 0.5
 # Two views are those of mirrors where two cameras do not explain them so many times as well.
@@ -157,6 +159,12 @@ def propose(
     size = parts.ImageSize(image.shape[1], image.shape[0])
     rigs = [_fitted(size, views, item, (pitch, angle_of_view)) for item in layouts]
     rig = rigs[0] if rigs[0].misfit_px * CLEARLY <= rigs[-1].misfit_px else rigs[-1]
+    if not FOCAL[0] < rig.focal / size.width < FOCAL[1]:
+        msg = (
+            f"picture: found no camera that shows it so ({rig.layout}; corners are off by "
+            f"{rig.misfit_px:.1f} px), expected another --views, or --angle-of-view"
+        )
+        raise FrameError(msg)
     sensor = _described(size, rig, name)
     grids = {}
     for view_name, geometry in build_views(sensor).items():
@@ -228,12 +236,12 @@ def _fitted(
     usual = focal_px(rois[0].width if layout == "cameras" else size.width, angle or ANGLE_DEG)
     fit = _Fit(pattern, corners, [_centre(size, roi, layout) for roi in rois], usual)
     values, misfit = fit.best(fixed=angle is not None)
+    focal = float(round(usual * np.exp(values[0]), 1))
     half, curvature = fit.half, float(values[1])
     if curvature * half / 2 > LEAST_SAG * pitch:
         surface = parts.PatternSurface("sphere_cap", float(f"{half / curvature:.3g}"))
         pattern = replace(pattern, surface=surface)
     poses = tuple(_pose(values[k : k + 6]) for k in range(SHARED, len(values), 6))
-    focal = float(round(usual * np.exp(values[0]), 1))
     return _Rig(layout, rois, pattern, focal, float(round(values[2], 4)), poses, misfit)
 
 
