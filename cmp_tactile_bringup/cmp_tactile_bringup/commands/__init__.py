@@ -37,6 +37,7 @@ SUBCOMMANDS = {
     "record": ("record.Record", "record a sensor that runs"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),
+    "focus": ("focus.Focus", "show what a camera's picture of the pattern is worth, live"),
     "init": ("init.Init", "describe a new sensor from one picture of its pattern"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
     "info": ("description.Info", "show a sensor and the installation"),
@@ -60,8 +61,8 @@ exit codes:
   0    done
   1    something that you can correct: a wrong file, a limit that was missed
   2    a wrong option
-  130  stopped by Ctrl-C, 143 by SIGTERM; commands that these end (live, sensor,
-       gripper, record, replay) have 0 once they have started
+  130  stopped by Ctrl-C, 143 by SIGTERM; commands that these end (focus, live,
+       sensor, gripper, record, replay) have 0 once they have started
 """
 CALIBRATE_HELP = """\
 Find where camera, mirrors and gel of a sensor really are, and how stiff the gel is.

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import sys
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from cmp_tactile_bringup.commands.options import Command, Number, argument, misuse, option
+from cmp_tactile_bringup.commands.looking import DEVICES, LAYOUTS, Looking
+from cmp_tactile_bringup.commands.options import Choice, Number, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,32 +18,37 @@ if TYPE_CHECKING:
 
     from cmp_tactile_processing.calibration.proposal import Proposal
 
-PITCH = Number(0.01, 50, "mm")
-# Keys of a description that no picture shows.
-ASSUMED = ("size:", "young:", "poisson:", "shading_layer:", "fx:", "fy:")
+YOUNG, THICKNESS = Number(1, 1e7, "kPa"), Number(0.5, 100, "mm")
+# Keys of a description that no picture shows, and those that one view does not.
+ASSUMED = "poisson:", "shading_layer:", "cx:", "cy:", "layers:"
+OF_ONE_VIEW = "surface:", "distortion:", "fx:", "fy:"
 # A camera adjusts its exposure in the first frames.
 FRAMES_TO_SETTLE = 15
-# Below these a picture is to be made better first.
-LEAST_SHARPNESS, LEAST_CONTRAST, LEAST_SIDE_PX = 0.75, 60.0, 10.0
+# What is worth doing before a sensor is used, of a marker's standard deviation.
+LEAST_GAIN = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Init(Command):
-    """Write a first description of a sensor with one view, from a picture of its pattern at rest:
-    rows, columns and colours are counted, size and direction of the checkers measured. What a
-    picture does not show (moduli, thickness, the camera's focal length) is assumed, and marked so
-    in the file. `cmp_tactile sensor sensor:=FILE view:=true` then shows a live displacement field.
+class Init(Looking):
+    """Write a first description of a sensor, from a picture of its pattern at rest: views, rows,
+    columns and colours are counted, size and direction of the checkers measured. Two views of the
+    whole pattern, in mirrors or by two cameras, show where camera, mirrors and gel are, too. What a
+    picture does not show (moduli, thickness, of one view the camera's focal length) is asked for on
+    a terminal, else assumed, and marked so in the file.
+    `cmp_tactile sensor sensor:=FILE view:=true` then shows a live displacement field, and
+    `cmp_tactile calibrate gel` refines mirrors and gel.
 
-    Start from the description of a similar sensor where there are two views or mirrors: see
-    docs/sensor_description.md.
+    examples:
+      cmp_tactile init /dev/video0 --pitch 0.69
+      cmp_tactile init rest.png --pitch 0.69 --views mirrors --output my_sensor.yaml
     """
 
     picture: Annotated[
-        str, argument("PICTURE", "of the whole pattern, sharp, or a camera, as /dev/video0")
-    ]
-    pitch: Annotated[
-        float | None,
-        option("side of a checker; asked for where it is not given", PITCH),
+        str | None,
+        argument(
+            "PICTURE",
+            "of the whole pattern, sharp, or a camera, as /dev/video0 (two with a comma between)",
+        ),
     ] = None
     output: Annotated[
         Path, option("file to write, which must not be there yet", metavar="FILE", short="-o")
@@ -55,12 +60,15 @@ class Init(Command):
             Number(5, 150, "degrees"),
         ),
     ] = None
+    young: Annotated[float | None, option("Young's modulus of the gel (500)", YOUNG)] = None
+    thickness: Annotated[
+        float | None, option("of the gel, to the outer surface (5)", THICKNESS)
+    ] = None
 
     def run(self) -> int:
-        """Propose, write, and say what the picture is worth."""
+        """Propose, ask, write, and say what the picture is worth."""
         from cmp_tactile_bringup.errors import OutputError
         from cmp_tactile_processing.cache.files import write_whole
-        from cmp_tactile_processing.calibration.proposal import propose
         from cmp_tactile_processing.sensor.description import sensor_description_of
         from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
@@ -68,86 +76,90 @@ class Init(Command):
         if output.exists():
             msg = f"{output}: found a file, expected none; --output names another"
             raise OutputError(msg)
-        image, pitch = _picture(self.picture), self.pitch or _asked_pitch()
-        print("counting the corners ...", file=sys.stderr)
-        found = propose(image, pitch / 1e3, output.stem, self.angle_of_view)
-        text = _text(found)
+        if self.picture is None and not self.asks:
+            misuse("PICTURE: found nothing, expected a picture or a camera")
+        name = self.picture or self.ask("Picture or camera", f"{DEVICES}video0", str)
+        pitch = self.pitch_m()
+        found = self._proposal(self._taken(name), pitch)
+        text = self._text(found)
         # As a file is read: what its reader refuses is not written.
         sensor_description_of(parse_yaml(output, text))
         write_whole(output, text)
         _report(found, output)
         return 0
 
+    def _taken(self, name: str) -> NDArray[np.uint8]:
+        """The picture, or one from the camera once its exposure has settled, grey."""
+        from cmp_tactile_driver.errors import FrameSourceError
 
-def _asked_pitch() -> float:
-    if sys.stdin is None or not sys.stdin.isatty():
-        misuse("--pitch: found nothing, expected the side of a checker, mm")
-    answer: float = typer.prompt("Side of a checker, mm", value_proc=PITCH.parse)
-    return answer
+        count = FRAMES_TO_SETTLE if name.startswith(DEVICES) else 1
+        with closing(self.frames(name)) as frames:
+            taken = list(islice((image for image in frames if image is not None), count))
+        if not taken:
+            msg = f"{name}: found no frame, expected a picture or a camera"
+            raise FrameSourceError(msg)
+        return taken[-1]
 
+    def _proposal(self, image: NDArray[np.uint8], pitch: float) -> Proposal:
+        from cmp_tactile_processing.calibration.proposal import propose
 
-def _picture(name: str) -> NDArray[np.uint8]:
-    """The picture, or one from the camera, grey; FrameError where there is none."""
-    from cmp_tactile_driver.sources.files import decode_file
-    from cmp_tactile_processing.errors import FrameError
-    from cmp_tactile_processing.geometry.split import to_grey
+        print("counting the corners ...", file=sys.stderr)
+        found = propose(image, pitch, self.output.stem, self.views or "", self.angle_of_view)
+        if self.views is None and found.layout != "one":
+            question = "Two views are seen: in mirrors, or of two cameras (mirrors, cameras)?"
+            layout = self.ask(question, found.layout, Choice(LAYOUTS[1:]).parse)
+            if layout != found.layout:
+                found = propose(image, pitch, self.output.stem, layout, self.angle_of_view)
+        gel = found.sensor.elastomer
+        young = self.young or self.ask(
+            "Young's modulus of the gel, kPa", gel.young / 1e3, YOUNG.parse
+        )
+        depth = self.thickness or self.ask(
+            "Thickness of the gel, mm", gel.size[2] * 1e3, THICKNESS.parse
+        )
+        gel = replace(gel, young=1e3 * young, size=(*gel.size[:2], depth / 1e3))
+        return replace(found, sensor=replace(found.sensor, elastomer=gel))
 
-    device = re.fullmatch(r"/dev/video(\d+)", name)
-    try:
-        image = _photograph(int(device[1])) if device else decode_file(Path(name).expanduser())
-    except FrameError as error:
-        expected = "a picture or a camera"
-        msg = f"{name}: found nothing that can be read, expected {expected} ({error})"
-        raise FrameError(msg) from None
-    return to_grey(image)
+    def _text(self, found: Proposal) -> str:
+        """The file of the description, what is assumed marked."""
+        from cmp_tactile_processing.calibration.counting import THICKNESS_M, YOUNG_PA
+        from cmp_tactile_processing.sensor.description import sensor_description_text
 
-
-def _photograph(number: int) -> NDArray[np.uint8]:
-    """A frame of a camera, once its exposure has settled; FrameError where there is none."""
-    import cv2
-    import numpy as np
-
-    from cmp_tactile_processing.errors import FrameError
-
-    camera, image = cv2.VideoCapture(number, cv2.CAP_V4L2), None
-    for _ in range(FRAMES_TO_SETTLE):
-        image = camera.read()[1]
-    camera.release()
-    if image is None:
-        msg = "it gives no frames"
-        raise FrameError(msg)
-    return np.asarray(image, dtype=np.uint8)
-
-
-def _text(found: Proposal) -> str:
-    """The file of the description, what is assumed marked."""
-    from cmp_tactile_processing.sensor.description import sensor_description_text
-
-    lines = sensor_description_text(found.sensor).splitlines()
-    marked = (
-        f"{line}{',' if '#' in line else '  #'} assumed"
-        if line.strip().startswith(ASSUMED)
-        else line
-        for line in lines
-    )
-    return "".join(f"{line}\n" for line in marked)
+        gel, assumed = found.sensor.elastomer, list(ASSUMED)
+        if found.layout == "one":
+            assumed += OF_ONE_VIEW[:2] if self.angle_of_view else OF_ONE_VIEW
+        if self.young is None and gel.young == YOUNG_PA:
+            assumed.append("young:")
+        if self.thickness is None and gel.size[2] == THICKNESS_M:
+            assumed.append("size:")
+        marked = (
+            f"{line}{',' if '#' in line else '  #'} assumed"
+            if line.strip().startswith(tuple(assumed))
+            else line
+            for line in sensor_description_text(found.sensor).splitlines()
+        )
+        return "".join(f"{line}\n" for line in marked)
 
 
 def _report(found: Proposal, output: Path) -> None:
-    pattern = found.sensor.pattern
+    pattern, two = found.sensor.pattern, found.layout != "one"
     end = {"in_view": "ends in sight on all sides", "beyond_view": "goes on beyond the picture"}
-    print(f"{pattern.rows} x {pattern.cols} corners, and the pattern {end[pattern.border]}")
-    print(
-        f"checkers of {found.side_px:.1f} px; light and dark differ by {found.contrast:.0f} grey "
-        f"levels at a noise of {found.noise:.1f}; edges {found.sharpness:.2f} sharp (of 1)"
-    )
-    print(f"each marker is known to {1e6 * found.std_m:.1f} um in the plane")
-    for is_bad, advice in (
-        (found.sharpness < LEAST_SHARPNESS, "out of focus or smeared: focus, or expose shorter"),
-        (found.contrast < LEAST_CONTRAST, "little contrast: more light, or a blacker print"),
-        (found.side_px < LEAST_SIDE_PX, "small checkers: go nearer, or print them larger"),
-    ):
-        if is_bad:
+    how = {"one": "", "mirrors": " in two mirrors", "cameras": " by two cameras"}[found.layout]
+    seen = f"{pattern.rows} x {pattern.cols} corners{how}"
+    print(f"{seen}, and the pattern {end[pattern.border]}")
+    for name, view in found.views.items():
+        worth = view.seen.worth
+        print(
+            f"{f'{name} view: ' if two else ''}checkers of {worth.side_px:.1f} px; light and dark "
+            f"differ by {worth.contrast:.0f} grey levels at a noise of {worth.noise:.1f}; edges "
+            f"are blurred by {worth.blur_px:.2f} px; each marker is known to "
+            f"{1e6 * pattern.pitch * worth.std_pitch:.1f} um in the plane"
+        )
+        for advice in worth.advice(LEAST_GAIN):
             print(f"to do: {advice}")
+    if two:
+        print(f"corners are where the description has them to {found.misfit_px:.2g} px")
     print(f"written: {output}; what is assumed is marked in it")
     print(f"next: cmp_tactile sensor sensor:={output} view:=true")
+    if two:
+        print(f"then: cmp_tactile calibrate gel FRAMES --sensor {output} --output calibrated.yaml")

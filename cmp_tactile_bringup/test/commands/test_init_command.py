@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
 import shutil
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
+from cmp_tactile_simulation.rendering.ink import Checkerboard
+from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 PICTURE = Path(__file__).parents[3] / "test" / "data" / "photographs" / "wave_rest.png"
 
@@ -41,13 +55,17 @@ def test_a_file_that_is_there_is_kept(picture, tmp_path, capsys):
     assert "--output names another" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["nowhere.png", "text.png"])
-def test_what_is_no_picture_is_named(name, tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("name", "found"), [("nowhere.png", "found no such file"), ("text.png", "none of 1 images")]
+)
+def test_what_is_no_picture_is_named(name, found, tmp_path, capsys):
     (tmp_path / "text.png").write_text("no picture")
     output = tmp_path / "mine.yaml"
     words = ["init", str(tmp_path / name), "--pitch", "1", "-o", str(output)]
     assert main(words) == 1
-    assert f"{name}: found nothing that can be read" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert name in error
+    assert found in error
     assert not output.exists()
 
 
@@ -56,3 +74,202 @@ def test_without_a_terminal_the_pitch_must_be_given(picture, tmp_path, monkeypat
     with pytest.raises(SystemExit, match="2"):
         main(["init", str(picture), "-o", str(tmp_path / "mine.yaml")])
     assert "--pitch" in capsys.readouterr().err
+
+
+# Corners of the picture are found to this, px; a calibration explains their mean to this.
+CORNER_TOLERANCE_PX, REPROJECTION_PX = 0.1, 0.02
+# What a picture shows of a rig without distortion, as shares and m.
+FOCAL_TOLERANCE, MIRROR_TOLERANCE_M, RADIUS_TOLERANCE = 0.005, 5e-5, 0.01
+
+
+def frames_of(sensor, count=1):
+    """Frames of a sensor at rest, which differ by their noise."""
+    rendered = Renderer(sensor, Checkerboard(sensor.pattern)).render(
+        DeformedSurface.rest(sensor.pattern)
+    )
+    streams = map(np.random.default_rng, range(count))
+    return [expose([rendered], CameraSettings(), stream) for stream in streams]
+
+
+def corners_of(sensor, frame):
+    """Corners by view as the sensor's trackers find them, px of the frame."""
+    return {
+        name: GridTracker(sensor, name).track(split_frame(frame, view.placement)).corners_frame
+        for name, view in build_views(sensor).items()
+    }
+
+
+def asked_for(path, picture, sensor, *more):
+    words = ["init", str(picture), "--pitch", f"{sensor.pattern.pitch * 1e3:.9g}", *more]
+    return main([*words, "-o", str(path)])
+
+
+def other_pattern(sensor):
+    """Fewer rows than columns, light corners, on a plane."""
+    plane = replace(sensor.pattern.surface, type="plane", radius=np.inf)
+    pattern = replace(
+        sensor.pattern, rows=13, cols=16, pitch=9e-4, corner_checker="light", surface=plane
+    )
+    return replace(sensor, pattern=pattern)
+
+
+RIGS = {
+    "sample_rig": lambda: load_sensor("sample_rig"),
+    "prototype": lambda: load_sensor("prototype"),
+    "other pattern": lambda: other_pattern(load_sensor("prototype")),
+}
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_two_views_in_mirrors_are_described_as_they_are(rig, tmp_path, capsys):
+    truth, path = RIGS[rig](), tmp_path / "mine.yaml"
+    (frame,) = frames_of(truth)
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    found = load_sensor(str(path))
+    for name, corners in corners_of(found, frame).items():
+        view = build_views(truth)[name]
+        expected = view.placement.to_frame(view.project(truth.pattern.corners()))
+        np.testing.assert_allclose(corners, expected, atol=CORNER_TOLERANCE_PX)
+    assert found.pattern.corner_checker == truth.pattern.corner_checker
+    assert found.pattern.surface.type == truth.pattern.surface.type
+    if np.isfinite(truth.pattern.surface.radius):
+        expected = pytest.approx(truth.pattern.surface.radius, rel=RADIUS_TOLERANCE)
+        assert found.pattern.surface.radius == expected
+    assert found.camera.fx == pytest.approx(truth.camera.fx, rel=FOCAL_TOLERANCE)
+    for name, view in truth.views.items():
+        distance = found.views[name].mirror.distance
+        assert distance == pytest.approx(view.mirror.distance, abs=MIRROR_TOLERANCE_M)
+    rows, cols = truth.pattern.rows, truth.pattern.cols
+    assert f"{rows} x {cols} corners in two mirrors" in capsys.readouterr().out
+
+
+def test_calibrate_gel_goes_on_from_the_description(tmp_path, capsys):
+    truth, rest = load_sensor("prototype"), tmp_path / "rest"
+    rest.mkdir()
+    for number, frame in enumerate(frames_of(truth, 8)):
+        cv2.imwrite(str(rest / f"{number}.png"), frame)
+    first, second = tmp_path / "mine.yaml", tmp_path / "calibrated.yaml"
+    assert asked_for(first, rest / "0.png", truth) == 0
+    words = ["calibrate", "gel", str(rest), "--sensor", str(first), "--output", str(second)]
+    assert main(words) == 0
+    found = load_sensor(str(second))
+    assert found.calibration.reprojection < REPROJECTION_PX
+    assert found.camera.fx == pytest.approx(truth.camera.fx, rel=FOCAL_TOLERANCE)
+    assert "Usable" in capsys.readouterr().out
+
+
+def camera_pair():
+    """Two cameras that look at the gel from where the mirrors of sample_rig show it from."""
+    sensor = load_sensor("sample_rig")
+    views = {}
+    for (name, view), left in zip(build_views(sensor).items(), (0, 512), strict=True):
+        apex = view.T_view_gel[:3, 3]
+        # Upright, and with the gel in the middle of the picture.
+        upright = Rotation.from_euler("z", 180, degrees=True)
+        inwards, _ = Rotation.align_vectors([[0, 0, 1]], upright.apply(apex)[None])
+        pose = np.eye(4)
+        pose[:3] = (inwards * upright).as_matrix() @ view.T_view_gel[:3]
+        camera = replace(sensor.camera, cx=left + 255.5)
+        views[name] = replace(sensor.views[name], mirror=None, camera=camera, T_view_gel=pose)
+    optics = replace(sensor.optics, type="two_view", T_camera_gel=None)
+    return replace(sensor, camera=None, optics=optics, views=views)
+
+
+def test_two_cameras_are_told_from_mirrors(tmp_path, capsys):
+    truth, path = camera_pair(), tmp_path / "mine.yaml"
+    (frame,) = frames_of(truth)
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert "20 x 20 corners by two cameras" in capsys.readouterr().out
+    found = load_sensor(str(path))
+    for name, corners in corners_of(found, frame).items():
+        view = build_views(truth)[name]
+        expected = view.placement.to_frame(view.project(truth.pattern.corners()))
+        np.testing.assert_allclose(corners, expected, atol=CORNER_TOLERANCE_PX)
+    fx = found.views["left"].camera.fx
+    # Less certain than with mirrors: each camera looks at the gel from its front.
+    assert fx == pytest.approx(truth.views["left"].camera.fx, rel=0.02)
+
+
+def test_views_that_the_given_kind_does_not_show_are_refused(tmp_path, capsys):
+    truth, path = load_sensor("sample_rig"), tmp_path / "mine.yaml"
+    (frame,) = frames_of(truth)
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    assert asked_for(path, tmp_path / "rest.png", truth, "--views", "cameras") == 1
+    assert "expected another --views" in capsys.readouterr().err
+    assert not path.exists()
+
+
+def test_one_of_two_views_in_sight_is_named_where_two_are_asked_for(tmp_path, capsys):
+    truth = load_sensor("sample_rig")
+    (frame,) = frames_of(truth)
+    frame[:, 512:] = np.random.default_rng(1).normal(90, 3, (768, 512)).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    path = tmp_path / "mine.yaml"
+    assert asked_for(path, tmp_path / "rest.png", truth, "--views", "mirrors") == 1
+    assert "error: right view: found" in capsys.readouterr().err
+    assert not path.exists()
+    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert load_sensor(str(path)).optics.type == "monocular"
+    assert "20 x 20 corners, and the pattern ends" in capsys.readouterr().out
+
+
+def test_unequal_patterns_in_the_two_views_are_refused(tmp_path, capsys):
+    truth = load_sensor("sample_rig")
+    smaller = replace(truth, pattern=replace(truth.pattern, rows=17))
+    (frame,), (other,) = frames_of(truth), frames_of(smaller)
+    frame[:, 512:] = other[:, 512:]
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    path = tmp_path / "mine.yaml"
+    assert asked_for(path, tmp_path / "rest.png", truth) == 1
+    error = capsys.readouterr().err
+    assert "found 20 x 20 corners in the left view and 17 x 20 corners in the right view" in error
+    assert not path.exists()
+
+
+def answered(words, answers):
+    """Output and exit code of the command on a terminal, where questions get these answers."""
+    terminal, theirs = pty.openpty()
+    program = "import sys; from cmp_tactile_bringup.command import main; sys.exit(main())"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *words], stdin=theirs, stdout=theirs, stderr=theirs
+    )
+    os.close(theirs)
+    shown, left = "", list(answers)
+    while select.select([terminal], [], [], 300)[0]:
+        try:
+            shown += os.read(terminal, 4096).decode()
+        except OSError:  # the program has ended
+            break
+        if left and shown.endswith("]: "):
+            os.write(terminal, f"{left.pop(0)}\n".encode())
+    os.close(terminal)
+    return shown, process.wait(60)
+
+
+def test_on_a_terminal_what_is_missing_is_asked_for(tmp_path):
+    truth, path = load_sensor("sample_rig"), tmp_path / "mine.yaml"
+    (frame,) = frames_of(truth)
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    answers = [tmp_path / "rest.png", "soft", "0.7", "", "300", ""]
+    shown, code = answered(["init", "-o", str(path)], answers)
+    assert code == 0, shown
+    assert "found 'soft', expected a number from 0.01 to 50 mm" in shown
+    found = load_sensor(str(path))
+    assert found.pattern.pitch == pytest.approx(7e-4)
+    assert found.optics.type == "mirror_stereo"
+    assert found.elastomer.young == pytest.approx(3e5)
+    assert "young: 300000.0\n" in path.read_text()
+    assert "size:" in path.read_text().split("# x, y, thickness at the apex, assumed")[0]
+
+
+def test_nothing_is_asked_for_where_that_is_said(tmp_path):
+    picture, path = shutil.copy(PICTURE, tmp_path / "gel.png"), tmp_path / "mine.yaml"
+    words = ["init", str(picture), "--pitch", "1.5", "--yes", "-o", str(path)]
+    shown, code = answered(words, [])
+    assert code == 0, shown
+    assert path.exists()
+    shown, code = answered(["init", str(picture), "--yes", "-o", str(tmp_path / "b.yaml")], [])
+    assert code == 2
+    assert "--pitch: found nothing" in shown

@@ -1,256 +1,379 @@
 """A first description of a sensor, from one picture of its pattern at rest.
 
-Size and direction of the checkers are read from the picture's spectrum, which needs no knowledge of
-either; then the tracker counts the corners.  Where the camera is follows from these and an assumed
-angle of view: in the plane of the pattern the scale is right whatever that is.
+The corners are counted in the picture, or in both parts of it where two views lie side by side.
+Where the cameras are follows from them: how a tilted pattern shrinks with distance shows the focal
+length, and two views show how the surface is curved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.calibration.counting import (
+    ANGLE_DEG,
+    Image,
+    Sighting,
+    assumed_elastomer,
+    count_corners,
+    focal_px,
+)
+from cmp_tactile_processing.calibration.map_fit import map_fit
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.geometry.optics import FLIP_X, build_views, reflection
+from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor import parts
-from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.tracking.corners.evidence import blur_evidence
-from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
+from cmp_tactile_processing.sensor.description import VIEW_NAMES, SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 Float = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
-# Of a larger picture the spectrum is that of a smaller one, of so many px at most along a side;
-# light that changes over so many px of that is taken out.
-SAMPLES, LIGHT_PX = 1024, 25.0
-# Checkers are looked for from this many px a side to a quarter of the picture.
-SMALLEST_SIDE_PX = 4.0
-# The second direction of the diagonals is across the first one to so many degrees, and as long to
-# such a share.
-ACROSS_DEG, AS_LONG = 25.0, 0.4
-# A line of corners counts where so large a share of it is seen.
-LEAST_SEEN = 0.5
+# What a frame holds: a view, two that mirrors show, or two of cameras that are joined to a frame.
+LAYOUTS = ("one", "mirrors", "cameras")
+# The frame is cut as near to its middle as there are no saddles of grey levels, smoothed by so many
+# px, over so many px: less of them than such a share of what lines have on average.
+SADDLE_PX, CUT_PX, FREE_SHARE = 2.0, 15, 0.1
 # A description has so many rows and columns at least and, with a border in sight, at most.
 LEAST_LINES, MOST_LINES = parts.MIN_CORNERS, parts.MAX_CORNERS
-# With fewer corners, or where the description that is made finds fewer of them again, it is none.
-FEWEST_CORNERS, FOUND_AGAIN = 36, 0.9
-# Angles of view that are tried, the usual one first: another one must be so much nearer.
-USUAL_ANGLES_DEG, NEARER = (60.0, *range(20, 125, 5)), 0.7
-# What is not to be seen in a picture.
-THICKNESS_M, SKIN_M, YOUNG_PA, POISSON, RIM = 0.005, 0.0003, 5e5, 0.48, 4
+# Where the description that is made finds fewer corners again, it is none.
+FOUND_AGAIN = 0.9
+# Of the corners, px; how far the focal length may be from the usual one, as a factor; curvature of
+# the surface in units of the pattern's half width; and distortion.  Values that all views share.
+CORNER_PX, FOCAL_FACTOR, CURVATURE, DISTORTION = 1.0, 1.35, 0.5, 0.2
+SHARED = 3
+# Focal lengths that a camera may have, over the width of the frame.
+FOCAL = 0.12, 12.0
+# Poses begin near the truth: a turn, rad, and a shift as share of the distance.
+TURN_RAD, SHIFT = 0.5, 0.5
+# Two views are those of mirrors where two cameras do not explain them so many times as well.
+CLEARLY = 0.5
+# A surface that sags less than this share of a checker is a plane.
+LEAST_SAG = 0.1
+# Two mirrors show views that are turned against one another by more than this.
+LEAST_TURN_RAD = 0.02
+
+
+@dataclass(frozen=True)
+class View:
+    """A view that was found: its part of the frame, and what is seen there, in px of the part."""
+
+    roi: parts.Roi
+    seen: Sighting
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A description, and what the picture is worth.
+    """A description, and what the picture is worth: by view the grid that its tracker finds, and
+    what it was counted from.
 
-    grid: what its tracker finds in the picture.  side_px: of a checker.  sharpness: 1 for sharp
-    edges, 0.45 where grey levels are a sine wave; contrast: grey levels between light and dark;
-    noise: grey levels; std_m: median standard deviation of a corner in the pattern's plane.
+    layout: one of LAYOUTS.  misfit_px: root mean square distance of the corners from where the
+    description has them.
     """
 
     sensor: SensorDescription
-    grid: Grid
-    side_px: float
-    sharpness: float
-    contrast: float
-    noise: float
-    std_m: float
+    layout: str
+    misfit_px: float
+    grids: Mapping[str, Grid]
+    views: Mapping[str, View]
 
 
-def propose(image: Image, pitch: float, name: str, angle_of_view: float | None = None) -> Proposal:
+def find_views(image: Image, layout: str = "") -> tuple[View, ...]:
+    """The views that a picture (H, W) uint8 holds: one, or the left and the right one.
+
+    layout: one of LAYOUTS, or empty for what is seen.  Raises FrameError where that is not seen.
+    """
+    height, width = image.shape
+    if layout != "one":
+        cut = _cut(image)
+        rois = parts.Roi(0, 0, cut, height), parts.Roi(cut, 0, width - cut, height)
+        left, right = np.split(image, [cut], axis=1)
+        try:
+            first = View(rois[0], count_corners(np.ascontiguousarray(left), "left view"))
+            # Of one pattern that is cut, neither part ends at the cut.
+            if layout or first.seen.ends[-1]:
+                second = View(rois[1], count_corners(np.ascontiguousarray(right), "right view"))
+                if layout or second.seen.ends[-2]:
+                    return first, second
+        except FrameError:
+            if layout:
+                raise
+    return (View(parts.Roi(0, 0, width, height), count_corners(image)),)
+
+
+def _cut(image: Image) -> int:
+    """The column between two patterns."""
+    smooth = cv2.GaussianBlur(image.astype(np.float32), (0, 0), SADDLE_PX)
+    xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *order) for order in ((2, 0), (0, 2), (1, 1)))
+    saddles = np.maximum(xy * xy - xx * yy, 0.0).sum(axis=0)
+    width = len(saddles)
+    place = np.arange(width // 4, width - width // 4)
+    inside = np.convolve(saddles, np.ones(CUT_PX), "same")[place] / CUT_PX
+    free = place[inside <= inside.min() + FREE_SHARE * saddles.mean()]
+    return int(free[np.abs(free - width / 2).argmin()])
+
+
+def _check_alike(views: Sequence[View]) -> None:
+    """Raise FrameError unless both views show the whole pattern."""
+    whole = all(all(view.seen.ends) for view in views)
+    if whole and len({view.seen.size_text for view in views}) == 1:
+        return
+    texts = [
+        f"{view.seen.size_text} in the {name} view"
+        + ("" if all(view.seen.ends) else ", which go on beyond it")
+        for name, view in zip(VIEW_NAMES, views, strict=True)
+    ]
+    msg = (
+        f"picture: found {' and '.join(texts)}, expected the same number in both, the whole "
+        "pattern with a margin around it; --views one describes a part of a pattern"
+    )
+    raise FrameError(msg)
+
+
+def propose(
+    image: Image,
+    pitch: float,
+    name: str,
+    layout: str = "",
+    angle_of_view: float | None = None,
+) -> Proposal:
     """The proposal for a picture (H, W) uint8 of a pattern with checkers of a known pitch, m.
 
-    angle_of_view: of the camera, horizontally, degrees; where it is not given, the one that best
-    explains how the pattern is tilted, or the usual one where it is not.
-    Raises FrameError where no checkers are seen, or too few.
+    layout: see `find_views`.  angle_of_view: of the camera, horizontally, degrees; where it is not
+    given, the one that explains how the pattern is tilted, or the usual one where it is not.
+    Raises FrameError where no checkers are seen, too few, or not the same in both views.
     """
-    step = lattice_step(image)
-    side = float(np.linalg.norm(step))
-    wide = _wide_description(image, step, pitch, name)
-    grid = GridTracker(wide).track(image)
-    known = np.isfinite(grid.corners[..., 0])
-    if np.count_nonzero(known) < FEWEST_CORNERS:
+    views = find_views(image, layout)
+    layouts: tuple[str, ...] = (layout,)
+    if len(views) == 1:
+        layouts = ("one",)
+        _check_lines(views[0].seen)
+    else:
+        _check_alike(views)
+        layouts = layouts if layout else LAYOUTS[1:]
+    size = parts.ImageSize(image.shape[1], image.shape[0])
+    rigs = [_fitted(size, views, item, (pitch, angle_of_view)) for item in layouts]
+    rig = rigs[0] if rigs[0].misfit_px * CLEARLY <= rigs[-1].misfit_px else rigs[-1]
+    if not FOCAL[0] < rig.focal / size.width < FOCAL[1]:
         msg = (
-            f"picture: found {np.count_nonzero(known)} corners of checkers of {side:.0f} px "
-            f"({grid.reason}), expected at least {FEWEST_CORNERS}: sharp, evenly lit, the pattern "
-            "nearly upright and as large as possible in the picture"
+            f"picture: found no camera that shows it so ({rig.layout}; corners are off by "
+            f"{rig.misfit_px:.1f} px), expected another --views, or --angle-of-view"
         )
         raise FrameError(msg)
-    part = _part_with_corners(known)
-    corners, dark = grid.corners[part], wide.pattern.corner_checker == "dark"
-    even = dark == ((part[0].start + part[1].start) % 2 == 0)
-    prepared = Prefilter(image.shape, side).prepare(image)
-    sides = border_sides(prepared, corners, even, corners.shape[:2])
-    _check_lines(corners.shape[:2])
-    angles = USUAL_ANGLES_DEG if angle_of_view is None else (angle_of_view,)
-    ends = all(side.ends for side in sides) and max(corners.shape[:2]) <= MOST_LINES
-    sensor = _described(wide, corners, even=even, ends=ends, angles=angles)
-    found = GridTracker(sensor).track(image)
-    share = found.found_fraction
-    if share < FOUND_AGAIN:
-        rows, cols = found.shape.corners
-        msg = (
-            f"picture: found {rows} x {cols} corners, of which a sensor that is described so finds "
-            f"{share:.0%} again ({found.reason}), expected {FOUND_AGAIN:.0%}"
-        )
-        raise FrameError(msg)
-    sharpness, _ = blur_evidence(prepared.grey, corners, even)
-    side = float(np.nanmedian(np.linalg.norm(np.diff(corners, axis=1), axis=-1)))
-    std_px = np.nan if found.corner_std is None else float(np.nanmedian(found.corner_std))
-    noise, std = prepared.noise, std_px * pitch / side
-    return Proposal(sensor, found, side, sharpness, prepared.contrast, noise, std)
+    sensor = _described(size, rig, name)
+    grids = {}
+    for view_name, geometry in build_views(sensor).items():
+        grid = GridTracker(sensor, view_name).track(split_frame(image, geometry.placement))
+        if grid.found_fraction < FOUND_AGAIN:
+            rows, cols = grid.shape.corners
+            msg = (
+                f"picture: found {rows} x {cols} corners, of which a sensor that is described so "
+                f"finds {grid.found_fraction:.0%} again in the {view_name} view ({grid.reason}), "
+                f"expected {FOUND_AGAIN:.0%}"
+            )
+            raise FrameError(msg)
+        grids[view_name] = grid
+    found = dict(zip(VIEW_NAMES, views, strict=False))
+    return Proposal(sensor, rig.layout, rig.misfit_px, grids, found)
 
 
-def _check_lines(found: tuple[int, ...]) -> None:
+def _check_lines(seen: Sighting) -> None:
     # Two more: a pattern that goes on beyond the picture loses a line at each side.
-    if min(found) < LEAST_LINES + 2:
+    if min(seen.corners.shape[:2]) < LEAST_LINES + 2:
         msg = (
-            f"picture: found {found[0]} x {found[1]} corners, expected at least {LEAST_LINES + 2} "
-            "along either side"
+            f"picture: found {seen.size_text}, expected at least {LEAST_LINES + 2} along either "
+            "side"
         )
         raise FrameError(msg)
 
 
-def lattice_step(image: Image) -> Float:
-    """The way, (2,) px, from a corner to the next one along the rows of a checkerboard.
+@dataclass(frozen=True)
+class _Rig:
+    """Where pattern and cameras are: T_view_gel (4, 4) of each roi's un-mirrored view."""
 
-    A checkerboard's strongest waves run along the diagonals of its checkers; the sum of two that
-    cross is the wave along its rows.  Raises FrameError where there are none.
-    """
-    grey = image.astype(np.float32)
-    shrunk = min(1.0, SAMPLES / max(image.shape))
-    if shrunk < 1:
-        grey = np.asarray(
-            cv2.resize(grey, None, fx=shrunk, fy=shrunk, interpolation=cv2.INTER_AREA)
-        )
-    grey -= cv2.GaussianBlur(grey, (0, 0), LIGHT_PX)
-    window = np.outer(np.hanning(grey.shape[0]), np.hanning(grey.shape[1]))
-    power = np.abs(np.fft.rfft2(grey * window, (SAMPLES, SAMPLES)))
-    fy, fx = np.fft.fftfreq(SAMPLES)[:, None], np.fft.rfftfreq(SAMPLES)[None]
-    length = np.hypot(fx, fy)
-    longest = np.sqrt(0.5) / SMALLEST_SIDE_PX
-    shortest = np.sqrt(0.5) / (min(grey.shape) / 4)
-    power[(length < shortest) | (length > longest)] = 0.0
-    power = cv2.GaussianBlur(power, (0, 0), 2.0)
-
-    def strongest(allowed: NDArray[np.bool_]) -> Float:
-        y, x = np.unravel_index(np.where(allowed, power, 0.0).argmax(), power.shape)
-        return np.array([fx[0, x], fy[y, 0]])
-
-    first = strongest(np.ones_like(power, dtype=bool))
-    size = float(np.hypot(*first))
-    if not size:
-        msg = "picture: found no pattern that repeats, expected checkers"
-        raise FrameError(msg)
-    along = (fx * first[0] + fy * first[1]) / np.maximum(length * size, 1e-12)
-    across = np.abs(along) < np.sin(np.radians(ACROSS_DEG))
-    second = strongest(across & (np.abs(length / size - 1) < AS_LONG))
-    # Of the two waves along the sides of the checkers the one that is nearer to the x axis.
-    waves = np.array([first + second, first - second])
-    wave = waves[np.abs(waves[:, 0]).argmax()]
-    wave = wave if wave[0] > 0 else -wave
-    return np.asarray(wave / (wave @ wave) / shrunk)
+    layout: str
+    rois: tuple[parts.Roi, ...]
+    pattern: parts.Pattern
+    focal: float
+    bend: float
+    poses: tuple[Float, ...]
+    misfit_px: float
 
 
-def _wide_description(image: Image, step: Float, pitch: float, name: str) -> SensorDescription:
-    """A description that numbers all corners there may be, looking straight at the pattern."""
-    height, width = image.shape
-    side, focal = float(np.linalg.norm(step)), _focal(width, USUAL_ANGLES_DEG[0])
-    rows, cols = (min(int(extent / side) + 2, parts.MAX_BEYOND_VIEW) for extent in image.shape)
-    cosine, sine = step / side
-    pose = np.eye(4)
-    pose[:2, :2] = [[cosine, -sine], [sine, cosine]]
-    pose[2, 3] = focal * pitch / side
-    centre = (width - 1) / 2, (height - 1) / 2
-    pattern = parts.Pattern(
-        rows, cols, pitch, "dark", 2, parts.PatternSurface(), border="beyond_view"
-    )
-    return SensorDescription(
-        name=name,
-        image=parts.ImageSize(width, height),
-        camera=parts.Camera("pinhole", focal, focal, *centre, (0.0,) * 5),
-        optics=parts.Optics("monocular", pose, ()),
-        views={"left": parts.ViewDescription(parts.Roi(0, 0, width, height))},
-        pattern=pattern,
-        elastomer=_elastomer(rows, cols, pitch),
-    )
-
-
-def _elastomer(rows: int, cols: int, pitch: float) -> parts.Elastomer:
-    size = round((cols + RIM) * pitch, 9), round((rows + RIM) * pitch, 9), THICKNESS_M
-    layer = parts.ShadingLayer(SKIN_M, YOUNG_PA)
-    return parts.Elastomer(size, YOUNG_PA, POISSON, "linear", layer)
-
-
-def _part_with_corners(known: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """Rows and columns between the outermost that are seen along most of their length."""
-    found = []
-    for axis in (1, 0):
-        count = known.sum(axis=axis)
-        lines = np.flatnonzero(count >= LEAST_SEEN * count.max())
-        found.append(slice(int(lines[0]), int(lines[-1]) + 1))
-    return found[0], found[1]
-
-
-def _described(
-    wide: SensorDescription,
-    corners: Float,
-    *,
-    even: bool,
-    ends: bool,
-    angles: Sequence[float],
-) -> SensorDescription:
-    """The description for corners (rows, cols, 2) px.
-
-    even: whether the dark checkers touch corner (0, 0) along the diagonal (-, -) to (+, +); ends:
-    whether the pattern does on all sides; angles: of view that come into question.
-    """
+def _fitted(
+    size: parts.ImageSize,
+    views: Sequence[View],
+    layout: str,
+    known: tuple[float, float | None],
+) -> _Rig:
+    """The rig that explains the corners best.  known: pitch m, and angle of view or None."""
+    pitch, angle = known
+    seen = [view.seen for view in views]
+    if layout == "mirrors":
+        seen = [view.seen.mirrored(view.roi.width) for view in views]
+    corners = [item.corners for item in seen]
+    ends = all(seen[0].ends) and max(corners[0].shape[:2]) <= MOST_LINES
     if not ends:
         # Corners at the rim of the picture leave it as soon as the gel moves.
-        corners = corners[1:-1, 1:-1]
-    rows, cols = corners.shape[:2]
-    pattern = replace(
-        wide.pattern,
-        rows=rows,
-        cols=cols,
-        corner_checker="dark" if even else "light",
+        corners = [corners[0][1:-1, 1:-1]]
+    rows, cols = corners[0].shape[:2]
+    pattern = parts.Pattern(
+        rows,
+        cols,
+        pitch,
+        "dark" if seen[0].even else "light",
+        6,
+        parts.PatternSurface(),
         border="in_view" if ends else "beyond_view",
-        points_per_segment=6,
     )
-    least, camera, pose = _camera(wide.image, pattern, corners, angles[0])
-    usual = least
-    for angle in angles[1:]:
-        off, other, its_pose = _camera(wide.image, pattern, corners, angle)
-        if off < min(least, NEARER * usual):
-            least, camera, pose = off, other, its_pose
-    optics = replace(wide.optics, T_camera_gel=pose)
-    elastomer = _elastomer(rows, cols, pattern.pitch)
-    return replace(wide, camera=camera, pattern=pattern, optics=optics, elastomer=elastomer)
+    rois = tuple(view.roi for view in views)
+    # An angle that is given is that of each camera.
+    usual = focal_px(rois[0].width if layout == "cameras" else size.width, angle or ANGLE_DEG)
+    fit = _Fit(pattern, corners, [_centre(size, roi, layout) for roi in rois], usual)
+    values, misfit = fit.best(fixed=angle is not None)
+    focal = float(round(usual * np.exp(values[0]), 1))
+    half, curvature = fit.half, float(values[1])
+    if curvature * half / 2 > LEAST_SAG * pitch:
+        surface = parts.PatternSurface("sphere_cap", float(f"{half / curvature:.3g}"))
+        pattern = replace(pattern, surface=surface)
+    poses = tuple(_pose(values[k : k + 6]) for k in range(SHARED, len(values), 6))
+    return _Rig(layout, rois, pattern, focal, float(round(values[2], 4)), poses, misfit)
 
 
-def _camera(
-    image: parts.ImageSize, pattern: parts.Pattern, corners: Float, angle: float
-) -> tuple[float, parts.Camera, Float]:
-    """A camera of some angle of view, degrees: by how many px it misses the corners, its pose."""
-    focal, centre = _focal(image.width, angle), ((image.width - 1) / 2, (image.height - 1) / 2)
-    matrix = np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-    known = np.isfinite(corners[..., 0])
-    points = pattern.corners()[known]
-    _, turn, shift = cv2.solvePnP(points, corners[known], matrix, None)
-    missed = cv2.projectPoints(points, turn, shift, matrix, None)[0][:, 0] - corners[known]
+def _centre(size: parts.ImageSize, roi: parts.Roi, layout: str) -> tuple[float, float]:
+    """The principal point in px of the view: in the middle of the frame, or of an own camera's."""
+    if layout == "cameras":
+        return (roi.width - 1) / 2, (roi.height - 1) / 2
+    x, y = (size.width - 1) / 2 - roi.x, (size.height - 1) / 2 - roi.y
+    return (roi.width - 1 - x if layout == "mirrors" else x), y
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Corners (rows, cols, 2) px as cameras of one kind see them, with their principal points.
+
+    A vector of values: log of the focal length over the usual one, curvature of the surface in
+    units of the pattern's half width, first coefficient of distortion, then turn and shift of the
+    pattern in each view.
+    """
+
+    pattern: parts.Pattern
+    corners: Sequence[Float]
+    centres: Sequence[tuple[float, float]]
+    usual_focal: float
+
+    @property
+    def half(self) -> float:
+        """Half width of the pattern, m."""
+        return (max(self.pattern.rows, self.pattern.cols) - 1) / 2 * self.pattern.pitch
+
+    def best(self, *, fixed: bool) -> tuple[Float, float]:
+        """The most probable values, and the corners' root mean square distance, px.
+
+        fixed: the focal length is the usual one.  One view says nothing of surface and distortion.
+        """
+        start, std = [0.0] * SHARED, [np.log(FOCAL_FACTOR), CURVATURE, DISTORTION]
+        for k, seen in enumerate(self.corners):
+            known, points = np.isfinite(seen[..., 0]), self.pattern.corners()
+            _, turn, shift = cv2.solvePnP(points[known], seen[known], self._matrix(k, 0.0), None)
+            start += [*turn[:, 0], *shift[:, 0]]
+            std += [TURN_RAD] * 3 + [SHIFT * float(np.linalg.norm(shift))] * 3
+        several = len(self.corners) > 1
+        free = np.array([not fixed, several, several] + [True] * (len(std) - SHARED))
+
+        def changed(change: Float) -> Float:
+            values = np.array(start, dtype=np.float64)
+            values[free] += change
+            return values
+
+        fit = map_fit(lambda change: self._residuals(changed(change)), np.array(std)[free])
+        off = CORNER_PX * np.sqrt(2 * np.mean(fit.residuals**2))
+        return changed(fit.values), float(off)
+
+    def _matrix(self, view: int, log_focal: float) -> Float:
+        focal = self.usual_focal * float(np.exp(log_focal))
+        x, y = self.centres[view]
+        return np.array([[focal, 0, x], [0, focal, y], [0, 0, 1]])
+
+    def _residuals(self, values: Float) -> Float:
+        """Corners less where they are expected, in CORNER_PX."""
+        points, bend = self.pattern.corners(), values[1] / self.half
+        square = (points[..., :2] ** 2).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            points[..., 2] = -bend * square / (1 + np.sqrt(1 - bend**2 * square))
+        lens, found = np.array([values[2], 0.0, 0.0, 0.0]), []
+        for k, seen in enumerate(self.corners):
+            known, matrix = np.isfinite(seen[..., 0]), self._matrix(k, values[0])
+            turn, shift = np.split(values[SHARED + 6 * k : SHARED + 6 + 6 * k], 2)
+            shown = cv2.projectPoints(points[known], turn, shift, matrix, lens)[0][:, 0]
+            found.append((seen[known] - shown) / CORNER_PX)
+        return np.asarray(np.concatenate(found).ravel())
+
+
+def _pose(values: Float) -> Float:
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    camera = parts.Camera("pinhole", focal, focal, *centre, (0.0,) * 5)
-    return float(np.sqrt((missed**2).mean())), camera, pose
+    pose[:3, :3] = Rotation.from_rotvec(values[:3]).as_matrix()
+    pose[:3, 3] = values[3:]
+    return pose
 
 
-def _focal(width: int, angle: float) -> float:
-    """Focal length, px, for an angle of view, degrees, over a width, px."""
-    return float(round(width / 2 / np.tan(np.radians(angle) / 2), 1))
+def _described(size: parts.ImageSize, rig: _Rig, name: str) -> SensorDescription:
+    views = {
+        key: parts.ViewDescription(roi) for key, roi in zip(VIEW_NAMES, rig.rois, strict=False)
+    }
+    lens = rig.bend, 0.0, 0.0, 0.0, 0.0
+    middle = (size.width - 1) / 2, (size.height - 1) / 2
+    camera: parts.Camera | None = parts.Camera("pinhole", rig.focal, rig.focal, *middle, lens)
+    optics = parts.Optics("monocular", rig.poses[0], ())
+    if rig.layout == "mirrors":
+        pose, mirrors = mirrors_of(*rig.poses)
+        optics = parts.Optics("mirror_stereo", pose, ())
+        pairs = zip(views.items(), mirrors, strict=True)
+        views = {key: replace(view, mirror=mirror) for (key, view), mirror in pairs}
+    elif rig.layout == "cameras":
+        optics, camera = parts.Optics("two_view", None, ()), None
+        for (key, view), pose in zip(list(views.items()), rig.poses, strict=True):
+            x, y = _centre(size, view.roi, rig.layout)
+            own = parts.Camera(
+                "pinhole", rig.focal, rig.focal, view.roi.x + x, view.roi.y + y, lens
+            )
+            views[key] = replace(view, camera=own, T_view_gel=pose)
+    elastomer = assumed_elastomer(rig.pattern)
+    return SensorDescription(name, size, camera, optics, views, rig.pattern, elastomer)
+
+
+def mirrors_of(left: Float, right: Float) -> tuple[Float, tuple[parts.Mirror, parts.Mirror]]:
+    """T_camera_gel (4, 4) and the two mirrors that show these views, T_view_gel (4, 4) each.
+
+    Both mirrors may be turned together about the line where they meet, and the gel with them,
+    without a change in the views: they are taken to face the camera.  Raises FrameError where the
+    views differ as no two mirrors show.
+    """
+    seen = [FLIP_X @ pose for pose in (left, right)]
+    # The reflection in one mirror, then in the other, turns about that line by twice their angle.
+    motion = seen[1] @ np.linalg.inv(seen[0])
+    turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+    angle = float(np.linalg.norm(turn))
+    if angle < LEAST_TURN_RAD:
+        msg = (
+            f"picture: found views that are turned against one another by {np.degrees(angle):.1f} "
+            "degrees, expected more of two mirrors; two cameras need --views cameras"
+        )
+        raise FrameError(msg)
+    axis = turn / angle
+    facing = -np.eye(3)[2] + axis[2] * axis
+    facing /= np.linalg.norm(facing)
+    on_line = np.linalg.pinv(np.eye(3) - motion[:3, :3]) @ motion[:3, 3]
+    mirrors = []
+    for share in (-0.25, 0.25):
+        normal = Rotation.from_rotvec(share * turn).apply(facing)
+        mirrors.append(parts.Mirror(normal, float(normal @ on_line)))
+    poses = [reflection(mirror) @ pose for mirror, pose in zip(mirrors, seen, strict=True)]
+    pose = poses[0].copy()
+    pose[:3, 3] = (poses[0][:3, 3] + poses[1][:3, 3]) / 2
+    return pose, (mirrors[0], mirrors[1])

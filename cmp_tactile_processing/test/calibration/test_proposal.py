@@ -6,16 +6,29 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.proposal import lattice_step, propose
+from cmp_tactile_processing.calibration.counting import GOOD, count_corners, lattice_step
+from cmp_tactile_processing.calibration.proposal import mirrors_of, propose
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.sensor.description import load_sensor
 
 PITCH_M = 0.002
 # Pixels of the drawing for a checker's side.
 FINE = 20
 
 
-def board(rows, cols, side, *, angle=0.0, tilt=(0.0, 0.0), dark=True, size=(640, 480)):
+def board(
+    rows,
+    cols,
+    side,
+    *,
+    angle=0.0,
+    tilt=(0.0, 0.0),
+    dark=True,
+    size=(640, 480),
+    noise=3.0,
+    soft=0.8,
+):
     """A picture of a board with rows x cols corners on a plain margin, noisy and a little soft.
 
     side: px; angle: degrees; tilt: change of the scale over a pixel along x and y.
@@ -30,9 +43,10 @@ def board(rows, cols, side, *, angle=0.0, tilt=(0.0, 0.0), dark=True, size=(640,
     tilted = np.array([[1, 0, 0], [0, 1, 0], [*tilt, 1 - tilt[0] * right / 2 - tilt[1] * down / 2]])
     whole = tilted @ np.vstack([place, [0, 0, 1]])
     seen = cv2.warpPerspective(drawn, whole, size, flags=cv2.INTER_AREA, borderValue=margin)
-    noise = np.random.default_rng(rows).normal(0, 3, seen.shape)
-    soft = cv2.GaussianBlur(seen, (0, 0), 0.8)
-    return np.clip(np.rint(soft + noise), 0, 255).astype(np.uint8)
+    if soft:
+        seen = cv2.GaussianBlur(seen, (0, 0), soft)
+    off = np.random.default_rng(rows).normal(0, noise, seen.shape)
+    return np.clip(np.rint(seen + off), 0, 255).astype(np.uint8)
 
 
 @pytest.mark.parametrize(
@@ -50,10 +64,11 @@ def test_corners_are_counted_and_found_again(rows, cols, side, more):
     pattern = found.sensor.pattern
     assert (pattern.rows, pattern.cols, pattern.border) == (rows, cols, "in_view")
     assert pattern.corner_checker == ("dark" if more.get("dark", True) else "light")
-    assert found.grid.found_fraction == 1
+    assert found.layout == "one"
+    assert found.grids["left"].found_fraction == 1
     view = build_views(found.sensor)["left"]
     # A plane seen by a camera of some focal length: a few pixels, where it is tilted.
-    off = np.linalg.norm(view.project(pattern.corners()) - found.grid.corners, axis=-1)
+    off = np.linalg.norm(view.project(pattern.corners()) - found.grids["left"].corners, axis=-1)
     assert np.median(off) < 0.15 * side
 
 
@@ -62,7 +77,7 @@ def test_a_pattern_that_goes_on_beyond_the_picture_is_described_so():
     pattern = found.sensor.pattern
     assert pattern.border == "beyond_view"
     assert (pattern.rows, pattern.cols) >= (24, 34)
-    assert found.grid.found_fraction == 1
+    assert found.grids["left"].found_fraction == 1
 
 
 def test_a_picture_of_many_pixels_is_looked_at_whole():
@@ -80,18 +95,74 @@ def test_too_few_lines_are_named():
         propose(board(5, 16, 20.0), PITCH_M, "mine")
 
 
-def test_the_picture_is_judged():
-    sharp = propose(board(12, 16, 20.0), PITCH_M, "mine")
-    image = cv2.GaussianBlur(board(12, 16, 20.0), (0, 0), 4.0)
-    soft = propose(image, PITCH_M, "mine")
-    assert sharp.side_px == pytest.approx(20.0, rel=0.01)
-    assert sharp.contrast == pytest.approx(160, abs=15)
-    assert sharp.noise == pytest.approx(3.0, rel=0.2)
-    assert soft.sharpness < 0.8 < sharp.sharpness
-    # In the plane a pixel is as large as the pitch over the side.
-    assert sharp.std_m == pytest.approx(
-        np.nanmedian(sharp.grid.corner_std) * PITCH_M / 20.0, rel=0.02
-    )
+# Blur is found to this, px, or to this share; noise and contrast to these shares.
+BLUR_TOLERANCE_PX, BLUR_TOLERANCE = 0.08, 0.05
+NOISE_TOLERANCE, CONTRAST_TOLERANCE = 0.15, 0.05
+# A standard deviation that one change leaves is predicted to this share.
+STD_TOLERANCE = 0.25
+# A picture is drawn with so many points of a pixel along a side.
+POINTS = 4
+
+
+def photograph(sigma, *, side=20.0, contrast=160, noise=1.0):
+    """A board with checkers of a known side and blur, px, integrated over the pixels."""
+    width, height = 640 * POINTS, 480 * POINTS
+    fine = board(12, 16, side * POINTS, angle=4.0, size=(width, height), noise=0.0, soft=0.0)
+    lens = cv2.GaussianBlur(fine.astype(np.float32), (0, 0), sigma * POINTS)
+    grey = 120 + contrast / 160 * (cv2.resize(lens, (640, 480), interpolation=cv2.INTER_AREA) - 120)
+    grey += np.random.default_rng(2).normal(0, noise, grey.shape)
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize(("contrast", "noise"), [(160, 1.0), (80, 1.0), (160, 6.0)])
+def test_blur_contrast_and_noise_of_a_picture_are_measured_one_by_one(sigma, contrast, noise):
+    worth = count_corners(photograph(sigma, contrast=contrast, noise=noise)).worth
+    tolerance = max(BLUR_TOLERANCE_PX, BLUR_TOLERANCE * sigma)
+    assert worth.blur_px == pytest.approx(sigma, abs=tolerance)
+    assert worth.contrast == pytest.approx(contrast, rel=CONTRAST_TOLERANCE)
+    assert worth.noise == pytest.approx(noise, rel=NOISE_TOLERANCE)
+    assert worth.side_px == pytest.approx(20.0, rel=0.01)
+    assert worth.saturated == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [("blur_px", {"sigma": 2.5}), ("contrast", {"contrast": 40}), ("noise", {"noise": 8.0})],
+)
+def test_what_one_change_would_gain_is_what_it_gains(name, bad):
+    usual = {"sigma": GOOD.blur_px, "contrast": GOOD.contrast, "noise": GOOD.noise}
+    worth = count_corners(photograph(**{**usual, **bad})).worth
+    good = count_corners(photograph(**usual)).worth
+    assert worth.std_if(name) == pytest.approx(good.std_pitch, rel=STD_TOLERANCE)
+    assert worth.std_pitch > 2 * good.std_pitch
+    others = {"blur_px", "contrast", "noise", "side_px"} - {name}
+    assert all(worth.std_if(other) > worth.std_if(name) for other in others)
+    assert len(worth.advice(0.5)) == 1
+    assert not good.advice(0.3)
+
+
+def test_overexposed_checkers_come_first():
+    image = board(12, 16, 20.0, dark=False)
+    worth = count_corners(np.clip(image.astype(int) * 2, 0, 255).astype(np.uint8)).worth
+    assert worth.saturated == pytest.approx(1.0, abs=0.05)
+    assert "less light" in worth.advice(0.5)[0]
+
+
+def test_mirrors_are_found_from_what_they_show():
+    sensor = load_sensor("sample_rig")
+    left, right = (view.T_view_gel for view in build_views(sensor).values())
+    pose, mirrors = mirrors_of(left, right)
+    np.testing.assert_allclose(pose, sensor.optics.T_camera_gel, atol=1e-9)
+    for mirror, view in zip(mirrors, sensor.views.values(), strict=True):
+        np.testing.assert_allclose(mirror.normal, view.mirror.normal, atol=1e-9)
+        assert mirror.distance == pytest.approx(view.mirror.distance, abs=1e-9)
+
+
+def test_views_that_no_two_mirrors_show_are_named():
+    left = build_views(load_sensor("sample_rig"))["left"].T_view_gel
+    with pytest.raises(FrameError, match=r"turned against one another by 0\.0 degrees"):
+        mirrors_of(left, left)
 
 
 def test_the_side_of_the_checkers_is_read_from_the_spectrum():
