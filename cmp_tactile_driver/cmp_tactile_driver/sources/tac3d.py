@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.markers import MarkerRecording
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -37,20 +38,13 @@ SPHERE_STEPS = 4
 
 
 @dataclass(frozen=True)
-class Tac3dRecording:
-    """A recording of one sensor, turned into the gel frame.
+class Tac3dRecording(MarkerRecording):
+    """A recording of one sensor, named by its serial number.
 
-    serial: of the sensor.  stamp_ns (n,).  lost: frames that are missing in between.
-    reference (rows, cols, 3) m: markers at rest.  displacement (n, rows, cols, 3) m, NaN where a
-    marker was not measured.  force (n, rows, cols, 3) N, wrench (n, 6) N and N m about the gel
-    frame's origin: what the sensor itself says, NaN where it does not.
+    force (n, rows, cols, 3) N, wrench (n, 6) N and N m about the gel frame's origin: what the
+    sensor itself says, NaN where it does not.
     """
 
-    serial: str
-    stamp_ns: NDArray[np.int64]
-    lost: int
-    reference: Array
-    displacement: Array
     force: Array
     wrench: Array
 
@@ -62,7 +56,7 @@ class Tac3dRecording:
         return float(np.mean([along_x.mean(), along_y.mean()]))
 
     def described(self, sensor: SensorDescription) -> SensorDescription:
-        """The description with pitch and surface of this very sensor, from its markers at rest."""
+        """The description with grid, pitch and surface of this sensor, from its markers at rest."""
         x, y, z = self.reference.reshape(-1, 3).T
         # Depth of a sphere below its apex: q = s / 2R + s^2 / 8R^3, s = x^2 + y^2.
         s, bend = x**2 + y**2, 0.0
@@ -72,8 +66,11 @@ class Tac3dRecording:
         surface = PatternSurface()
         if bend > 1 / LARGEST_RADIUS_M:
             surface = PatternSurface("sphere_cap", round(1 / bend, 5))
-        pattern = replace(sensor.pattern, pitch=round(self.pitch, 7), surface=surface)
-        return replace(sensor, name=self.serial, pattern=pattern)
+        rows, cols = self.reference.shape[:2]
+        pattern = replace(
+            sensor.pattern, rows=rows, cols=cols, pitch=round(self.pitch, 7), surface=surface
+        )
+        return replace(sensor, name=self.name, pattern=pattern)
 
 
 def tac3d_folders(folder: Path) -> list[Path]:
@@ -119,7 +116,7 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
     origin = _origin(rest)
     force, moment = arrays[RESULTANT].reshape(-1, 3)[order], arrays[MOMENT].reshape(-1, 3)[order]
     return Tac3dRecording(
-        serial=folder.resolve().name,
+        name=folder.resolve().name,
         stamp_ns=stamps,
         lost=_lost(arrays[INDEX].ravel()[by_time]),
         reference=MILLI * (rest - origin),
