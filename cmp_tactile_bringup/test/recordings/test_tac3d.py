@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_output import printed
 from mcap.reader import make_reader
 
 from cmp_tactile_bringup.command import main
@@ -68,7 +69,7 @@ def folder(arrays, tmp_path):
 
 def test_a_recording_is_turned_into_the_gel_frame(folder, sensor, arrays):
     recording = read_tac3d(folder)
-    assert recording.serial == SERIAL
+    assert recording.name == SERIAL
     assert recording.lost == 2
     assert recording.stamp_ns[:2].tolist() == [68_000_000_000, 68_033_333_333]
     # To the noise of a marker, and what the middle of a cap lies above that of its four corners.
@@ -115,13 +116,57 @@ def test_the_force_is_found_again_and_lies_beside_the_sensors_own(folder, tmp_pa
     assert main([*again, "--overwrite"]) == 0
 
 
-def test_calibrating_takes_the_modulus_from_the_sensors_own_force(folder, arrays, tmp_path):
+@pytest.fixture
+def imported(folder, arrays, tmp_path):
+    """The bag of an imported press, by a sensor with a force half as large again."""
     np.save(folder / "3D_ResultantForce.npy", 1.5 * arrays["3D_ResultantForce"])
-    words = ["import", "tac3d", str(folder), "--output", str(tmp_path), "--calibrate"]
-    assert main(words) == 0
-    found = load_sensor(str(tmp_path / f"{SERIAL}.yaml")).elastomer
+    assert main(["import", "tac3d", str(folder), "--output", str(tmp_path / "imported")]) == 0
+    return tmp_path / "imported" / f"{SERIAL}.mcap"
+
+
+def test_the_sensors_own_force_calibrates_the_gel(imported, tmp_path):
+    topic, new = "/AD2_0001L/tac3d/wrench", tmp_path / "new.yaml"
+    words = ["calibrate", "force", str(imported), "--wrench-topic", topic, "--output", str(new)]
+    assert main([*words, "--every-frame", "--poisson-std", "0"]) == 0
+    found = load_sensor(str(new)).elastomer
     assert found.young == pytest.approx(1.5 * load_sensor("tac3d_ad2").elastomer.young, rel=0.03)
-    assert found.shading_layer.young == pytest.approx(found.young)
+    assert found.calibration.source == f"{imported}: {topic}"
+    assert 0 < found.calibration.young_std < 0.1
+
+
+def test_processing_goes_on_from_the_surfaces(imported, tmp_path, capsys):
+    words = ["process", str(imported), "--output", str(tmp_path), "--jobs", "1"]
+    assert main([*words, "--arrays"]) == 0
+    assert "recorded surfaces" in printed(capsys)
+    tables = [
+        np.genfromtxt(path / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
+        for path in (imported.parent, tmp_path)
+    ]
+    for name in ("stamp_ns", "fx_N", "fy_N", "fz_N", "slip_state"):
+        # Messages hold float32.
+        assert tables[1][name] == pytest.approx(tables[0][name], rel=1e-4, abs=1e-4), name
+    with np.load(tmp_path / f"{SERIAL}.npz") as arrays:
+        assert arrays["displacement"].shape == (12, 20, 20, 3)
+    # Another reference is taken from the surfaces themselves.
+    assert main([*words, "--reference", "first-3", "--overwrite"]) == 0
+    assert "mean of 3 frames" in printed(capsys)
+
+
+@pytest.mark.parametrize(
+    ("other", "complaint"),
+    [("rows_10", "found 20, 20, 0"), ("prototype", "no frame can be used")],
+)
+def test_surfaces_of_another_grid_are_refused(imported, tmp_path, capsys, other, complaint):
+    if other == "rows_10":
+        other = str(tmp_path / "rows_10.yaml")
+        text = imported.with_suffix(".yaml").read_text("utf-8").replace("rows: 20", "rows: 10")
+        (tmp_path / "rows_10.yaml").write_text(text, "utf-8")
+    words = ["process", str(imported), "--output", str(tmp_path / "out"), "--sensor", other]
+    assert main([*words, "--jobs", "1"]) == 1
+    said = printed(capsys)
+    assert said.count("error: ") == 1
+    assert complaint in said
+    assert not list((tmp_path / "out").glob("*.mcap"))
 
 
 def test_markers_that_are_no_numbers_are_missing_and_what_is_not_recorded_is_unknown(
