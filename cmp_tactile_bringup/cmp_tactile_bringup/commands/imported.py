@@ -29,7 +29,7 @@ class _Import(Command):
     def write(self, imports: Sequence[tuple[MarkerRecording, SensorDescription]]) -> int:
         """Write the files of each recording of a sensor, and print what they are."""
         from cmp_tactile_bringup.offline.imported import check_free, write_import
-        from cmp_tactile_bringup.terminal.output import output_console
+        from cmp_tactile_bringup.terminal.output import output_console, print_line
 
         console, output = output_console(), self.output.expanduser()
         for recording, _ in imports:
@@ -39,7 +39,10 @@ class _Import(Command):
         for recording, sensor in imports:
             found = write_import(recording, sensor, output)
             _report(recording, sensor, output, console)
-            _report_agreement(recording, found, console)
+            if found.agreement is not None:
+                _report_agreement(recording.name, found.agreement, console)
+            for doubt in found.doubts:
+                print_line(console, f"warning: {recording.name}: {doubt}", "yellow")
         return 0
 
 
@@ -126,15 +129,9 @@ def _report(
     )
 
 
-def _report_agreement(
-    recording: MarkerRecording, found: Agreement | None, console: Console
-) -> None:
+def _report_agreement(name: str, found: Agreement, console: Console) -> None:
     from cmp_tactile_bringup.terminal.output import print_line
 
-    name = recording.name
-    if found is None:
-        print_line(console, f"{name}: the sensor says nothing of its force")
-        return
     along = ", ".join(
         f"{axis} {correlation:.3f} ({left:.2f} N)"
         for axis, correlation, left in zip("xyz", found.correlation, found.left, strict=True)

@@ -43,6 +43,17 @@ REFERENCE = "markers at rest, as the sensor has them"
 
 
 @dataclass(frozen=True)
+class Imported:
+    """agreement: of our forces and the sensor's own; None where it says nothing of a force.
+
+    doubts: why forces may not be trusted, a line each.
+    """
+
+    agreement: Agreement | None
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Agreement:
     """How two forces over time agree, along x, y and z.
 
@@ -64,14 +75,9 @@ def check_free(recording: MarkerRecording, folder: Path) -> None:
             raise OutputError(f"{path}: exists already; --overwrite replaces it")
 
 
-def write_import(
-    recording: MarkerRecording, sensor: SensorDescription, folder: Path
-) -> Agreement | None:
-    """Write NAME.mcap, NAME_wrench.csv and NAME.yaml; each is there whole or not at all.
-
-    Returns how our forces and the sensor's own agree; None where it says nothing of a force.
-    """
-    ours = []
+def write_import(recording: MarkerRecording, sensor: SensorDescription, folder: Path) -> Imported:
+    """Write NAME.mcap, NAME_wrench.csv and NAME.yaml; each is there whole or not at all."""
+    ours, flags = [], results.ForceFlags()
     with TemporaryDirectory(prefix=".", dir=folder) as beside:
         with ExitStack() as stack:
             path = Path(beside) / f"{recording.name}.mcap"
@@ -85,12 +91,14 @@ def write_import(
                 bag.append(frame, PipelineResult(None, None, frame.content, field), own)
                 append_row(results.table_row(frame.stamp_ns, frame.time_s, field, ""))
                 ours.append(field.wrench[:3])
+                flags.add(field)
         write_sensor_description(Path(beside) / f"{recording.name}.yaml", sensor)
         for made in sorted(Path(beside).iterdir()):
             made.replace(folder / made.name)
-    if not isinstance(recording, Tac3dRecording):
-        return None
-    return agreement(np.array(ours), recording.wrench[:, :3])
+    found = None
+    if isinstance(recording, Tac3dRecording):
+        found = agreement(np.array(ours), recording.wrench[:, :3])
+    return Imported(found, tuple(flags.doubts))
 
 
 def _frames(

@@ -100,6 +100,15 @@ def test_pixels_give_the_force_along_the_plane_and_say_that_depth_is_not_measure
     assert main(words) == 0
 
 
+def test_a_lost_marker_that_stays_at_nought_is_warned_of(tmp_path, sensor, position, capsys):
+    path = tmp_path / "finger.npy"
+    lost = position.copy()
+    lost[3:, 0, 0] = 0.0
+    np.save(path, lost)
+    assert imported(path, sensor)[1] == 0
+    assert "warning: finger: in 3 of 6 frames implausible" in printed(capsys)
+
+
 def test_tables_of_trackers_are_read(tmp_path, sensor, position):
     """The columns of GelSight's tracker, in px, and those of others."""
     pixels = SCALE * position[..., :2] + MIDDLE_PX
