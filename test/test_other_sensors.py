@@ -1,4 +1,4 @@
-"""The example that feeds forces with the point clouds of another tracker."""
+"""docs/other_sensors.md: its files, commands and example with the markers of other trackers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_output import output_of
+from documents import blocks, shell_lines
+
+from cmp_tactile_bringup.command import main
 
 pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
@@ -20,7 +24,8 @@ from cmp_tactile_processing.measured import MarkerFault, Status
 from cmp_tactile_processing.ros.messages.reading import surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "docs" / "examples" / "other_sensor.py"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+TEXT = (DOCS / "other_sensors.md").read_text("utf-8")
 # Bytes after each row.
 ROW_END = 12
 MOVED_M = np.array([1e-4, 0.0, -2e-4])
@@ -64,15 +69,24 @@ def test_clouds_become_surfaces(ros, tmp_path, kind, names):
     moved = rest + MOVED_M
     moved[2, 3] = np.nan
     found = ros.listen(SurfaceMsg, f"/{name}/surface")
-    words = [sys.executable, str(EXAMPLE), str(path), f"{ros.namespace}/points"]
+    words = [
+        sys.executable,
+        str(DOCS / "examples" / "other_sensor.py"),
+        str(path),
+        f"{ros.namespace}/points",
+    ]
     example = subprocess.Popen(words)
     try:
         publisher = ros.publisher(PointCloud2, f"{ros.namespace}/points")
         publisher.publish(cloud_of(rest.swapaxes(0, 1), kind, names))  # another grid: warned of
         publisher.publish(cloud_of(rest, kind, names))
-        pressed = cloud_of(moved, kind, names)
+        ros.run(1.0)
         # Again and again: the example may not know its listener yet.
-        ros.wait(lambda: publisher.publish(pressed) or len(found) > 1, "two surfaces")
+        for _ in range(30):
+            publisher.publish(cloud_of(moved, kind, names))
+            ros.run(0.2)
+            if len(found) > 1:
+                break
         example.send_signal(signal.SIGINT)
         assert example.wait(timeout=60) == 0
     finally:
@@ -88,3 +102,32 @@ def test_clouds_become_surfaces(ros, tmp_path, kind, names):
         np.tile(MOVED_M[:measured], (len(displacement), 1)), abs=1e-8
     )
     assert np.isnan(displacement[:, measured:]).all()
+
+
+def test_documented_files_are_imported(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (description,) = blocks(TEXT, "yaml")
+    Path("dotted_gel.yaml").write_text(description, "utf-8")
+    rest = load_sensor("dotted_gel.yaml").pattern.corners()
+    np.save("finger.npy", 1e3 * np.stack([rest, rest - [0.0, 0.0, 1e-5]]))
+    rows = [(0, *at, *2e4 * rest[at][:2], *2e4 * rest[at][:2]) for at in np.ndindex(7, 9)]
+    header = "frameno, row, col, Ox, Oy, Cx, Cy"
+    np.savetxt("tracking_data.csv", rows, delimiter=",", header=header, comments="")
+    commands = [line.split() for line in shell_lines(TEXT) if "import markers" in line]
+    assert len(commands) == 2
+    for words in commands:
+        assert main(words[1:]) == 0
+        name = Path(words[3]).stem
+        assert {path.suffix for path in Path("results").glob(f"{name}*")} == {
+            ".mcap",
+            ".csv",
+            ".yaml",
+        }
+
+
+def test_documented_python_gives_a_press():
+    (code,) = blocks(TEXT, "python")
+    printed = output_of("-c", code)
+    fx, fy, fz = (float(word) for word in printed.split("]")[0].strip("[").split())
+    assert -10 < fz < -0.1
+    assert abs(fx) + abs(fy) < 0.01 * abs(fz)
