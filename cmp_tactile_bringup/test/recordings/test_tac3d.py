@@ -184,6 +184,30 @@ def test_markers_that_are_no_numbers_are_missing_and_what_is_not_recorded_is_unk
     assert agreement(np.ones((12, 3)), recording.wrench[:, :3]) is None
 
 
+def test_a_marker_that_is_never_seen_is_missing_and_the_others_serve(folder, arrays, tmp_path):
+    for name in ("3D_Positions", "3D_Displacements"):
+        values = arrays[name].copy()
+        values[:, [25, 209]] = np.nan
+        np.save(folder / f"{name}.npy", values)
+    assert main(["import", "tac3d", str(folder), "--output", str(tmp_path)]) == 0
+    table = np.genfromtxt(tmp_path / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
+    assert table["fz_N"][-1] == pytest.approx(FORCE_N[2], rel=0.05)
+    found = load_sensor(str(tmp_path / f"{SERIAL}.yaml")).pattern
+    assert found.pitch == pytest.approx(PITCH_M, rel=1e-3)
+    assert found.surface.radius == pytest.approx(RADIUS_M, rel=0.02)
+
+
+def test_sensors_with_fewer_markers_are_described(folder, arrays, sensor):
+    """As those of the kinds DS1 and B1, of 16 x 16."""
+    for name in ("3D_Positions", "3D_Displacements", "3D_Forces"):
+        part = arrays[name].reshape(12, 20, 20, 3)[:, :16, :16]
+        np.save(folder / f"{name}.npy", part.reshape(12, 256, 3))
+    recording = read_tac3d(folder)
+    pattern = recording.described(sensor).pattern
+    assert (pattern.rows, pattern.cols) == (16, 16)
+    assert np.abs(recording.reference - pattern.corners())[..., :2].max() < 3e-6
+
+
 def test_an_index_that_begins_again_counts_nothing_as_lost(folder):
     np.save(folder / "index.npy", np.array([100, 101, 103, 0, 1, 2, 3, 4, 5, 6, 7, 8]))
     assert read_tac3d(folder).lost == 1
@@ -203,6 +227,7 @@ def test_frames_out_of_order_and_repeated_ones_are_put_right(folder, arrays):
     [
         ("3D_Positions", lambda a: a[0], r"3D_Positions.*shape \(400, 3\).*\(frames, markers, 3\)"),
         ("3D_Positions", lambda a: a[:, :399], r"3D_Displacements.*shape.*3D_Positions has them"),
+        ("3D_Positions", lambda a: np.nan * a, r"3D_Positions.*0 of 400 markers with numbers"),
         ("3D_Positions", lambda a: 1e-3 * a, r"3D_Positions.*apart.*0\.1 to 20 mm"),
         ("3D_Displacements", lambda a: a[:-1], r"3D_Displacements.*12 frames of 1200 numbers"),
         ("sendTimestamp", lambda a: -a, r"sendTimestamp.*negative"),

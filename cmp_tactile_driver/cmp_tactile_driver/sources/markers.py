@@ -62,9 +62,7 @@ def read_markers(
     rest = (
         position[:rest_frames] if given is None else _on_grid(path, REFERENCE, given[None], shape)
     )
-    known = np.asarray(np.isfinite(rest).any(axis=0))
-    rest = np.nanmedian(np.where(known, rest, 0.0), axis=0)
-    rest[~known] = np.nan
+    rest = median_known(rest)
     scale = _scale(path, rest, pattern, unit)
     corners = pattern.corners()
     shift = [
@@ -73,8 +71,15 @@ def read_markers(
     ]
     reference = scale * rest + shift
     # Markers that are known in the plane alone lie on the described surface.
-    reference[..., 2] = np.where(known[..., 2], reference[..., 2], corners[..., 2])
+    reference[..., 2] = np.where(np.isfinite(rest[..., 2]), reference[..., 2], corners[..., 2])
     return MarkerRecording(path.stem, stamps, 0, reference, scale * (position - rest))
+
+
+def median_known(positions: Array) -> Array:
+    """Median (...) of frames (n, ...), NaN left out; NaN where there is nothing else."""
+    known = np.asarray(np.isfinite(positions).any(axis=0))
+    median = np.nanmedian(np.where(known, positions, 0.0), axis=0)
+    return np.where(known, median, np.nan)
 
 
 def _read_arrays(path: Path) -> Mapping[str, NDArray[Any]]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.markers import MarkerRecording
+from cmp_tactile_driver.sources.markers import LEAST_KNOWN, MarkerRecording, median_known
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -53,11 +53,12 @@ class Tac3dRecording(MarkerRecording):
         """Mean distance of neighbouring markers at rest, m."""
         along_x = np.diff(self.reference[..., 0], axis=1)
         along_y = np.diff(self.reference[..., 1], axis=0)
-        return float(np.mean([along_x.mean(), along_y.mean()]))
+        return float(np.mean([np.nanmean(along_x), np.nanmean(along_y)]))
 
     def described(self, sensor: SensorDescription) -> SensorDescription:
         """The description with grid, pitch and surface of this sensor, from its markers at rest."""
-        x, y, z = self.reference.reshape(-1, 3).T
+        rest = self.reference.reshape(-1, 3)
+        x, y, z = rest[np.isfinite(rest).all(axis=1)].T
         # Depth of a sphere below its apex: q = s / 2R + s^2 / 8R^3, s = x^2 + y^2.
         s, bend = x**2 + y**2, 0.0
         for _ in range(SPHERE_STEPS):
@@ -109,7 +110,7 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
         return _turned(arrays[name].reshape(frames, -1, 3)[order], (side, side))
 
     moved = on_grid(DISPLACEMENTS)
-    rest = np.nanmedian(on_grid(POSITIONS) - moved, axis=0)
+    rest = median_known(on_grid(POSITIONS) - moved)
     wrong = _wrong_at_rest(rest)
     if wrong:
         raise FrameSourceError(f"{folder / POSITIONS}.npy: {wrong}")
@@ -146,7 +147,8 @@ class RunningTac3d:
         position, moved = (self._markers(frame, name) for name in (POSITIONS, DISPLACEMENTS))
         if self._origin is None:
             rest = position - moved
-            wrong = _wrong_at_rest(rest)
+            # Others would count from markers that are missing.
+            wrong = _wrong_at_rest(rest, least=1.0)
             if wrong:
                 raise FrameSourceError(f"frame: {POSITIONS}: {wrong}")
             self._origin = _origin(rest)
@@ -180,8 +182,10 @@ def _turned(values: Array, shape: tuple[int, int]) -> Array:
 def _origin(rest: Array) -> Array:
     """The gel frame's origin, (3,) mm in the sensor's: amid the markers, at the apex."""
     i, j = rest.shape[0] // 2, rest.shape[1] // 2
-    origin = rest.mean(axis=(0, 1))
-    origin[2] = rest[i - 1 : i + 1, j - 1 : j + 1, 2].mean()
+    origin = np.nanmean(rest, axis=(0, 1))
+    # The highest where none of the middle is known.
+    middle = rest[i - 1 : i + 1, j - 1 : j + 1, 2]
+    origin[2] = np.nanmean(middle) if np.isfinite(middle).any() else np.nanmax(rest[..., 2])
     return np.asarray(origin)
 
 
@@ -224,15 +228,23 @@ def _checked_shapes(folder: Path, arrays: dict[str, Array]) -> tuple[int, int]:
     return frames, markers
 
 
-def _wrong_at_rest(rest: Array) -> str:
-    """What is wrong with markers (rows, cols, 3) mm at rest; empty where nothing is."""
+def _wrong_at_rest(rest: Array, least: float = LEAST_KNOWN) -> str:
+    """What is wrong with markers (rows, cols, 3) mm at rest; empty where nothing is.
+
+    least: share of them that must be known.
+    """
     steps = rest[:, 1:, 0] - rest[:, :-1, 0], rest[1:, :, 1] - rest[:-1, :, 1]
     every = np.concatenate([step.ravel() for step in steps])
-    low, high = PITCH_MM
-    # Not as "below or above": NaN is neither.
-    if not (every.min() >= low and every.max() <= high and np.isfinite(rest).all()):
+    known = every[np.isfinite(every)]
+    if len(known) < least * len(every):
         return (
-            f"found neighbours that are {every.min():.4g} to {every.max():.4g} apart along x and "
+            f"found {np.isfinite(rest).all(axis=-1).sum()} of {rest[..., 0].size} markers with "
+            f"numbers at rest, expected {least:.0%} of them or more"
+        )
+    low, high = PITCH_MM
+    if not (known.min() >= low and known.max() <= high):
+        return (
+            f"found neighbours that are {known.min():.4g} to {known.max():.4g} apart along x and "
             f"y, expected {low:g} to {high:g} mm, falling from the first marker to the last"
         )
     return ""
