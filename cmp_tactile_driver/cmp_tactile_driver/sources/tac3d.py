@@ -32,6 +32,8 @@ REQUIRED = (POSITIONS, DISPLACEMENTS, STAMPS)
 MILLI = 1e-3
 # Markers are so far apart, mm; else lengths are in another unit.
 PITCH_MM = 0.1, 20.0
+# Of positions less displacements, all but some lie within this of the markers at rest.
+MOST_LEFT_MM, USUAL_SHARE = 0.2, 0.99
 # The surface is flat where its radius is larger, m.
 LARGEST_RADIUS_M = 1.0
 SPHERE_STEPS = 4
@@ -110,8 +112,9 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
         return _turned(arrays[name].reshape(frames, -1, 3)[order], (side, side))
 
     moved = on_grid(DISPLACEMENTS)
-    rest = median_known(on_grid(POSITIONS) - moved)
-    wrong = _wrong_at_rest(rest)
+    at_rest = on_grid(POSITIONS) - moved
+    rest = median_known(at_rest)
+    wrong = _wrong_at_rest(rest) or _wrong_motion(at_rest - rest)
     if wrong:
         raise FrameSourceError(f"{folder / POSITIONS}.npy: {wrong}")
     origin = _origin(rest)
@@ -248,6 +251,17 @@ def _wrong_at_rest(rest: Array, least: float = LEAST_KNOWN) -> str:
             f"y, expected {low:g} to {high:g} mm, falling from the first marker to the last"
         )
     return ""
+
+
+def _wrong_motion(left: Array) -> str:
+    """What is wrong where displacements leave so much (..., 3) mm of the motion; or empty."""
+    most = float(np.nanquantile(np.abs(left), USUAL_SHARE))
+    if most <= MOST_LEFT_MM:
+        return ""
+    return (
+        f"found positions less {DISPLACEMENTS} that move by {most:.2g} mm, expected the markers at "
+        f"rest, to {MOST_LEFT_MM} mm: both must be in mm"
+    )
 
 
 def _lost(index: Array) -> int:
