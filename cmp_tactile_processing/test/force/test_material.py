@@ -314,6 +314,7 @@ def test_small_loads_whose_noise_hides_them_do_not_widen_the_error_bar():
     reference[:, 2] = -np.linspace(2.0, 7.0, 12)
     reference[0, 2] = -0.02
     noise = np.random.default_rng(5).normal(0, 0.1, 12)
+    noise[0] = 0.2
     readings = Readings(
         shown=reference + noise[:, None] * [0, 0, 1],
         shown_std=np.full((12, 3), 1e-3),
