@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,13 @@ from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, Ze
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
+Shown: TypeAlias = "NDArray[np.uint8] | Surface"
+"""A camera frame, or the surface that a sensor without a camera has measured."""
+
 
 @dataclass(frozen=True)
 class PipelineResult:
-    """What one frame showed.  A monocular sensor's other grid is None."""
+    """What one frame showed.  A monocular sensor's other grid is None, and both of a surface."""
 
     left: Grid | None
     right: Grid | None
@@ -47,8 +51,9 @@ class Pipeline:
         """
         self._sensor = sensor
         with compiling_is_logged():
-            self._rig = StereoRig(sensor)
-            self._views = [_TrackedView(sensor, view) for view in self._rig.views.values()]
+            self._rig = StereoRig(sensor) if sensor.views else None
+            views = self._rig.views if self._rig else {}
+            self._views = [_TrackedView(sensor, view) for view in views.values()]
             self._threads = ViewThreads(len(self._views))
             self._force = ForceStage(sensor)
             self._keeper = ReferenceKeeper(Reference.nominal(sensor))
@@ -56,33 +61,39 @@ class Pipeline:
         self._keeper.zero(ZeroParameters(auto_reference=auto_reference))
         self._reference_note = ""
 
-    def process(self, frame: NDArray[np.uint8], stamp_ns: int | None = None) -> PipelineResult:
+    def process(self, frame: Shown, stamp_ns: int | None = None) -> PipelineResult:
         """Everything that a frame, (H, W) grey or (H, W, 3) BGR uint8, shows.
 
+        A surface that was measured elsewhere keeps its reference until one is taken.
         stamp_ns: when it was taken; relaxation of the gel is taken out only where that is known.
         Raises FrameError for a frame of another size or type.
         """
         grids, markers = self._measure(frame)
         if self._auto:
             self._reference_note = self._keeper.add(markers, stamp_ns or 0) or self._reference_note
-        surface = self._keeper.reference.surface(markers)
+        reference = self._keeper.reference
+        if isinstance(markers, Surface) and not reference.id:
+            surface = markers
+        else:
+            surface = reference.surface(markers)
         force = self._force.process(surface, stamp_ns)
         return PipelineResult(grids.get("left"), grids.get("right"), surface, force)
 
-    def set_reference(self, frames: Iterable[NDArray[np.uint8]], stamp_ns: int = 0) -> None:
+    def set_reference(self, frames: Iterable[Shown], stamp_ns: int = 0) -> None:
         """Measure displacements against the mean of these frames of the gel at rest from now on.
 
-        stamp_ns: of the last of them, for who wants to know when it was.
-        The print is judged from them, too: see `print_defects`.  Raises ReferenceFramesError where
-        they cannot serve, FrameError for a wrong frame; all then stays as it was.
+        stamp_ns: of the last of them, kept as the time of the reference.
+        The print is judged from images, too: see `print_defects`.  Raises ReferenceFramesError
+        where they cannot serve, FrameError for a wrong frame; all then stays as it was.
         """
         frames = list(frames)
         markers = [self._measure(frame)[1] for frame in frames]
         Reference.average(markers, 0)  # raises where they cannot serve, before anything changes
         known = self.print_defects
+        images = [frame for frame in frames if not isinstance(frame, Surface)]
         try:
-            for view in self._views:
-                view.inspect_print(frames)
+            for view in self._views if images else ():
+                view.inspect_print(images)
         except ReferenceFramesError:
             for view in self._views:
                 view.tracker.use_print_defects(known[view.name])
@@ -110,9 +121,12 @@ class Pipeline:
             view.tracker.reset()
         self._force.reset()
 
-    def _measure(self, frame: NDArray[np.uint8]) -> tuple[dict[str, Grid], Markers3D]:
+    def _measure(self, frame: Shown) -> tuple[dict[str, Grid], Markers3D]:
+        if isinstance(frame, Surface):
+            return {}, frame
         frame = np.asarray(frame)
         check_image(frame, *self._sensor.frame_size, "frame")
+        assert self._rig is not None  # noqa: S101  what has a frame size has views
         tracked = self._threads.map(lambda view: view.track(frame), self._views)
         grids = {view.name: grid for view, grid in zip(self._views, tracked, strict=True)}
         return grids, self._rig.triangulate(grids.get("left"), grids.get("right"))

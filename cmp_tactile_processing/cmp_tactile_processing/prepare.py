@@ -40,7 +40,8 @@ def _prepare_trackers(sensor: SensorDescription) -> None:
 
 
 def _prepare_stereo(sensor: SensorDescription) -> None:
-    StereoRig(sensor)
+    if sensor.views:
+        StereoRig(sensor)
     ReferenceKeeper(Reference.nominal(sensor))
 
 

@@ -93,6 +93,20 @@ def test_displacement_is_relative_to_the_reference_which_a_reset_keeps(sensor, s
     assert np.abs(released.displacement - expected).mean() < 2 * MEAN_ERROR_M
 
 
+def test_a_surface_gives_the_force_of_its_frame_and_may_be_a_reference(sensor, stills):
+    pipeline = Pipeline(sensor)
+    rest, press = (pipeline.process(stills[name].frame) for name in ("rest", "press"))
+    again = pipeline.process(press.surface)
+    assert again.force.wrench == pytest.approx(press.force.wrench)
+    assert again.left is None
+    assert again.right is None
+    pipeline.set_reference([rest.surface])
+    against = pipeline.process(press.surface).surface
+    assert against.reference_id == 1
+    moved = press.surface.position - rest.surface.position
+    np.testing.assert_allclose(against.displacement, moved, atol=1e-12)
+
+
 def test_a_bad_reference_leaves_the_old_one(pipeline, stills):
     with pytest.raises(ReferenceFramesError, match="moving"):
         pipeline.set_reference([stills["rest"].frame, stills["slide"].frame])

@@ -5,26 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
-from cmp_tactile_driver.bags import reader
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
-from cmp_tactile_driver.bags.recording import is_bag, open_recording
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
-from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
+from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Markers3D, Surface
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
-from cmp_tactile_processing.ros.messages.making import SURFACE
-from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
@@ -177,36 +172,44 @@ def read_motion(
     """
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source, report)
-    surface_topic = _surface_topic(path, topic)
     doing = f"reading {source}"
     report(doing, 0.0)
-    if surface_topic:
-        motion = _read_surfaces(path, surface_topic, sensor)
-    else:
-        motion = _read_images(path, topic, sensor, rest_s)
+    motion = _read(path, topic, sensor, rest_s)
     report(doing, 1.0)
     return motion
 
 
-def _read_images(
+def _read(
     path: Path, topic: str, sensor: SensorDescription, rest_s: tuple[float, float] | None
 ) -> GelMotion:
-    size = sensor.frame_size
     recording = open_recording(
-        path, topic=topic, frame_rate=FOLDER_RATE_HZ, frame_id="", expected_size=size
+        path,
+        topic=topic,
+        frame_rate=FOLDER_RATE_HZ,
+        frame_id="",
+        expected_size=sensor.frame_size if sensor.views else None,
+        shape=sensor.pattern.shape,
     )
-    camera = MarkerCamera(sensor)
+    camera = None
     stamps: list[int] = []
     markers: list[Markers3D] = []
     for frame in recording.messages():
-        if isinstance(frame, reader.RecordedFrame):
-            stamps.append(frame.stamp_ns)
+        if isinstance(frame, RecordedFrame):
+            camera = camera or MarkerCamera(sensor)
             markers.append(camera.markers(frame.image))
+        elif isinstance(frame, RecordedSurface):
+            markers.append(frame.content)
+        else:
+            continue
+        stamps.append(frame.stamp_ns)
     doubts = (
         recording.health.summary,
         calibration_mismatch(recording.calibration(), sensor),
     )
     stamp_ns = np.array(stamps, np.int64)
+    surfaces = [item for item in markers if isinstance(item, Surface)]
+    if surfaces and rest_s is None:
+        return _moved(str(path), stamp_ns, surfaces, range(0), doubts)
     time_s = (stamp_ns - stamp_ns[0]) * 1e-9
     rest = _rest_frames(str(path), time_s, np.stack([item.position for item in markers]), rest_s)
     return displaced(str(path), sensor, (stamp_ns, markers), rest, doubts)
@@ -235,6 +238,16 @@ def displaced(
     if touched:
         doubts += (f"{which} are taken for rest, but {touched}",)
     surfaces = [reference.surface(item) for item in markers]
+    return _moved(source, stamps, surfaces, rest, doubts)
+
+
+def _moved(
+    source: str,
+    stamps: NDArray[np.int64],
+    surfaces: list[Surface],
+    rest: range,
+    doubts: tuple[str, ...],
+) -> GelMotion:
     return GelMotion(
         source=source,
         stamp_ns=stamps,
@@ -262,46 +275,3 @@ def _rest_frames(
         )
         raise RecordingError(msg)
     return range(int(chosen[0]), int(chosen[-1]) + 1)
-
-
-def _surface_topic(path: Path, topic: str) -> str:
-    """The surface topic to be read; empty where images are."""
-    if not path.exists() or (path.is_dir() and not is_bag(path)):
-        return ""
-    storage = open_storage(path)
-    kinds = storage.topics
-    if topic:
-        return topic if kinds.get(topic) == SURFACE else ""
-    if any(kind.startswith("sensor_msgs/msg/") and "Image" in kind for kind in kinds.values()):
-        return ""
-    surfaces = [name for name, kind in sorted(kinds.items()) if kind == SURFACE]
-    if len(surfaces) == 1:
-        return surfaces[0]
-    found = ", ".join(surfaces) or ", ".join(kinds) or "none"
-    expected = "--topic to name one" if surfaces else f"images or {SURFACE}"
-    msg = f"{path}: found the topics {found}, expected {expected}"
-    raise RecordingError(msg)
-
-
-def _read_surfaces(path: Path, topic: str, sensor: SensorDescription) -> GelMotion:
-    storage = open_storage(path)
-    stamps: list[int] = []
-    surfaces: list[Surface] = []
-    for stored in storage.messages([topic]):
-        try:
-            message: Any = simulation_typestore().deserialize_cdr(stored.data, SURFACE)
-            surfaces.append(surface_from_msg(message, sensor.pattern.shape))
-        except (*reader.BAD_MESSAGE, GeometryError) as error:
-            msg = f"{path}: {topic} at {stored.time_ns} ns: no surface of {sensor.name}: {error}"
-            raise RecordingError(msg) from None
-        stamps.append(stamp_ns(message.header.stamp))
-    if not surfaces:
-        msg = f"{path}: {topic}: found no surface, expected some"
-        raise RecordingError(msg)
-    return GelMotion(
-        source=str(path),
-        stamp_ns=np.array(stamps, np.int64),
-        displacement=np.stack([item.displacement for item in surfaces]),
-        status=np.stack([item.status for item in surfaces]),
-        doubts=(storage.loss,) if storage.loss else (),
-    )

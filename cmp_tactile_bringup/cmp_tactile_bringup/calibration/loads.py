@@ -444,7 +444,7 @@ def samples_of_sensor(
         what = f"{sampling.least_frames} still frames in a row" if sampling.steady else "frame"
         msg = (
             f"{motion.source}: found no {what} in which the gel is pressed and the force known, "
-            "expected some"
+            f"expected some{'; --every-frame takes frames in motion' if sampling.steady else ''}"
         )
         raise RecordingError(msg)
     every = max(1, -(-len(loaded) // sampling.most))

@@ -44,6 +44,7 @@ SUBCOMMANDS = {
 }
 IMPORTS = {
     "tac3d": ("imported.Tac3d", "recordings of a Tac3D sensor, with its own forces beside ours"),
+    "markers": ("imported.Markers", "a file with positions of markers that any tracker has found"),
 }
 CALIBRATIONS = {
     "board": ("optics.Board", "camera and mirrors from images of a board"),

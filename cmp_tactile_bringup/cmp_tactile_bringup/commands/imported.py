@@ -2,78 +2,120 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.options import Command, argument, option
+from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from cmp_tactile_bringup.offline.imported import Agreement
-    from cmp_tactile_driver.sources.tac3d import Tac3dRecording
+    from cmp_tactile_driver.sources.markers import MarkerRecording
     from cmp_tactile_processing.sensor.description import SensorDescription
+
+SENSOR = "file of a sensor description or name of a packaged one: what the gel is"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tac3d(Command):
+class _Import(Command):
+    """Options of where results are written."""
+
+    output: Annotated[Path, option("where to write", metavar="DIR")]
+    overwrite: Annotated[bool, option("replace files that are there already")] = False
+
+    def write(self, imports: Sequence[tuple[MarkerRecording, SensorDescription]]) -> int:
+        """Write the files of each recording of a sensor, and print what they are."""
+        from cmp_tactile_bringup.offline.imported import check_free, write_import
+        from cmp_tactile_bringup.terminal.output import output_console, print_line
+
+        console, output = output_console(), self.output.expanduser()
+        for recording, _ in imports:
+            if not self.overwrite:
+                check_free(recording, output)
+        output.mkdir(parents=True, exist_ok=True)
+        for recording, sensor in imports:
+            found = write_import(recording, sensor, output)
+            _report(recording, sensor, output, console)
+            if found.agreement is not None:
+                _report_agreement(recording.name, found.agreement, console)
+            for doubt in found.doubts:
+                print_line(console, f"warning: {recording.name}: {doubt}", "yellow")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tac3d(_Import):
     """Take over recordings of Tac3D sensors: folders with 3D_Positions.npy, 3D_Displacements.npy
     and what else its recorder writes. Force and slip are worked out from the displacements.
     Written are SERIAL.mcap (surface, force field and wrench as the nodes publish them, and the
     sensor's own as tac3d/wrench and tac3d/force_points), SERIAL_wrench.csv, and SERIAL.yaml, the
-    description with pitch and surface of this very sensor. `cmp_tactile view SERIAL.mcap` shows
-    the result, `ros2 bag play` sends it to nodes and RViz.
+    description with grid, pitch and surface of this very sensor. `cmp_tactile view SERIAL.mcap`
+    shows the result, `process`, `calibrate force` and `replay` go on from its surfaces.
     """
 
     folder: Annotated[Path, argument("FOLDER", "of one sensor, or with folders of several")]
-    output: Annotated[Path, option("where to write", metavar="DIR")]
-    sensor: Annotated[
-        str, option("file of a sensor description or name of a packaged one: what the gel is")
-    ] = "tac3d_ad2"
-    calibrate: Annotated[
-        bool, option("take Young's modulus from the sensor's own resultant force")
-    ] = False
-
-    overwrite: Annotated[bool, option("replace files that are there already")] = False
+    sensor: Annotated[str, option(SENSOR)] = "tac3d_ad2"
 
     def run(self) -> int:
         """Import each sensor's recording, and print how the two forces agree."""
-        from cmp_tactile_bringup.offline.imported import (
-            check_free,
-            with_own_modulus,
-            write_import,
-        )
-        from cmp_tactile_bringup.terminal.output import output_console
         from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
         from cmp_tactile_processing.sensor.description import load_sensor
 
-        console, sensor = output_console(), load_sensor(self.sensor)
-        output = self.output.expanduser()
+        sensor = load_sensor(self.sensor)
         recordings = [read_tac3d(folder) for folder in tac3d_folders(self.folder.expanduser())]
-        for recording in recordings:
-            if not self.overwrite:
-                check_free(recording, output)
-        output.mkdir(parents=True, exist_ok=True)
-        for recording in recordings:
-            own = recording.described(sensor)
-            if self.calibrate:
-                own = with_own_modulus(recording, own)
-            found = write_import(recording, own, output)
-            _report(recording, own, found, output, console)
-        return 0
+        return self.write([(recording, recording.described(sensor)) for recording in recordings])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Markers(_Import):
+    """Take over positions of markers that any tracker has found, in the plane or in 3-D: an .npy
+    array (frames, rows, cols, 2 or 3), an .npz file with such an array as position (and reference,
+    time_s or stamp_ns), or a .csv table with a row for each marker of each frame. x grows with the
+    column, y with the row; NaN is a marker that was not seen. Force and slip are worked out.
+    Written are NAME.mcap, NAME_wrench.csv and NAME.yaml, as `import tac3d` writes them.
+    """
+
+    file: Annotated[Path, argument("FILE", "an .npy, .npz or .csv file")]
+    sensor: Annotated[str, option(SENSOR)]
+    unit: Annotated[
+        str,
+        option(
+            "of lengths in the file; px: of an image that shows the gel from inside, to which the "
+            "pitch of the description gives the scale",
+            Choice(("m", "mm", "px")),
+        ),
+    ] = "m"
+    frame_rate: Annotated[
+        float, option("where the file has no times", Number(0.01, 10_000, "Hz"))
+    ] = 30.0
+    rest_frames: Annotated[
+        int,
+        option(
+            "of the beginning, in which nothing touches the gel, to count displacement from where "
+            "the file has no reference",
+            Number(1, 1000, kind=int),
+        ),
+    ] = 1
+
+    def run(self) -> int:
+        """Import the file."""
+        from cmp_tactile_driver.sources.markers import read_markers
+        from cmp_tactile_processing.sensor.description import load_sensor
+
+        sensor, path = load_sensor(self.sensor), self.file.expanduser()
+        recording = read_markers(path, sensor.pattern, self.unit, self.frame_rate, self.rest_frames)
+        return self.write([(recording, sensor)])
 
 
 def _report(
-    recording: Tac3dRecording,
-    sensor: SensorDescription,
-    found: Agreement | None,
-    output: Path,
-    console: Console,
+    recording: MarkerRecording, sensor: SensorDescription, output: Path, console: Console
 ) -> None:
     from cmp_tactile_bringup.terminal.output import print_line
 
-    frames, name = len(recording.stamp_ns), recording.serial
+    frames, name = len(recording.stamp_ns), recording.name
     lost = f", {recording.lost} more were lost" if recording.lost else ""
     print_line(console, f"{name}: {frames} frames{lost} -> {output / name}.mcap")
     pattern, gel = sensor.pattern, sensor.elastomer
@@ -85,9 +127,11 @@ def _report(
     print_line(
         console, f"{name}: pitch {1e3 * pattern.pitch:.3f} mm, {shape}, E {gel.young / 1e6:.3f} MPa"
     )
-    if found is None:
-        print_line(console, f"{name}: the sensor says nothing of its force")
-        return
+
+
+def _report_agreement(name: str, found: Agreement, console: Console) -> None:
+    from cmp_tactile_bringup.terminal.output import print_line
+
     along = ", ".join(
         f"{axis} {correlation:.3f} ({left:.2f} N)"
         for axis, correlation, left in zip("xyz", found.correlation, found.left, strict=True)

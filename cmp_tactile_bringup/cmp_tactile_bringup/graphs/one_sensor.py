@@ -288,7 +288,7 @@ def _by_clock(settings: SensorSettings) -> dict[str, Value]:
 def _processing(
     sensor: GraphSensor, settings: SensorSettings, look: Mapping[str, Value]
 ) -> Iterator[Component]:
-    """From camera frames to forces."""
+    """From camera frames to forces; from surfaces of a sensor without views."""
 
     def node(plugin: str, name: str, **parameters: Value) -> Component:
         given = _by_clock(settings) | parameters
@@ -303,10 +303,14 @@ def _processing(
     yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True, **steps)
     # After what a controller waits for.
     yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
-    yield node("StereoTriangulator", "stereo_triangulator")
+    if sensor.views:
+        yield node("StereoTriangulator", "stereo_triangulator")
     for view in sensor.views:
         yield node("GridlineTracker", f"{view}_gridline_tracker", view=view)
+    if not (sensor.views or settings.parent_frame):
+        return
     mount = list(settings.mount if settings.parent_frame else (0.0,) * 6)
+    # Its transforms mount a sensor without a camera, too.
     yield node(
         "ViewSplitter",
         "view_splitter",

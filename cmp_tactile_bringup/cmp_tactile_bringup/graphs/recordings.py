@@ -11,6 +11,7 @@ from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_sour
 from cmp_tactile_driver.bags.recording import open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import ReplayParameters
+from cmp_tactile_processing.sensor.description import load_sensor
 
 REPLAY = "cmp_tactile_driver::Replay"
 RECORDER = "cmp_tactile_driver::Recorder"
@@ -60,6 +61,9 @@ def check_recordings(graph: Graph) -> None:
                     frame_rate=ReplayParameters.frame_rate,
                     frame_id="",
                     expected_size=None,
+                    shape=load_sensor(
+                        str(component.parameters["sensor_description"])
+                    ).pattern.shape,
                 )
         except FrameSourceError as error:
             raise ComponentLoadError(f"{component.label}: {error}") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,8 +20,8 @@ from cmp_tactile_bringup.offline.outputs import (
     csv_table,
 )
 from cmp_tactile_bringup.recordings import results
-from cmp_tactile_bringup.recordings.library import RecordingError
-from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.reader import RecordedSurface
+from cmp_tactile_driver.sources.markers import MarkerRecording
 from cmp_tactile_driver.sources.tac3d import Tac3dRecording
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, Surface
@@ -40,7 +40,17 @@ NS_PER_S = 10**9
 SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 REFERENCE = "markers at rest, as the sensor has them"
-NO_IMAGE = np.zeros((0, 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """agreement: of our forces and the sensor's own; None where it says nothing of a force.
+
+    doubts: why forces may not be trusted, a line each.
+    """
+
+    agreement: Agreement | None
+    doubts: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -57,79 +67,58 @@ class Agreement:
     frames: int
 
 
-def forces_of(
-    recording: Tac3dRecording, sensor: SensorDescription
-) -> Iterator[tuple[Surface, ForceField]]:
-    """Surface and force field of each frame."""
-    stage, shape = ForceStage(sensor), sensor.pattern.shape
-    for moved, stamp in zip(recording.displacement, recording.stamp_ns.tolist(), strict=True):
-        surface = Surface.from_positions(shape, recording.reference, recording.reference + moved)
-        yield surface, stage.process(surface, stamp)
-
-
-def with_own_modulus(recording: Tac3dRecording, sensor: SensorDescription) -> SensorDescription:
-    """The description with the modulus at which our force is nearest to the sensor's own.
-
-    Forces are proportional to it.  Raises RecordingError where the sensor says nothing of a force.
-    """
-    ours = np.array([field.wrench[:3] for _, field in forces_of(recording, sensor)])
-    found = agreement(ours, recording.wrench[:, :3])
-    if found is None or found.scale <= 0:
-        msg = f"{recording.serial}: found no resultant force, expected one to calibrate with"
-        raise RecordingError(msg)
-    gel = sensor.elastomer
-    layer = replace(gel.shading_layer, young=float(round(found.scale * gel.shading_layer.young)))
-    gel = replace(gel, young=float(round(found.scale * gel.young)), shading_layer=layer)
-    return replace(sensor, elastomer=gel)
-
-
-def check_free(recording: Tac3dRecording, folder: Path) -> None:
+def check_free(recording: MarkerRecording, folder: Path) -> None:
     """Raise OutputError where one of the files to be written is there already."""
     for suffix in SUFFIXES:
-        path = folder / f"{recording.serial}{suffix}"
+        path = folder / f"{recording.name}{suffix}"
         if path.exists():
             raise OutputError(f"{path}: exists already; --overwrite replaces it")
 
 
-def write_import(
-    recording: Tac3dRecording, sensor: SensorDescription, folder: Path
-) -> Agreement | None:
-    """Write SERIAL.mcap, SERIAL_wrench.csv and SERIAL.yaml; each is there whole or not at all.
-
-    Returns how our forces and the sensor's own agree; None where it says nothing of a force.
-    """
-    ours = []
+def write_import(recording: MarkerRecording, sensor: SensorDescription, folder: Path) -> Imported:
+    """Write NAME.mcap, NAME_wrench.csv and NAME.yaml; each is there whole or not at all."""
+    ours, flags = [], results.ForceFlags()
     with TemporaryDirectory(prefix=".", dir=folder) as beside:
         with ExitStack() as stack:
-            path = Path(beside) / f"{recording.serial}.mcap"
+            path = Path(beside) / f"{recording.name}.mcap"
             bag = stack.enter_context(ResultBag(path, sensor, ()))
-            table = Path(beside) / f"{recording.serial}_wrench.csv"
+            table = Path(beside) / f"{recording.name}_wrench.csv"
             append_row = stack.enter_context(csv_table(table))
             facts = {"software": software_version(), "reference": REFERENCE}
             bag.describe(facts, sensor_description_text(sensor).encode())
-            for number, (frame, surface, field) in enumerate(_frames(recording, sensor)):
+            for number, (frame, field) in enumerate(_frames(recording, sensor)):
                 own = _own_messages(recording, number, making.gel_frame(sensor))
-                bag.append(frame, PipelineResult(None, None, surface, field), own)
+                bag.append(frame, PipelineResult(None, None, frame.content, field), own)
                 append_row(results.table_row(frame.stamp_ns, frame.time_s, field, ""))
                 ours.append(field.wrench[:3])
-        write_sensor_description(Path(beside) / f"{recording.serial}.yaml", sensor)
+                flags.add(field)
+        write_sensor_description(Path(beside) / f"{recording.name}.yaml", sensor)
         for made in sorted(Path(beside).iterdir()):
             made.replace(folder / made.name)
-    return agreement(np.array(ours), recording.wrench[:, :3])
+    found = None
+    if isinstance(recording, Tac3dRecording):
+        found = agreement(np.array(ours), recording.wrench[:, :3])
+    return Imported(found, tuple(flags.doubts))
 
 
 def _frames(
-    recording: Tac3dRecording, sensor: SensorDescription
-) -> Iterator[tuple[RecordedFrame, Surface, ForceField]]:
-    """Time, surface and our force field of each frame."""
+    recording: MarkerRecording, sensor: SensorDescription
+) -> Iterator[tuple[RecordedSurface, ForceField]]:
+    """Surface and our force field of each frame."""
+    stage, shape, rest = ForceStage(sensor), sensor.pattern.shape, recording.reference
     stamps = recording.stamp_ns.tolist()
-    for stamp, (surface, field) in zip(stamps, forces_of(recording, sensor), strict=True):
+    for stamp, moved in zip(stamps, recording.displacement, strict=True):
+        surface = Surface.from_positions(shape, rest, rest + moved)
         time_s = (stamp - stamps[0]) / NS_PER_S
-        yield RecordedFrame(time_s, stamp, stamp, "", NO_IMAGE), surface, field
+        yield RecordedSurface(time_s, stamp, stamp, surface), stage.process(surface, stamp)
 
 
-def _own_messages(recording: Tac3dRecording, number: int, gel_frame: str) -> Iterator[NamedMessage]:
+def _own_messages(
+    recording: MarkerRecording, number: int, gel_frame: str
+) -> Iterator[NamedMessage]:
     """What the sensor itself says of the force in a frame."""
+    if not isinstance(recording, Tac3dRecording):
+        return
     make = bag_messages()
     header = make.header(int(recording.stamp_ns[number]), gel_frame)
     wrench = make.wrench(recording.wrench[number])

@@ -30,7 +30,7 @@ from cmp_tactile_bringup.offline.jobs import Job, Options
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_driver.bags.mcap_writer import McapFile
-from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.reader import Recorded
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
@@ -91,7 +91,7 @@ class ResultBag:
 
     def append(
         self,
-        frame: RecordedFrame,
+        frame: Recorded,
         result: PipelineResult,
         more: Iterable[NamedMessage] = (),
     ) -> None:
@@ -122,7 +122,7 @@ class ResultBag:
         yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)
         yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
 
-    def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
+    def _write(self, topic: str, kind: str, message: Any, frame: Recorded) -> None:
         latched = topic == "/tf_static" or topic.endswith("/camera_info")
         definition = simulation_definition(kind).text
         self._file.add_topic(topic, kind, definition, [LATCHED] if latched else [])
@@ -192,7 +192,7 @@ class Outputs(ExitStack):
                 self._arrays = stack.enter_context(results.ArrayLog(folder / ".npz"))
             self.push(stack.pop_all())
 
-    def append(self, frame: RecordedFrame, result: PipelineResult, stamp_fault: str) -> None:
+    def append(self, frame: Recorded, result: PipelineResult, stamp_fault: str) -> None:
         """Write what came of the next frame."""
         self._bag.append(frame, result)
         row = results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault)

@@ -31,9 +31,9 @@ from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal.output import error_line, processor_name
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
-from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording
-from cmp_tactile_driver.bags.timeline import TimeSpan
+from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, locked
@@ -45,6 +45,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 NOMINAL = "nominal surface of the sensor description"
+AS_RECORDED = "reference of the recorded surfaces; they come without images, so there are no grids"
 NS_PER_S = 10**9
 STAMP_FAULTS = {
     frame_watch.Stamp.BACK: "went back; tracking starts again there",
@@ -74,7 +75,8 @@ class Processor:
             topic=options.topic,
             frame_rate=options.frame_rate,
             frame_id="",
-            expected_size=self._sensor.frame_size,
+            expected_size=self._sensor.frame_size if self._sensor.views else None,
+            shape=self._sensor.pattern.shape,
         )
         # Up to the first good frame, before any work is done for the others.
         next(_frames_of(self._recording), None)
@@ -95,17 +97,17 @@ class Processor:
         pipeline = Pipeline(self._sensor, self._options.auto_reference)
         self._take_reference(pipeline)
         watch, stamps = _Doubts(self._sensor, self._recording), _Stamps()
-        count = 0
+        count, is_surface = 0, False
         with Outputs(folder, self._job, self._sensor, self._options) as files:
             for frame in self._frames():
                 stamp_fault = stamps.add(frame)
                 if stamp_fault == frame_watch.Stamp.BACK.value:
                     # As the nodes do: what came before may be another recording.
                     pipeline.reset()
-                result = pipeline.process(frame.image, frame.stamp_ns)
+                result = pipeline.process(frame.content, frame.stamp_ns)
                 watch.add(result)
                 files.append(frame, result, stamp_fault)
-                count += 1
+                count, is_surface = count + 1, isinstance(frame, RecordedSurface)
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_frames(count)
         on_frames(count)
@@ -115,7 +117,7 @@ class Processor:
             frames=count,
             problem="; ".join(filter(None, problems)),
             doubts=tuple(filter(None, doubts)),
-            reference=pipeline.reference_note or NOMINAL,
+            reference=pipeline.reference_note or (AS_RECORDED if is_surface else NOMINAL),
         )
 
     def _doubt_of_reference(self, pipeline: Pipeline) -> str:
@@ -123,7 +125,7 @@ class Processor:
             return pipeline.reference_doubt
         return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
-    def _frames(self) -> Iterator[RecordedFrame]:
+    def _frames(self) -> Iterator[Recorded]:
         return _frames_between(self._recording, self._options.start_s, self._options.end_s)
 
     def _take_reference(self, pipeline: Pipeline) -> None:
@@ -131,7 +133,7 @@ class Processor:
         if not wanted:
             return
         frames = list(islice(self._frames(), wanted))
-        pipeline.set_reference([frame.image for frame in frames], frames[-1].stamp_ns)
+        pipeline.set_reference([frame.content for frame in frames], frames[-1].stamp_ns)
         # The recording is then gone through from its beginning, as if they had been others.
         pipeline.reset()
 
@@ -173,7 +175,7 @@ class _Stamps:
         self._watch = frame_watch.StampWatch()
         self._frames, self._last_ns, self._longest_ns = 0, 0, 0
 
-    def add(self, frame: RecordedFrame) -> str:
+    def add(self, frame: Recorded) -> str:
         """What is wrong with the stamp of a frame: "back", "repeated", "zero", "gap" or ""."""
         self._frames += 1
         passed = frame.stamp_ns - self._last_ns
@@ -201,20 +203,19 @@ class _Stamps:
             )
 
 
-def _frames_of(recording: Recording) -> Iterator[RecordedFrame]:
-    return (item for item in recording.messages() if isinstance(item, RecordedFrame))
+def _frames_of(recording: Recording, span: TimeSpan = WHOLE) -> Iterator[Recorded]:
+    return (item for item in recording.messages(span) if isinstance(item, Recorded))
 
 
-def _frames_between(recording: Recording, start_s: float, end_s: float) -> Iterator[RecordedFrame]:
+def _frames_between(recording: Recording, start_s: float, end_s: float) -> Iterator[Recorded]:
     """The frames from start_s up to end_s, in seconds from the first one.
 
     Raises FrameSourceError where there is none.
     """
     count = 0
-    for message in recording.messages(TimeSpan(start_s, end_s)):
-        if isinstance(message, RecordedFrame):
-            count += 1
-            yield message
+    for frame in _frames_of(recording, TimeSpan(start_s, end_s)):
+        count += 1
+        yield frame
     if not count:
         msg = (
             f"{recording.name}: found no frame from {start_s:g} to {end_s:g} s, "

@@ -31,6 +31,7 @@ from cmp_tactile_bringup.calibration.loads import (
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.recording.truth import read_truth
@@ -288,13 +289,13 @@ def test_a_recording_that_cannot_serve_is_reported(weigh_bag, tmp_path):
     with pytest.raises(RecordingError, match=r"rest: found no frame from 50 to 60 s"):
         read_motion(weigh_bag, sensor, rest_s=(50, 60))
     bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
-    with pytest.raises(RecordingError, match=r"found the topics /ft/wrench, expected images or"):
+    with pytest.raises(BagError, match=r"found the topics /ft/wrench .*; expected images or"):
         read_motion(bag, sensor)
     with pytest.raises(RecordingError, match="no such file or folder"):
         read_motion(Path("nowhere"), sensor)
     pattern = dataclasses.replace(sensor.pattern, rows=10)
     other = dataclasses.replace(sensor, pattern=pattern)
-    with pytest.raises(RecordingError, match=r"no surface of sample.*found 20, 20, "):
+    with pytest.raises(BagError, match=r"no frame can be used: .*found 20, 20, "):
         read_motion(weigh_bag, other, "/sample_rig/truth/surface")
 
 

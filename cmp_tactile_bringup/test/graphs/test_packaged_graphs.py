@@ -48,6 +48,15 @@ def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
     assert recorder.parameters["output"] == str(Path("there").resolve())
 
 
+def test_a_sensor_without_a_camera_has_no_camera_nodes():
+    graph = _load("sensor", source="topic", sensor="tac3d_ad2")
+    names = {component.name for component in graph.components}
+    assert names == {"force_reconstructor", "surface_visualizer"}
+    mounted = _load("sensor", source="topic", sensor="tac3d_ad2", parent_frame="hand")
+    # It sends the transform of the mount.
+    assert {component.name for component in mounted.components} == names | {"view_splitter"}
+
+
 @pytest.mark.parametrize(
     ("given", "awaited"),
     [

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from command_output import printed
 from mcap.reader import make_reader
 
 from cmp_tactile_bringup.command import main
@@ -68,7 +69,7 @@ def folder(arrays, tmp_path):
 
 def test_a_recording_is_turned_into_the_gel_frame(folder, sensor, arrays):
     recording = read_tac3d(folder)
-    assert recording.serial == SERIAL
+    assert recording.name == SERIAL
     assert recording.lost == 2
     assert recording.stamp_ns[:2].tolist() == [68_000_000_000, 68_033_333_333]
     # To the noise of a marker, and what the middle of a cap lies above that of its four corners.
@@ -115,13 +116,57 @@ def test_the_force_is_found_again_and_lies_beside_the_sensors_own(folder, tmp_pa
     assert main([*again, "--overwrite"]) == 0
 
 
-def test_calibrating_takes_the_modulus_from_the_sensors_own_force(folder, arrays, tmp_path):
+@pytest.fixture
+def imported(folder, arrays, tmp_path):
+    """The bag of an imported press, by a sensor with a force half as large again."""
     np.save(folder / "3D_ResultantForce.npy", 1.5 * arrays["3D_ResultantForce"])
-    words = ["import", "tac3d", str(folder), "--output", str(tmp_path), "--calibrate"]
-    assert main(words) == 0
-    found = load_sensor(str(tmp_path / f"{SERIAL}.yaml")).elastomer
+    assert main(["import", "tac3d", str(folder), "--output", str(tmp_path / "imported")]) == 0
+    return tmp_path / "imported" / f"{SERIAL}.mcap"
+
+
+def test_the_sensors_own_force_calibrates_the_gel(imported, tmp_path):
+    topic, new = "/AD2_0001L/tac3d/wrench", tmp_path / "new.yaml"
+    words = ["calibrate", "force", str(imported), "--wrench-topic", topic, "--output", str(new)]
+    assert main([*words, "--every-frame", "--poisson-std", "0"]) == 0
+    found = load_sensor(str(new)).elastomer
     assert found.young == pytest.approx(1.5 * load_sensor("tac3d_ad2").elastomer.young, rel=0.03)
-    assert found.shading_layer.young == pytest.approx(found.young)
+    assert found.calibration.source == f"{imported}: {topic}"
+    assert 0 < found.calibration.young_std < 0.1
+
+
+def test_processing_goes_on_from_the_surfaces(imported, tmp_path, capsys):
+    words = ["process", str(imported), "--output", str(tmp_path), "--jobs", "1"]
+    assert main([*words, "--arrays"]) == 0
+    assert "recorded surfaces" in printed(capsys)
+    tables = [
+        np.genfromtxt(path / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
+        for path in (imported.parent, tmp_path)
+    ]
+    for name in ("stamp_ns", "fx_N", "fy_N", "fz_N", "slip_state"):
+        # Messages hold float32.
+        assert tables[1][name] == pytest.approx(tables[0][name], rel=1e-4, abs=1e-4), name
+    with np.load(tmp_path / f"{SERIAL}.npz") as arrays:
+        assert arrays["displacement"].shape == (12, 20, 20, 3)
+    # Another reference is taken from the surfaces themselves.
+    assert main([*words, "--reference", "first-3", "--overwrite"]) == 0
+    assert "mean of 3 frames" in printed(capsys)
+
+
+@pytest.mark.parametrize(
+    ("other", "complaint"),
+    [("rows_10", "found 20, 20, 0"), ("prototype", "no frame can be used")],
+)
+def test_surfaces_of_another_grid_are_refused(imported, tmp_path, capsys, other, complaint):
+    if other == "rows_10":
+        other = str(tmp_path / "rows_10.yaml")
+        text = imported.with_suffix(".yaml").read_text("utf-8").replace("rows: 20", "rows: 10")
+        (tmp_path / "rows_10.yaml").write_text(text, "utf-8")
+    words = ["process", str(imported), "--output", str(tmp_path / "out"), "--sensor", other]
+    assert main([*words, "--jobs", "1"]) == 1
+    said = printed(capsys)
+    assert said.count("error: ") == 1
+    assert complaint in said
+    assert not list((tmp_path / "out").glob("*.mcap"))
 
 
 def test_markers_that_are_no_numbers_are_missing_and_what_is_not_recorded_is_unknown(
@@ -137,6 +182,30 @@ def test_markers_that_are_no_numbers_are_missing_and_what_is_not_recorded_is_unk
     assert np.isnan(recording.wrench).all()
     assert recording.lost == 0
     assert agreement(np.ones((12, 3)), recording.wrench[:, :3]) is None
+
+
+def test_a_marker_that_is_never_seen_is_missing_and_the_others_serve(folder, arrays, tmp_path):
+    for name in ("3D_Positions", "3D_Displacements"):
+        values = arrays[name].copy()
+        values[:, [25, 209]] = np.nan
+        np.save(folder / f"{name}.npy", values)
+    assert main(["import", "tac3d", str(folder), "--output", str(tmp_path)]) == 0
+    table = np.genfromtxt(tmp_path / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
+    assert table["fz_N"][-1] == pytest.approx(FORCE_N[2], rel=0.05)
+    found = load_sensor(str(tmp_path / f"{SERIAL}.yaml")).pattern
+    assert found.pitch == pytest.approx(PITCH_M, rel=1e-3)
+    assert found.surface.radius == pytest.approx(RADIUS_M, rel=0.02)
+
+
+def test_sensors_with_fewer_markers_are_described(folder, arrays, sensor):
+    """As those of the kinds DS1 and B1, of 16 x 16."""
+    for name in ("3D_Positions", "3D_Displacements", "3D_Forces"):
+        part = arrays[name].reshape(12, 20, 20, 3)[:, :16, :16]
+        np.save(folder / f"{name}.npy", part.reshape(12, 256, 3))
+    recording = read_tac3d(folder)
+    pattern = recording.described(sensor).pattern
+    assert (pattern.rows, pattern.cols) == (16, 16)
+    assert np.abs(recording.reference - pattern.corners())[..., :2].max() < 3e-6
 
 
 def test_an_index_that_begins_again_counts_nothing_as_lost(folder):
@@ -158,7 +227,9 @@ def test_frames_out_of_order_and_repeated_ones_are_put_right(folder, arrays):
     [
         ("3D_Positions", lambda a: a[0], r"3D_Positions.*shape \(400, 3\).*\(frames, markers, 3\)"),
         ("3D_Positions", lambda a: a[:, :399], r"3D_Displacements.*shape.*3D_Positions has them"),
+        ("3D_Positions", lambda a: np.nan * a, r"3D_Positions.*0 of 400 markers with numbers"),
         ("3D_Positions", lambda a: 1e-3 * a, r"3D_Positions.*apart.*0\.1 to 20 mm"),
+        ("3D_Displacements", lambda a: 1e-3 * a, r"move by .* mm, expected the markers at rest"),
         ("3D_Displacements", lambda a: a[:-1], r"3D_Displacements.*12 frames of 1200 numbers"),
         ("sendTimestamp", lambda a: -a, r"sendTimestamp.*negative"),
         ("sendTimestamp", lambda a: a.astype(object), r"sendTimestamp.*no array"),

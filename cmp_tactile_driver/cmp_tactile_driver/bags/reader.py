@@ -1,6 +1,7 @@
-"""The camera frames of a ROS 2 bag, in order of their stamps, without ROS.
+"""The camera frames or surfaces of a ROS 2 bag, in order of their stamps, without ROS.
 
-Frames are sensor_msgs Image and CompressedImage, with CameraInfo.
+Frames are sensor_msgs Image and CompressedImage, with CameraInfo; surfaces stand in their place
+where a sensor has measured its markers itself.
 """
 
 from __future__ import annotations
@@ -24,10 +25,13 @@ from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.image.compressed import COMPRESSED, decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
-from cmp_tactile_processing.ros.messages.making import CAMERA_INFO
+from cmp_tactile_processing.measured import GridShape, Surface
+from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE
+from cmp_tactile_processing.ros.messages.reading import surface_from_msg
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,21 @@ class RecordedFrame:
     image: NDArray[np.uint8]
     has_camera_info: bool = False
 
+    @property
+    def content(self) -> NDArray[np.uint8]:
+        """What a pipeline processes."""
+        return self.image
+
+
+@dataclass(frozen=True)
+class RecordedSurface:
+    """A cmp_tactile_msgs/Surface in place of a camera frame; times as of a frame."""
+
+    time_s: float
+    time_ns: int
+    stamp_ns: int
+    content: Surface
+
 
 @dataclass(frozen=True)
 class RecordedCameraInfo:
@@ -56,7 +75,8 @@ class RecordedCameraInfo:
     data: bytes
 
 
-RecordedMessage = RecordedFrame | RecordedCameraInfo
+Recorded = RecordedFrame | RecordedSurface
+RecordedMessage = Recorded | RecordedCameraInfo
 
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -68,21 +88,30 @@ BAD_MESSAGE = (SerdeError, ValueError, LookupError, OverflowError)
 
 
 class BagReader:
-    """Frames of one image topic of a bag, and the camera infos beside it.
+    """Frames of one image topic of a bag, and the camera infos beside it; or its surfaces.
 
-    image_topic: where the frames come from.  Where these have 16 bits a pixel, all are read ahead
-    once for the bits that they use.
+    image_topic: where the frames, or surfaces, come from.  Where frames have 16 bits a pixel, all
+    are read ahead once for the bits that they use.
     """
 
-    def __init__(self, path: Path, topic: str = "", expected_size: ImageSize | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        topic: str = "",
+        expected_size: ImageSize | None = None,
+        shape: GridShape | None = None,
+    ) -> None:
         """topic: empty for the only image topic.  expected_size: absent for the first frame's.
 
-        Raises BagError for a bag that cannot be read or has no such image topic.
+        shape: of surfaces, which are read where the bag has no images, or topic names them; absent
+        where only frames are of use.  Raises BagError for a bag that cannot be read or has no such
+        topic.
         """
         self._path, self.name = path, str(path)
         self._storage = open_storage(path)
-        self._typestore = get_typestore(Stores.ROS2_JAZZY)
-        self.image_topic = _choose_topic(path, self._storage.topics, topic)
+        self._shape = shape
+        self._typestore = simulation_typestore() if shape else get_typestore(Stores.ROS2_JAZZY)
+        self.image_topic = _choose_topic(path, self._storage.topics, topic, surfaces=bool(shape))
         self._info_topic = _info_topic(self._storage.topics, self.image_topic)
         self._depth = BitDepth(f"{path}: {self.image_topic}", look_ahead=self._used_bits)
         self._given_size = expected_size
@@ -94,6 +123,11 @@ class BagReader:
     def has_camera_info(self) -> bool:
         """Whether the bag has camera infos of this camera."""
         return self._info_topic is not None
+
+    @property
+    def of_surfaces(self) -> bool:
+        """Whether surfaces are read, in place of frames."""
+        return self._storage.topics[self.image_topic] == SURFACE
 
     @property
     def loss(self) -> str:
@@ -151,7 +185,7 @@ class BagReader:
         return (item for item in self.messages() if isinstance(item, RecordedFrame))
 
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
-        """Frames and camera infos in the order of their stamps.
+        """Frames, or surfaces, and camera infos in the order of their stamps.
 
         A frame of an encoding, size, stamp or content that cannot be used is skipped and counted, a
         camera info that cannot be read is skipped.
@@ -173,7 +207,7 @@ class BagReader:
                 continue
             try:
                 frame = self._read_frame(stored, times)
-            except FrameError as error:
+            except (FrameError, GeometryError) as error:
                 where = f"{self._path}: {self.image_topic} at {stored.time_ns} ns"
                 self._frame_health = self._frame_health.with_bad_frame(f"{where}: {error}")
                 wrong_sizes += isinstance(error, WrongSizeError)
@@ -213,8 +247,15 @@ class BagReader:
             msg = f"not a {kind}: {error}"
             raise FrameError(msg) from None
 
-    def _read_frame(self, stored: StoredMessage, times: tuple[float, int]) -> RecordedFrame:
+    def _read_frame(self, stored: StoredMessage, times: tuple[float, int]) -> Recorded:
         message = self._read_message(stored)
+        stamp = message.header.stamp
+        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+        if stamp_ns < 0:
+            msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
+            raise FrameError(msg)
+        if self._shape is not None and self.of_surfaces:
+            return RecordedSurface(*times, stamp_ns, surface_from_msg(message, self._shape))
         if not hasattr(message, "format"):
             # Before it is converted: a wrong one may be large.
             self._check_size((message.width, message.height))
@@ -222,11 +263,6 @@ class BagReader:
         size = (image.shape[1], image.shape[0])
         self._check_size(size)
         self._expected_size = size
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-        if stamp_ns < 0:
-            msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
-            raise FrameError(msg)
         frame_id = message.header.frame_id
         return RecordedFrame(*times, stamp_ns, frame_id, image, self.has_camera_info)
 
@@ -249,8 +285,10 @@ class BagReader:
         )
 
 
-def _choose_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
+def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: bool) -> str:
     images = sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
+    if surfaces and (topics.get(wanted) == SURFACE or not images):
+        return _surface_topic(path, topics, wanted)
     found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
     if wanted:
         if wanted in images:
@@ -270,6 +308,18 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
     if len(outermost) == 1:
         return next(name for name in camera if name.removesuffix(COMPRESSED) == outermost[0])
     msg = f"{path}: found several image topics, name one of: {', '.join(images)}"
+    raise BagError(msg)
+
+
+def _surface_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
+    """The topic named, or the only one: a latched `reference` beside it is none of frames."""
+    named = sorted(name for name, kind in topics.items() if kind == SURFACE)
+    names = [name for name in named if not name.endswith("/reference")] or named
+    if wanted in named or (len(names) == 1 and not wanted):
+        return wanted or names[0]
+    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+    one = f"one of: {', '.join(names)}" if names else f"images or {SURFACE}"
+    msg = f"{path}: found the topics {found}; expected {wanted or one}"
     raise BagError(msg)
 
 

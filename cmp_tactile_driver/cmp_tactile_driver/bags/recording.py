@@ -9,12 +9,13 @@ from pathlib import Path
 from cmp_tactile_driver.bags import calibration, reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
+from cmp_tactile_processing.measured import GridShape
 
 
 class ImageRecording:
     """Images or a video: frame k has the stamp k / frame_rate, and there is no calibration."""
 
-    has_camera_info = False
+    has_camera_info = of_surfaces = False
     gaps = ""
 
     def __init__(self, source: files.ImageFolder | files.VideoFile, frame_id: str) -> None:
@@ -66,17 +67,19 @@ def split_inputs(text: str) -> list[Path]:
     return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
 
 
-def open_recording(
+def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
     path: Path,
     *,
     topic: str,
     frame_rate: float,
     frame_id: str,
     expected_size: frames.ImageSize | None,
+    shape: GridShape | None = None,
 ) -> Recording:
     """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
 
-    topic: of the bag's images, empty for the only one.  frame_rate (Hz): of an image folder.
+    topic: of the bag's images, empty for the only one.  shape: of the surfaces that are read of a
+    bag without images; absent where only frames are of use.  frame_rate (Hz): of an image folder.
     frame_id: of images and videos.  expected_size: absent for the size of the first image.
     Raises FrameSourceError where there is nothing to replay.
     """
@@ -90,7 +93,7 @@ def open_recording(
         return ImageRecording(images, frame_id)
     if path.is_file() and path.suffix.lower() not in storage.STORAGE_SUFFIXES:
         return ImageRecording(files.VideoFile(path, expected_size=expected_size), frame_id)
-    return reader.BagReader(path, topic, expected_size)
+    return reader.BagReader(path, topic, expected_size, shape)
 
 
 def is_bag(folder: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Node: plays a recorded bag, a folder of images, an image or a video as the camera would."""
+"""Node: plays a recorded bag, a folder of images, an image or a video as the sensor would."""
 
 from __future__ import annotations
 
@@ -25,16 +25,22 @@ from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.player import Player, PlayerState, PlayOptions, StartGate
-from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
+from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import Finding
-from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at, with_header
-from cmp_tactile_processing.ros.messages.making import camera_frame
+from cmp_tactile_processing.ros.messages.conversions import (
+    frame_to_msg,
+    header_at,
+    surface_to_msg,
+    with_header,
+)
+from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -103,10 +109,11 @@ JUMP_S = 1.0
 class Replay(ReportingNode):
     """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
 
-    Compressed frames are published as they were before.  No frame is left out: where publishing
-    is slow, the rest comes later.  `~/pause` pauses and goes on, `~/step` sends the next frame
-    while it is paused, `~/back` and `~/forward` go on from a second earlier or later.  `~/status`
-    (latched) reports state and counts, also once all is sent.
+    Of a bag without images it publishes `surface`.  Compressed frames are published as they were
+    before.  No frame is left out: where publishing is slow, the rest comes later.  `~/pause` pauses
+    and goes on, `~/step` sends the next frame while it is paused, `~/back` and `~/forward` go on
+    from a second earlier or later.  `~/status` (latched) reports state and counts, also once all is
+    sent.
     Replays that begin together synchronise on `~/ready` (std_msgs/Header, latched).
     Raises CmpTactileError where parameters or recording cannot be used.
     """
@@ -136,7 +143,7 @@ class Replay(ReportingNode):
             )
             raise FrameSourceError(msg)
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
-        self._info = camera_info_of(self._sensor, Header())
+        self._info = camera_info_of(self._sensor, Header()) if self._sensor.views else None
         self._recordings = [
             open_recording(
                 path,
@@ -144,10 +151,16 @@ class Replay(ReportingNode):
                 frame_rate=self._settings.frame_rate,
                 frame_id=camera_frame(self._sensor),
                 expected_size=None,
+                shape=self._sensor.pattern.shape,
             )
             for path in inputs
         ]
         self._names = ", ".join(item.name for item in self._recordings)
+        if len({item.of_surfaces for item in self._recordings}) > 1:
+            msg = (
+                f"{self._names}: found surfaces in some and images in others, expected one of them"
+            )
+            raise FrameSourceError(msg)
         for recording in self._recordings:
             self._check_calibration(recording)
             if recording.gaps:
@@ -177,10 +190,15 @@ class Replay(ReportingNode):
         overridable = QoSOverridingOptions.with_default_policies()
         qos = image_qos()
         qos.depth = PUBLISHER_DEPTH
-        self._image_publisher = self.create_publisher(
-            Image, "image_raw", qos, qos_overriding_options=overridable
+        kind, topic, to_msg = (
+            (SurfaceMsg, "surface", surface_to_msg)
+            if self._recordings[0].of_surfaces
+            else (Image, "image_raw", frame_to_msg)
         )
-        self._image = self.add_output(self._image_publisher, frame_to_msg, own_thread=True)
+        self._frame_publisher = self.create_publisher(
+            kind, topic, qos, qos_overriding_options=overridable
+        )
+        self._frame = self.add_output(self._frame_publisher, to_msg, own_thread=True)
         self._info_publisher = self.create_publisher(CameraInfo, "camera_info", qos)
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
@@ -189,7 +207,7 @@ class Replay(ReportingNode):
         wanted, others = self._settings.wait_for_subscribers, self._settings.begin_with
         gate = None
         if wanted or others:
-            publisher = self._image_publisher
+            publisher = self._frame_publisher
             start = CommonStart(self, lambda: publisher.get_subscription_count() >= wanted, others)
             gate = StartGate(
                 start.remaining,
@@ -206,7 +224,7 @@ class Replay(ReportingNode):
         return Player(self._recordings, self._send, options, gate)
 
     def _warn_of_missing(self, replays: list[str]) -> None:
-        publisher, wanted = self._image_publisher, self._settings.wait_for_subscribers
+        publisher, wanted = self._frame_publisher, self._settings.wait_for_subscribers
         missing, count = list(replays), publisher.get_subscription_count()
         if count < wanted:
             text = f"found {count} subscribers, expected {wanted}"
@@ -216,15 +234,17 @@ class Replay(ReportingNode):
 
     def _send(self, message: RecordedMessage) -> None:
         self._publish_clock(message.time_ns)
-        if not isinstance(message, RecordedFrame):
+        if isinstance(message, RecordedCameraInfo):
             self._info_publisher.publish(self._named(message.data))
             return
         stamp = Time(nanoseconds=message.stamp_ns).to_msg()
-        named = bool(self._settings.sensor_name)
-        header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
-        self._image.publish(message.image, header)
-        unsaid = not message.has_camera_info and self._fits_sensor(message)
-        if unsaid and self._info_publisher.get_subscription_count():
+        if isinstance(message, RecordedFrame):
+            named = bool(self._settings.sensor_name)
+            header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
+        else:
+            header = header_at(stamp, gel_frame(self._sensor))
+        self._frame.publish(message.content, header)
+        if self._lacks_info(message) and self._info_publisher.get_subscription_count():
             self._info_publisher.publish(with_header(self._info, header))
         self._sent.sent()
 
@@ -245,7 +265,10 @@ class Replay(ReportingNode):
         message.header.frame_id = camera_frame(self._sensor)
         return message
 
-    def _fits_sensor(self, message: RecordedFrame) -> bool:
+    def _lacks_info(self, message: RecordedMessage) -> bool:
+        """Whether it is a frame of the sensor's camera without a camera_info of its recording."""
+        if not isinstance(message, RecordedFrame) or message.has_camera_info or self._info is None:
+            return False
         height, width = message.image.shape[:2]
         return (width, height) == self._sensor.frame_size
 

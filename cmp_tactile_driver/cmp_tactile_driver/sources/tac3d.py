@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.markers import LEAST_KNOWN, MarkerRecording, median_known
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -31,26 +32,21 @@ REQUIRED = (POSITIONS, DISPLACEMENTS, STAMPS)
 MILLI = 1e-3
 # Markers are so far apart, mm; else lengths are in another unit.
 PITCH_MM = 0.1, 20.0
+# Of positions less displacements, all but some lie within this of the markers at rest.
+MOST_LEFT_MM, USUAL_SHARE = 0.2, 0.99
 # The surface is flat where its radius is larger, m.
 LARGEST_RADIUS_M = 1.0
 SPHERE_STEPS = 4
 
 
 @dataclass(frozen=True)
-class Tac3dRecording:
-    """A recording of one sensor, turned into the gel frame.
+class Tac3dRecording(MarkerRecording):
+    """A recording of one sensor, named by its serial number.
 
-    serial: of the sensor.  stamp_ns (n,).  lost: frames that are missing in between.
-    reference (rows, cols, 3) m: markers at rest.  displacement (n, rows, cols, 3) m, NaN where a
-    marker was not measured.  force (n, rows, cols, 3) N, wrench (n, 6) N and N m about the gel
-    frame's origin: what the sensor itself says, NaN where it does not.
+    force (n, rows, cols, 3) N, wrench (n, 6) N and N m about the gel frame's origin: what the
+    sensor itself says, NaN where it does not.
     """
 
-    serial: str
-    stamp_ns: NDArray[np.int64]
-    lost: int
-    reference: Array
-    displacement: Array
     force: Array
     wrench: Array
 
@@ -59,11 +55,12 @@ class Tac3dRecording:
         """Mean distance of neighbouring markers at rest, m."""
         along_x = np.diff(self.reference[..., 0], axis=1)
         along_y = np.diff(self.reference[..., 1], axis=0)
-        return float(np.mean([along_x.mean(), along_y.mean()]))
+        return float(np.mean([np.nanmean(along_x), np.nanmean(along_y)]))
 
     def described(self, sensor: SensorDescription) -> SensorDescription:
-        """The description with pitch and surface of this very sensor, from its markers at rest."""
-        x, y, z = self.reference.reshape(-1, 3).T
+        """The description with grid, pitch and surface of this sensor, from its markers at rest."""
+        rest = self.reference.reshape(-1, 3)
+        x, y, z = rest[np.isfinite(rest).all(axis=1)].T
         # Depth of a sphere below its apex: q = s / 2R + s^2 / 8R^3, s = x^2 + y^2.
         s, bend = x**2 + y**2, 0.0
         for _ in range(SPHERE_STEPS):
@@ -72,8 +69,11 @@ class Tac3dRecording:
         surface = PatternSurface()
         if bend > 1 / LARGEST_RADIUS_M:
             surface = PatternSurface("sphere_cap", round(1 / bend, 5))
-        pattern = replace(sensor.pattern, pitch=round(self.pitch, 7), surface=surface)
-        return replace(sensor, name=self.serial, pattern=pattern)
+        rows, cols = self.reference.shape[:2]
+        pattern = replace(
+            sensor.pattern, rows=rows, cols=cols, pitch=round(self.pitch, 7), surface=surface
+        )
+        return replace(sensor, name=self.name, pattern=pattern)
 
 
 def tac3d_folders(folder: Path) -> list[Path]:
@@ -112,14 +112,15 @@ def read_tac3d(folder: Path) -> Tac3dRecording:
         return _turned(arrays[name].reshape(frames, -1, 3)[order], (side, side))
 
     moved = on_grid(DISPLACEMENTS)
-    rest = np.nanmedian(on_grid(POSITIONS) - moved, axis=0)
-    wrong = _wrong_at_rest(rest)
+    at_rest = on_grid(POSITIONS) - moved
+    rest = median_known(at_rest)
+    wrong = _wrong_at_rest(rest) or _wrong_motion(at_rest - rest)
     if wrong:
         raise FrameSourceError(f"{folder / POSITIONS}.npy: {wrong}")
     origin = _origin(rest)
     force, moment = arrays[RESULTANT].reshape(-1, 3)[order], arrays[MOMENT].reshape(-1, 3)[order]
     return Tac3dRecording(
-        serial=folder.resolve().name,
+        name=folder.resolve().name,
         stamp_ns=stamps,
         lost=_lost(arrays[INDEX].ravel()[by_time]),
         reference=MILLI * (rest - origin),
@@ -149,7 +150,8 @@ class RunningTac3d:
         position, moved = (self._markers(frame, name) for name in (POSITIONS, DISPLACEMENTS))
         if self._origin is None:
             rest = position - moved
-            wrong = _wrong_at_rest(rest)
+            # Others would count from markers that are missing.
+            wrong = _wrong_at_rest(rest, least=1.0)
             if wrong:
                 raise FrameSourceError(f"frame: {POSITIONS}: {wrong}")
             self._origin = _origin(rest)
@@ -183,8 +185,10 @@ def _turned(values: Array, shape: tuple[int, int]) -> Array:
 def _origin(rest: Array) -> Array:
     """The gel frame's origin, (3,) mm in the sensor's: amid the markers, at the apex."""
     i, j = rest.shape[0] // 2, rest.shape[1] // 2
-    origin = rest.mean(axis=(0, 1))
-    origin[2] = rest[i - 1 : i + 1, j - 1 : j + 1, 2].mean()
+    origin = np.nanmean(rest, axis=(0, 1))
+    # The highest where none of the middle is known.
+    middle = rest[i - 1 : i + 1, j - 1 : j + 1, 2]
+    origin[2] = np.nanmean(middle) if np.isfinite(middle).any() else np.nanmax(rest[..., 2])
     return np.asarray(origin)
 
 
@@ -227,18 +231,37 @@ def _checked_shapes(folder: Path, arrays: dict[str, Array]) -> tuple[int, int]:
     return frames, markers
 
 
-def _wrong_at_rest(rest: Array) -> str:
-    """What is wrong with markers (rows, cols, 3) mm at rest; empty where nothing is."""
+def _wrong_at_rest(rest: Array, least: float = LEAST_KNOWN) -> str:
+    """What is wrong with markers (rows, cols, 3) mm at rest; empty where nothing is.
+
+    least: share of them that must be known.
+    """
     steps = rest[:, 1:, 0] - rest[:, :-1, 0], rest[1:, :, 1] - rest[:-1, :, 1]
     every = np.concatenate([step.ravel() for step in steps])
-    low, high = PITCH_MM
-    # Not as "below or above": NaN is neither.
-    if not (every.min() >= low and every.max() <= high and np.isfinite(rest).all()):
+    known = every[np.isfinite(every)]
+    if len(known) < least * len(every):
         return (
-            f"found neighbours that are {every.min():.4g} to {every.max():.4g} apart along x and "
+            f"found {np.isfinite(rest).all(axis=-1).sum()} of {rest[..., 0].size} markers with "
+            f"numbers at rest, expected {least:.0%} of them or more"
+        )
+    low, high = PITCH_MM
+    if not (known.min() >= low and known.max() <= high):
+        return (
+            f"found neighbours that are {known.min():.4g} to {known.max():.4g} apart along x and "
             f"y, expected {low:g} to {high:g} mm, falling from the first marker to the last"
         )
     return ""
+
+
+def _wrong_motion(left: Array) -> str:
+    """What is wrong where displacements leave so much (..., 3) mm of the motion; or empty."""
+    most = float(np.nanquantile(np.abs(left), USUAL_SHARE))
+    if most <= MOST_LEFT_MM:
+        return ""
+    return (
+        f"found positions less {DISPLACEMENTS} that move by {most:.2g} mm, expected the markers at "
+        f"rest, to {MOST_LEFT_MM} mm: both must be in mm"
+    )
 
 
 def _lost(index: Array) -> int:

@@ -18,9 +18,20 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
 
+from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.replay import Replay
+from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.measured import Surface
+from cmp_tactile_processing.ros.messages.definitions import (
+    bag_messages,
+    simulation_definition,
+    simulation_typestore,
+)
+from cmp_tactile_processing.ros.messages.making import SURFACE
+from cmp_tactile_processing.ros.messages.reading import surface_from_msg
+from cmp_tactile_processing.sensor.description import load_sensor
 
 
 def _stamp_ns(message: Any) -> int:
@@ -223,3 +234,35 @@ def test_wrong_parameters_stop_the_constructor(ros, parameters, error, message):
         ros.start(Replay, **parameters)
     ros.run(0.1)
     assert "replay" not in ros.node.get_node_names()
+
+
+def _surface_bag(path, sensor, stamps):
+    """Surfaces of a gel that sinks by 1 um a frame."""
+    rest = sensor.pattern.corners()
+    make, store = bag_messages(), simulation_typestore()
+    with McapFile(path, compressed=False) as file:
+        file.add_topic("/finger/surface", SURFACE, simulation_definition(SURFACE).text, [])
+        for number, stamp in enumerate(stamps):
+            surface = Surface.from_positions(
+                sensor.pattern.shape, rest, rest - [0, 0, 1e-6 * number]
+            )
+            message = make.surface(surface, make.header(stamp, "finger"))
+            file.write(
+                "/finger/surface", stamp, stamp, bytes(store.serialize_cdr(message, SURFACE))
+            )
+    return path
+
+
+def test_surfaces_of_a_sensor_without_a_camera(ros, tmp_path, bags, frame_bag):
+    sensor, stamps = load_sensor("tac3d_ad2"), bags.stamps(5)
+    bag = _surface_bag(tmp_path / "surfaces.mcap", sensor, stamps)
+    surfaces, statuses = ros.listen(SurfaceMsg, "surface"), _Statuses(ros)
+    given = {"sensor_description": "tac3d_ad2", "wait_for_subscribers": 1}
+    ros.start(Replay, input=str(bag), **given)
+    ros.wait(lambda: statuses.state == "finished" and len(surfaces) == 5, "five surfaces")
+    assert [_stamp_ns(item) for item in surfaces] == stamps
+    assert surfaces[0].header.frame_id == "tac3d_ad2_gel_frame"
+    last = surface_from_msg(surfaces[-1], sensor.pattern.shape)
+    assert last.displacement[..., 2] == pytest.approx(-4e-6)
+    with pytest.raises(FrameSourceError, match="surfaces in some and images in others"):
+        ros.start(Replay, input=f"{bag}:{frame_bag}", **given)

@@ -24,6 +24,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
     quantities,
     read_by,
     read_fields,
+    text,
     texts,
     whole,
 )
@@ -358,7 +359,8 @@ def _read_date(section: YamlSection, key: str) -> str:
 class MaterialRecord:
     """What the moduli of a description were measured with, and how well they are known.
 
-    method: weights or force_sensor; date: ISO 8601, UTC; samples: loads that were used.
+    method: weights or force_sensor; date: ISO 8601, UTC; samples: loads that were used; source: the
+    recordings of these, in words.
     young_std, poisson_std: relative and absolute standard deviation, NaN where held.
     normal_std, tangential_std: relative standard deviations of normal and tangential force that
     follow from these and from how they hang together.
@@ -375,6 +377,7 @@ class MaterialRecord:
     poisson_std: float = field(default=math.nan, metadata=number(0.0))
     determined: tuple[str, ...] = field(default=(), metadata=texts(required=True))
     held: tuple[str, ...] = field(default=(), metadata=texts(required=True))
+    source: str = field(default="", metadata=text())
 
 
 @dataclass(frozen=True)

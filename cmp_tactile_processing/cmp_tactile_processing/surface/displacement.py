@@ -102,14 +102,16 @@ class Reference:
             (self.position, self.covariance),
             (displacement, covariance, status, fault),
         )
-        changed = {"status": status, "fault": fault, "covariance": covariance}
-        return Surface(
-            **(vars(markers) | changed),
-            reference=self.position,
-            displacement=displacement,
-            reference_id=self.id,
-            reference_stamp_ns=self.stamp_ns,
-        )
+        changed = {
+            "status": status,
+            "fault": fault,
+            "covariance": covariance,
+            "reference": self.position,
+            "displacement": displacement,
+            "reference_id": self.id,
+            "reference_stamp_ns": self.stamp_ns,
+        }
+        return Surface(**(vars(markers) | changed))
 
 
 @kernel

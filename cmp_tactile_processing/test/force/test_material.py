@@ -307,3 +307,20 @@ GOOD = LoadSample(np.zeros((20, 20, 3)), MEASURED, np.array([0, 0, -1.0]), np.fu
 def test_what_cannot_be_used_is_named(sample_rig, samples, method, message):
     with pytest.raises(CalibrationError, match=f"sample_rig: .*{message}"):
         fit_material(sample_rig, samples, method)
+
+
+def test_small_loads_whose_noise_hides_them_do_not_widen_the_error_bar():
+    reference = np.zeros((12, 3))
+    reference[:, 2] = -np.linspace(2.0, 7.0, 12)
+    reference[0, 2] = -0.02
+    noise = np.random.default_rng(5).normal(0, 0.1, 12)
+    noise[0] = 0.2
+    readings = Readings(
+        shown=reference + noise[:, None] * [0, 0, 1],
+        shown_std=np.full((12, 3), 1e-3),
+        reference=reference,
+        reference_std=np.full((12, 3), 0.1),
+    )
+    fit = fit_scale(readings, MaterialOptions(), PoissonDoubt(0.0, 0.0), has_offset=True)
+    assert fit.factor == pytest.approx(1.0, abs=0.03)
+    assert abs(fit.factor - 1) < 3 * fit.std < 0.1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cmp_tactile_processing.errors import DescriptionError, GeometryError
+from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.printing.advice import checker_sides_px
@@ -288,7 +288,7 @@ def test_where_a_camera_is_needed_a_sensor_without_one_is_named():
     sensor = load_sensor("tac3d_ad2")
     with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
         _ = sensor.frame_size
-    with pytest.raises(GeometryError, match=r"tac3d_ad2\.yaml: views: found none"):
-        Pipeline(sensor)
+    with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
+        Pipeline(sensor).process(np.zeros((768, 1024), np.uint8))
     with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: views: found none"):
         checker_sides_px(sensor)

@@ -57,6 +57,7 @@ MATERIAL = MaterialRecord(
     poisson_std=0.0,
     determined=("young", "poisson"),
     held=("shading_layer.young", "no"),
+    source="a bag: /ft/wrench",
 )
 
 

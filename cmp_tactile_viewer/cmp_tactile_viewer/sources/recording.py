@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, RecordedFrame
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import is_bag, open_recording
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
@@ -67,17 +67,20 @@ class Frames(Protocol):
 
 
 class ProcessedFrames:
-    """Camera frames that go through the whole chain when they are shown."""
+    """Camera frames, or surfaces, that go through the whole chain when they are shown."""
 
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
-        size = sensor.frame_size
         self._recording = open_recording(
-            path, topic=topic, frame_rate=DEFAULT_RATE_HZ, frame_id="", expected_size=size
+            path,
+            topic=topic,
+            frame_rate=DEFAULT_RATE_HZ,
+            frame_id="",
+            expected_size=sensor.frame_size if sensor.views else None,
+            shape=sensor.pattern.shape,
         )
-        first = next(self._frames(0.0), None)
-        if first is None:
-            msg = f"{path}: found no frame of {size[0]} x {size[1]} pixels"
+        if next(self._frames(0.0), None) is None:
+            msg = f"{path}: found no frame of {sensor.name}"
             raise ViewerError(msg)
         self.problem = self._recording.gaps
         self.length_s = self._recording.duration
@@ -87,10 +90,9 @@ class ProcessedFrames:
         """As `Frames.read`; the trackers begin again, and the reference stays."""
         self._pipeline.reset()
         for frame in self._frames(start_s):
-            done = self._pipeline.process(frame.image, frame.stamp_ns)
-            shown = Snapshot(
-                frame.stamp_ns, frame.image, done.left, done.right, done.surface, done.force
-            )
+            done = self._pipeline.process(frame.content, frame.stamp_ns)
+            image = None if isinstance(frame, RecordedSurface) else frame.image
+            shown = Snapshot(frame.stamp_ns, image, done.left, done.right, done.surface, done.force)
             yield frame.time_s, shown
 
     @cached_property
@@ -100,9 +102,9 @@ class ProcessedFrames:
 
         return Pipeline(self._sensor, auto_reference="when_still")
 
-    def _frames(self, start_s: float) -> Iterator[RecordedFrame]:
+    def _frames(self, start_s: float) -> Iterator[Recorded]:
         messages = self._recording.messages(TimeSpan(start=start_s))
-        return (item for item in messages if isinstance(item, RecordedFrame))
+        return (item for item in messages if isinstance(item, Recorded))
 
 
 class StoredResults:
@@ -199,11 +201,11 @@ def _frames(
 ) -> Frames:
     """The stored results of a bag that has surfaces; else its frames, processed when shown.
 
-    Forces alone are shown where the bag has no images.
+    Forces alone are shown where the bag has no images; surfaces alone are processed.
     """
     if storage is not None:
-        fields = _result_topics(path, storage.topics).values()
-        if "surface" in fields or ("force" in fields and "frame" not in fields):
+        fields = set(_result_topics(path, storage.topics).values())
+        if {"surface", "frame"} <= fields or ("force" in fields and "frame" not in fields):
             return StoredResults(path, sensor, storage)
     return ProcessedFrames(path, sensor, topic)
 

@@ -12,10 +12,15 @@ import pytest
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
+from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.ros.messages.definitions import (
+    simulation_definition,
+    simulation_typestore,
+)
+from cmp_tactile_processing.ros.messages.making import SURFACE
 from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
 from cmp_tactile_viewer.sources import recording
 from cmp_tactile_viewer.sources.recording import StoredResults, open_source
@@ -88,6 +93,23 @@ def test_stored_results_are_shown_as_they_are(results, playing, snapshots):
         )
         assert found.left.corners == pytest.approx(expected.left.corners, abs=1e-4, nan_ok=True)
         assert found.left.placement == expected.left.placement
+
+
+def test_surfaces_alone_are_processed(results, playing, snapshots, tmp_path):
+    surfaces = tmp_path / "surfaces.mcap"
+    storage = open_storage(results)
+    (topic,) = (name for name in storage.topics if name.endswith("/surface"))
+    with McapFile(surfaces, compressed=False) as file:
+        file.add_topic(topic, SURFACE, simulation_definition(SURFACE).text, [])
+        for stored in storage.messages([topic]):
+            file.write(topic, stored.time_ns, stored.time_ns, bytes(stored.data))
+    source, looker = playing(surfaces)
+    wait_until(lambda: source.playback.ended, "the end of the recording")
+    assert len(looker.snapshots) == FRAMES
+    for found, expected in zip(looker.snapshots, snapshots, strict=False):
+        assert found.frame is None
+        # Messages hold float32.
+        assert found.force.wrench == pytest.approx(expected.force.wrench, abs=1e-4)
 
 
 def test_the_indenter_of_a_recording_is_where_its_truth_says(grasp_bag, results, playing):

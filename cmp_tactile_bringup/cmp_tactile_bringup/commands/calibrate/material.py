@@ -159,7 +159,13 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
         method = FORCE_SENSOR if self.wrench_topic else WEIGHTS
         with shown_count() as count:
             outcome = fit_material(sensor, samples, method, options, on_progress=count)
-        return _conclude(outcome, files, sensor.name)
+        return _conclude(outcome, files, self._source)
+
+    @property
+    def _source(self) -> str:
+        """What the new modulus comes from, in words."""
+        loads = self.wrench_topic or self.weights or f"weights of {self.mass} kg"
+        return f"{self.input or self.topic}: {loads}"
 
     def _check_usage(self) -> None:
         """End with the usage where arguments do not go together."""
@@ -277,7 +283,7 @@ def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSampl
         return Weighing(sensor, iter(live), count, input, print).samples(arguments.mass or [])
 
 
-def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> int:
+def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) -> int:
     """Draw the report, print what was found, write what is accepted; returns the exit code."""
     import numpy as np
 
@@ -285,7 +291,7 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> i
     from cmp_tactile_bringup.report.calibration import write_material_report
     from cmp_tactile_bringup.terminal.output import output_console, print_line
 
-    page = write_material_report(outcome, files.report, name)
+    page = write_material_report(outcome, files.report, outcome.sensor.name)
     console = output_console()
     console.print(_loads_table(outcome.loads))
     if np.isfinite(outcome.offset).all():
@@ -300,7 +306,13 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, name: str) -> i
         # A terminal is narrow; the page has the keys in full.
         short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
         console.print(estimates_table(short))
-    return print_end(console, outcome, page, lambda: files.write_sensor(outcome.sensor))
+
+    def write() -> Sequence[Path]:
+        record = outcome.record and replace(outcome.record, source=source)
+        gel = replace(outcome.sensor.elastomer, calibration=record)
+        return files.write_sensor(replace(outcome.sensor, elastomer=gel))
+
+    return print_end(console, outcome, page, write)
 
 
 def _short(key: str) -> str:

@@ -176,10 +176,11 @@ def fit_scale(
 
 @dataclass(frozen=True)
 class _Errors:
-    """Relative errors (m,) of one kind of force in the loads that show it, and their noise (m,)."""
+    """Errors (m,) N of one kind of force in the loads that show it, their noise, and the force."""
 
-    size: Array
+    off: Array
     noise: Array
+    force: Array
 
     @classmethod
     def along(cls, axes: slice, off: Array, noise: Array, reference: Array) -> _Errors:
@@ -187,16 +188,22 @@ class _Errors:
         size = np.linalg.norm(np.nan_to_num(reference), axis=1)
         force = np.linalg.norm(reference[:, axes], axis=1)
         large = force > LEAST_SIDEWAYS * size
-        parts = (np.linalg.norm(values[large, axes], axis=1) for values in (off, noise))
-        return cls(*(part / force[large] for part in parts))
+        errors, spread = (np.linalg.norm(values[large, axes], axis=1) for values in (off, noise))
+        return cls(errors, spread, force[large])
 
     def spread(self, used: int) -> float:
-        """Standard deviation beyond the noise; used: of the loads, by what was fitted to them."""
-        count = len(self.size) - used
-        beyond = float((self.size**2 - self.noise**2).sum())
-        return float(np.sqrt(max(0.0, beyond) / count)) if count > 0 else 0.0
+        """Relative standard deviation beyond the noise, by which small loads say little.
+
+        used: of the loads, by what was fitted to them.
+        """
+        count = len(self.off) - used
+        if count <= 0:
+            return 0.0
+        beyond = max(0.0, float((self.off**2 - self.noise**2).sum())) / count
+        return float(np.sqrt(beyond / np.mean(self.force**2)))
 
     @property
     def mean_std(self) -> float:
         """What noise makes of their mean; inf without any."""
-        return float(1 / np.sqrt((self.noise**-2).sum())) if self.noise.size else np.inf
+        noise = self.noise / self.force
+        return float(1 / np.sqrt((noise**-2).sum())) if noise.size else np.inf

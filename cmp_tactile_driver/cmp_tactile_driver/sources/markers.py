@@ -1,0 +1,198 @@
+"""Markers that another sensor has measured, and files of any tracker with their positions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.sensor.parts import Pattern
+
+Array = NDArray[np.float64]
+
+POSITION, REFERENCE, TIME, STAMPS = "position", "reference", "time_s", "stamp_ns"
+UNITS = {"m": 1.0, "mm": 1e-3}
+PIXELS = "px"
+# Neighbours at rest are so many pitches apart, and so many of the steps may be wrong.
+LEAST_STEP, MOST_STEP, STRAY_SHARE = 0.5, 1.5, 0.05
+LEAST_KNOWN = 0.5
+# Columns of a table, by what else trackers call them: (Ox, Oy) is at rest, (Cx, Cy) now.
+ALIASES = {"frameno": "frame", "cx": "x", "cy": "y"}
+TABLE = "columns frame, row, col, x, y and, if known, z, time_s, Ox, Oy"
+
+
+@dataclass(frozen=True)
+class MarkerRecording:
+    """Markers of one sensor over time, in the gel frame.
+
+    name: of the sensor, or of the file.  stamp_ns (n,).  lost: frames that are missing in between.
+    reference (rows, cols, 3) m: markers at rest.  displacement (n, rows, cols, 3) m, NaN where a
+    marker was not measured, and in z where the sensor measures none.
+    """
+
+    name: str
+    stamp_ns: NDArray[np.int64]
+    lost: int
+    reference: Array
+    displacement: Array
+
+
+def read_markers(
+    path: Path, pattern: Pattern, unit: str = "m", frame_rate: float = 30.0, rest_frames: int = 1
+) -> MarkerRecording:
+    """Positions of a sensor's markers from .npy, .npz or .csv, moved onto the pattern at rest.
+
+    position: (frames, rows, cols, 2 or 3), or rows * cols in one; NaN where a marker was not seen.
+    An .npz may have reference (rows, cols, ...), as position, and time_s or stamp_ns (frames,).
+    unit: "m", "mm", or "px", which the pattern's pitch makes m.  frame_rate: Hz, without times.
+    rest_frames: of the beginning, of which the median is the reference where there is none.
+    Raises FrameSourceError, with file, found and expected, for what cannot be used.
+    """
+    shape = pattern.shape.corners
+    is_table = path.suffix.lower() == ".csv"
+    arrays = _read_table(path, shape) if is_table else _read_arrays(path)
+    position = _on_grid(path, POSITION, arrays[POSITION], shape)
+    stamps = _stamps(path, arrays, len(position), frame_rate)
+    given = arrays.get(REFERENCE)
+    rest = (
+        position[:rest_frames] if given is None else _on_grid(path, REFERENCE, given[None], shape)
+    )
+    rest = median_known(rest)
+    scale = _scale(path, rest, pattern, unit)
+    corners = pattern.corners()
+    shift = [
+        np.nanmean(apart) if np.isfinite(apart).any() else 0.0
+        for apart in np.moveaxis(corners - scale * rest, -1, 0)
+    ]
+    reference = scale * rest + shift
+    # Markers that are known in the plane alone lie on the described surface.
+    reference[..., 2] = np.where(np.isfinite(rest[..., 2]), reference[..., 2], corners[..., 2])
+    return MarkerRecording(path.stem, stamps, 0, reference, scale * (position - rest))
+
+
+def median_known(positions: Array) -> Array:
+    """Median (...) of frames (n, ...), NaN left out; NaN where there is nothing else."""
+    known = np.asarray(np.isfinite(positions).any(axis=0))
+    median = np.nanmedian(np.where(known, positions, 0.0), axis=0)
+    return np.where(known, median, np.nan)
+
+
+def _read_arrays(path: Path) -> Mapping[str, NDArray[Any]]:
+    try:
+        # What an array of objects holds would be run.
+        loaded = np.load(path, allow_pickle=False)
+        arrays = {POSITION: loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+        wrong = [name for name, values in arrays.items() if name in _NAMES and _no_number(values)]
+    except FileNotFoundError:
+        raise _error(path, "no such file", "one with positions of markers") from None
+    except Exception as error:  # noqa: BLE001  a damaged archive raises what its parts raise
+        raise _error(path, f"no arrays ({error})", "those of numpy, or a .csv") from None
+    if wrong or POSITION not in arrays:
+        found = f"{wrong[0]} that is no number" if wrong else ", ".join(arrays) or "nothing"
+        raise _error(path, found, f"an array {POSITION} of numbers")
+    return arrays
+
+
+_NAMES = (POSITION, REFERENCE, TIME, STAMPS)
+
+
+def _no_number(values: NDArray[Any]) -> bool:
+    return not np.issubdtype(values.dtype, np.number) or np.iscomplexobj(values)
+
+
+def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]]:
+    """The arrays of a table with a row for each marker that was seen in a frame."""
+    try:
+        table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, autostrip=True))
+        names = table.dtype.names or ()
+        columns = {ALIASES.get(name.lower(), name.lower()): table[name] for name in names}
+    except (OSError, ValueError, TypeError) as error:
+        raise _error(path, f"no table ({str(error).splitlines()[0]})", TABLE) from None
+    missing = [name for name in ("frame", "row", "col", "x", "y") if name not in columns]
+    if missing or not table.size:
+        found = f"no column {missing[0]} among {', '.join(columns)}" if missing else "no row"
+        raise _error(path, found, TABLE)
+    at = np.stack([columns["row"], columns["col"]])
+    inside = (at >= 0) & (at < np.reshape(shape, (2, 1))) & (at == np.rint(at))
+    if not inside.all() or not np.isfinite(columns["frame"]).all():
+        row = int(np.argmin(inside.all(axis=0) & np.isfinite(columns["frame"])))
+        found = f"frame {columns['frame'][row]:g}, row {at[0, row]:g}, col {at[1, row]:g}"
+        expected = f"whole numbers from 0, rows below {shape[0]} and columns below {shape[1]}"
+        raise _error(path, found, expected)
+    frames, frame = np.unique(columns["frame"], return_inverse=True)
+    row, col = at.astype(int)
+
+    def filled(names: tuple[str, ...]) -> Array:
+        values = np.full((len(frames), *shape, len(names)), np.nan)
+        values[frame, row, col] = np.stack([columns[name] for name in names], axis=-1)
+        return values
+
+    arrays = {POSITION: filled(("x", "y", "z") if "z" in columns else ("x", "y"))}
+    if {"ox", "oy"} <= columns.keys():
+        arrays[REFERENCE] = filled(("ox", "oy"))[0]
+    if TIME in columns:
+        arrays[TIME] = np.full(len(frames), np.nan)
+        arrays[TIME][frame] = columns[TIME]
+    return arrays
+
+
+def _on_grid(path: Path, name: str, values: NDArray[Any], shape: tuple[int, int]) -> Array:
+    """Positions (frames, rows, cols, 3); z is NaN where there are x and y alone."""
+    rows, cols = shape
+    fits = values.ndim >= 3 and values.shape[1:-1] in (shape, (rows * cols,))
+    if not fits or values.shape[-1] not in (2, 3) or not len(values):
+        frames = values.shape if name == POSITION else values.shape[1:]
+        first = "frames, " if name == POSITION else ""
+        expected = f"({first}{rows}, {cols}, 2 or 3), or {rows * cols} markers in one"
+        raise _error(path, f"{name} of shape {frames}", expected)
+    grid = np.full((len(values), rows, cols, 3), np.nan)
+    grid[..., : values.shape[-1]] = values.reshape(len(values), rows, cols, -1)
+    return np.where(np.isfinite(grid), grid, np.nan)
+
+
+def _stamps(
+    path: Path, arrays: Mapping[str, NDArray[Any]], frames: int, rate: float
+) -> NDArray[np.int64]:
+    name = next((name for name in (STAMPS, TIME) if name in arrays), "")
+    if not name:
+        return np.rint(np.arange(frames) * 1e9 / rate).astype(np.int64)
+    times = arrays[name].ravel()
+    if len(times) != frames or not np.isfinite(times).all() or times[0] < 0:
+        found = f"{name} of {len(times)} numbers from {times[0] if len(times) else 'nothing'} on"
+        raise _error(path, found, f"{frames} numbers from 0 on, one for each frame")
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if back.size:
+        k = int(back[0])
+        raise _error(path, f"{name} {times[k + 1]} after {times[k]}, frame {k + 1}", "rising times")
+    if name == STAMPS:
+        return times.astype(np.int64)
+    return np.rint(times * 1e9).astype(np.int64)
+
+
+def _scale(path: Path, rest: Array, pattern: Pattern, unit: str) -> float:
+    """Metres of one unit; raises FrameSourceError unless the markers at rest fit the pattern."""
+    known = np.isfinite(rest[..., :2]).all(axis=-1)
+    if known.mean() < LEAST_KNOWN:
+        found = f"{known.sum()} of {known.size} markers at rest"
+        raise _error(path, found, "half of them or more, others as NaN")
+    steps = np.concatenate([np.diff(rest[..., axis], axis=1 - axis).ravel() for axis in (0, 1)])
+    steps = steps[np.isfinite(steps)]
+    low, middle, high = np.quantile(steps, (STRAY_SHARE, 0.5, 1 - STRAY_SHARE))
+    scale = UNITS[unit] if unit != PIXELS else pattern.pitch / abs(middle or np.nan)
+    if not LEAST_STEP * pattern.pitch <= scale * low <= scale * high <= MOST_STEP * pattern.pitch:
+        found = f"neighbours {low:.4g} to {high:.4g} {unit} apart along x and y at rest"
+        expected = (
+            f"the pitch of the description, {1e3 * pattern.pitch:.4g} mm, x growing with the "
+            "column and y with the row; --unit says what lengths are in"
+        )
+        raise _error(path, found, expected)
+    return float(scale)
+
+
+def _error(path: Path, found: str, expected: str) -> FrameSourceError:
+    return FrameSourceError(f"{path}: found {found}, expected {expected}")
