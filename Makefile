@@ -12,7 +12,7 @@ LOCK_ARGS ?=
 export ROS
 
 .DEFAULT_GOAL := help
-.PHONY: help build demo paper test check lock clean
+.PHONY: help build demo docs paper test check lock clean
 
 help: ## List the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -25,6 +25,15 @@ build: ## Set up ROS 2 where there is none, and build what has changed
 
 demo: build ## Simulate a grasp and play it through the whole chain; writes demo_output/ (DEMO_ARGS=...)
 	@setup/run cmp_tactile demo $(DEMO_ARGS)
+
+docs: build ## Build the site with an API reference into site/, to be opened as a file
+	@mkdir -p log && "$(UV)" venv --quiet --allow-existing --python "$(PYTHON)" .venv-docs 2>log/docs.log && \
+		"$(UV)" pip install --quiet --python .venv-docs/bin/python --require-hashes --no-deps \
+			--only-binary :all: -r setup/locked-docs.txt 2>>log/docs.log || \
+		{ echo "docs: MkDocs could not be installed (log: log/docs.log)" >&2; exit 1; }
+	@setup/run python3 docs/site/pages.py build/site_source
+	@NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet --strict --config-file docs/site/mkdocs.yml
+	@echo "site/index.html"
 
 paper: build ## Run the paper's experiments, some 25 minutes on 2 cores (FAST=1: a few; PAPER_ARGS=...)
 	@setup/run sh -c 'PYTHONPATH="$$PWD/benchmarks:$$PYTHONPATH" exec python3 -m paper "$$@"' paper \
@@ -47,12 +56,13 @@ lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgra
 			--generate-hashes --only-binary :all: --no-binary empy --custom-compile-command 'make lock' \
 			$(LOCK_ARGS) "$$@"; } && \
 	lock requirements-build.txt --output-file locked-build.txt && \
+	lock requirements-docs.txt --output-file locked-docs.txt && \
 	for distro in kilted jazzy; do \
 		lock requirements-build.txt requirements-$$distro.txt requirements-libraries.txt \
 			--output-file locked-$$distro.txt || exit 1; \
 	done
 
 clean: ## Remove everything that the other commands made, the environment in .venv, too
-	@rm -rf .venv .venv-jazzy .setup.lock build build-jazzy install install-jazzy log log-jazzy
-	@rm -rf demo_output .mypy_cache .pytest_cache .ruff_cache
+	@rm -rf .venv .venv-docs .venv-jazzy .setup.lock build build-jazzy install install-jazzy log log-jazzy
+	@rm -rf demo_output site .mypy_cache .pytest_cache .ruff_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -17,7 +17,7 @@ def shared_files(*folders: str) -> list[tuple[str, list[str]]]:
 
 setup(
     name=package_name,
-    version="0.1.0",
+    version="0.2.0",
     packages=find_packages(exclude=["test", "test.*"]),
     package_data={package_name: ["py.typed", "report/templates/*.jinja"]},
     data_files=[

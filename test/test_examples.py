@@ -1,5 +1,6 @@
 """The examples of the documentation run and are true."""
 
+import json
 import re
 import shutil
 import signal
@@ -17,6 +18,7 @@ from documents import assert_printed, shown_after
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_simulation.recording.truth import read_truth
 from cmp_tactile_simulation.scenes.file import packaged_scenes
@@ -61,6 +63,20 @@ def test_offline_example_prints_the_grasp(packaged_grasp):
         assert (deepest > 0.1) == (true[2] < 0)
         # What the force stage reaches on another mesh than the simulator's, and noise.
         assert force == pytest.approx(true, abs=0.01 * abs(true[2]) + 0.01)
+
+
+def test_the_notebook_plots_force_and_slip(tmp_path):
+    """Its cells, one after the other, as a notebook runs them; the last value is looked at."""
+    notebook = json.loads((EXAMPLES / "force_and_slip.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    script = tmp_path / "notebook.py"
+    checked = "\nprint(*above.lines[2].get_ydata().round(3), max(below.lines[0].get_ydata()))"
+    script.write_text("\n".join(cells) + checked, encoding="utf-8")
+    *normal, slip = map(float, output_of(script, MPLBACKEND="agg").split())
+    # The scene presses with 1.1 N and then slides.
+    assert min(normal) == pytest.approx(-1.1, abs=0.05)
+    assert normal[0] == 0
+    assert slip == SlipState.FULL
 
 
 def test_refraction_example_prints_what_the_documentation_says():

@@ -4,7 +4,7 @@ package_name = "tf2_ros_py"
 
 setup(
     name=package_name,
-    version="0.1.0",
+    version="0.2.0",
     packages=["tf2_ros"],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),

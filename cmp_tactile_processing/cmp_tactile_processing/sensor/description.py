@@ -370,10 +370,12 @@ PACKAGE = "cmp_tactile_processing"
 
 
 def _config_folders() -> list[Path]:
-    source_tree = Path(__file__).resolve().parents[2] / "config"
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    installed = [Path(prefix) / "share" / PACKAGE / "config" for prefix in prefixes if prefix]
-    return [folder for folder in (*installed, source_tree) if folder.is_dir()]
+    source_tree = Path(__file__).resolve().parents[2]
+    prefixes = [item for item in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if item]
+    # A wheel, as pip installs it into an environment, or by --target into a folder.
+    prefixes += [str(Path(__file__).resolve().parents[5]), str(source_tree)]
+    installed = [Path(prefix) / "share" / PACKAGE / "config" for prefix in prefixes]
+    return [folder for folder in (*installed, source_tree / "config") if folder.is_dir()]
 
 
 def packaged_sensors() -> dict[str, Path]:
