@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.kernels import kernel, plain
 from cmp_tactile_processing.measured import SurfaceGrid
 
 Array = NDArray[np.float64]
@@ -112,20 +112,12 @@ class SparseRows:
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector (columns,)."""
         _require(vector.shape, self.shape[1:])
-        return _product(*self._rows, _plain(vector).reshape(-1, 1)).reshape(-1)
+        return _product(*self._rows, plain(vector, np.float64).reshape(-1, 1)).reshape(-1)
 
     def of_columns(self, matrix: Array) -> Array:
         """The product with a matrix (columns, k)."""
         _require(matrix.shape[:1], self.shape[1:])
-        return _product(*self._rows, _plain(matrix))
-
-
-def _plain(values: Array) -> Array:
-    """As what is compiled takes it: others would be compiled for again, in a frame."""
-    flags = values.flags
-    if values.dtype == np.float64 and flags.c_contiguous and flags.writeable:
-        return values
-    return np.require(values, np.float64, ["C", "W"])
+        return _product(*self._rows, plain(matrix, np.float64))
 
 
 def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:
