@@ -76,7 +76,6 @@ class FieldBuilder:
         covariance, area = np.full((6, 6), np.nan), float("nan")
         if measured.contacts:
             contacts, covariance = self._contacts(solution, measured.valid, place, contact)
-            covariance += self._model_covariance(wrench, place, force)
             area = float(sum(item.area for item in contacts))
             of_some = np.zeros(len(force), dtype=bool)
             for item in contacts:
@@ -105,26 +104,16 @@ class FieldBuilder:
     def _contacts(
         self, solution: ForceSolution, valid: float, place: Array, pressed: Mask
     ) -> tuple[tuple[Contact, ...], Array]:
-        """The contacts among pressed nodes, and the covariance (6, 6) of the whole wrench.
-
-        Of the latter what noise and resolution leave open alone.
-        """
-        of_all: list[Array] = []
-
-        def of_some(sets: list[Numbers]) -> list[tuple[Array, Array]]:
-            # All in one, as what is solved for several costs little more than for one.
-            every = np.arange(len(place))
-            found = self._covariances(solution, valid, place, [every, *sets])
-            of_all.append(found[0][0] + found[0][1])
-            return found[1:]
-
-        contacts = tuple(
-            self._with_model_error(item, solution.force, place)
-            for item in self._regions.contacts(solution.force, pressed, place, of_some)
-        )
-        if not of_all:
-            of_some([])
-        return contacts, of_all[0]
+        """The contacts among pressed nodes, and the covariance (6, 6) of the whole wrench."""
+        force = solution.force
+        hills = self._regions.hills(force, pressed, place)
+        bearing = np.count_nonzero(force.any(axis=1))
+        # A hill that bears all of the force is as well known as that is.
+        parts = [nodes for nodes in hills.nodes if len(nodes) < bearing]
+        whole, *others = self._covariances(solution, valid, place, parts)
+        of_parts = iter(others)
+        known = [next(of_parts) if len(nodes) < bearing else whole for nodes in hills.nodes]
+        return self._regions.contacts(hills, known), whole[0] + whole[1]
 
     def unknown(self, valid: float, why: ForceFlag) -> ForceField:
         """A field of NaN; valid: share of the markers that are seen."""
@@ -143,50 +132,36 @@ class FieldBuilder:
         )
 
     def _covariances(
-        self,
-        solution: ForceSolution,
-        valid: float,
-        place: Array,
-        sets: list[Numbers],
+        self, solution: ForceSolution, valid: float, place: Array, parts: list[Numbers]
     ) -> list[tuple[Array, Array]]:
-        """Covariance (6, 6) of the wrench of each set of nodes, of noise and resolution alone.
+        """Covariance (6, 6) of the whole wrench and of that of some nodes each, by noise alone.
 
-        With it what scale and edge of the second pass leave open on top of that.  valid: share of
-        the markers that are seen.
+        With it all that comes to it: what resolution, scale, edge and the model leave open.
+        valid: share of the markers that are seen.
         """
+        sets = [np.arange(len(place)), *parts]
         if solution.posterior is None:
             # That of all nodes, for want of a better one; fewer markers average less noise.
             noise = solution.noise_squared / valid * self._rest_covariance
-            return [(noise, np.zeros((6, 6)))] * len(sets)
-        weights = np.zeros((len(sets), len(place)))
-        for weight, nodes in zip(weights, sets, strict=True):
-            weight[nodes] = 1.0
-        nodes = solution.posterior.nodes
-        functionals = [self._solver.functionals(place, weight, nodes) for weight in weights]
-        noise, doubt = solution.posterior.covariances(np.concatenate(functionals))
-        blocks = [slice(6 * k, 6 * k + 6) for k in range(len(sets))]
-        return [(noise[block, block], doubt[block, block]) for block in blocks]
+            found = [(noise, np.zeros((6, 6)))] * len(sets)
+        else:
+            at = solution.posterior.nodes
+            weights = np.zeros((len(sets), len(place)))
+            for weight, nodes in zip(weights, sets, strict=True):
+                weight[nodes] = 1.0
+            functionals = [self._solver.functionals(place, weight, at) for weight in weights]
+            noise, doubt = solution.posterior.covariances(np.concatenate(functionals))
+            blocks = [slice(6 * k, 6 * k + 6) for k in range(len(sets))]
+            found = [(noise[block, block], doubt[block, block]) for block in blocks]
+        of_model = [self._model_covariance(place[nodes], solution.force[nodes]) for nodes in sets]
+        return [(noise, more + model) for (noise, more), model in zip(found, of_model, strict=True)]
 
-    def _with_model_error(
-        self,
-        contact: Contact,
-        force: Array,
-        place: Array,
-    ) -> Contact:
-        nodes = contact.nodes
-        error = self._model_covariance(contact.wrench, place[nodes], force[nodes])
-        return replace(contact, covariance=contact.covariance + error)
-
-    def _model_covariance(
-        self,
-        wrench: Array,
-        place: Array,
-        force: Array,
-    ) -> Array:
+    def _model_covariance(self, place: Array, force: Array) -> Array:
         """What the model and its calibration leave open of a wrench, (6, 6).
 
-        place (k, 3) m, force (k, 3) N: of the nodes that bear the wrench.
+        place (k, 3) m, force (k, 3) N: of the nodes that bear it.
         """
+        wrench = wrench_of(force, place)
         normal = tangential = self._sensor.force.model_error
         record = self._sensor.elastomer.calibration
         if record is not None:
