@@ -30,28 +30,42 @@ Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 
 
-def resultant_matrix(place: Array, weight: Array) -> Array:
-    """(6, 3 n): force and moment about the origin of n nodal forces, each counted with a weight.
+@kernel
+def resultant_matrix(weights: Array) -> Array:
+    """(6 s, 3 n): force and moment about the origin of n nodal forces, s times.
 
-    place (n, 3): where they act, times the weight; weight (n,).
+    weights (n, s, 4): where they act, x, y and z times their weight, and the weight.
     """
-    found = np.zeros((6, len(place), 3))
-    x, y, z = place.T
-    for axis in range(3):
-        found[axis, :, axis] = weight
-    found[3, :, 1], found[3, :, 2] = -z, y
-    found[4, :, 0], found[4, :, 2] = z, -x
-    found[5, :, 0], found[5, :, 1] = -y, x
-    return found.reshape(6, -1)
+    count, sets = weights.shape[:2]
+    found: Array = np.zeros((6 * sets, 3 * count))
+    for n in range(count):
+        for s in range(sets):
+            x, y, z = weights[n, s, 0], weights[n, s, 1], weights[n, s, 2]
+            of_set = found[6 * s : 6 * s + 6, 3 * n : 3 * n + 3]
+            for axis in range(3):
+                of_set[axis, axis] = weights[n, s, 3]
+            of_set[3, 1], of_set[3, 2] = -z, y
+            of_set[4, 0], of_set[4, 2] = z, -x
+            of_set[5, 0], of_set[5, 1] = -y, x
+    return found
 
 
-def wrench_of(force: Array, place: Array) -> Array:
-    """Force and moment about the origin (6,) of nodal forces (n, 3) that act at `place` (n, 3)."""
-    arms = place.T @ force
-    moment = arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]
-    return np.array([*force.sum(axis=0), *moment])
+@kernel
+def wrench_of(force: Array, place: Array, nodes: Numbers) -> Array:
+    """Force and moment about the origin (6,) of the forces of some nodes.
+
+    force (M, 3) N, place (M, 3) m: where they act, of all nodes; nodes (k,): numbers.
+    """
+    wrench: Array = np.zeros(6)
+    for n in nodes:
+        for c in range(3):
+            a, b = (c + 1) % 3, (c + 2) % 3
+            wrench[c] += force[n, c]
+            wrench[3 + c] += place[n, a] * force[n, b] - place[n, b] * force[n, a]
+    return wrench
 
 
+@kernel_part
 def material_covariance(
     wrench: Array, place: Array, normal_std: float, tangential_std: float
 ) -> Array:
@@ -61,10 +75,14 @@ def material_covariance(
     the normal force about x and y, those of the tangential force at height place (3,) m as well.
     """
     x, y, height = wrench[0], wrench[1], place[2]
-    by_tangential = np.array([x, y, 0.0, -height * y, height * x, wrench[5]])
-    by_normal = wrench - by_tangential
-    covariance = normal_std**2 * np.outer(by_normal, by_normal)
-    return np.asarray(covariance + tangential_std**2 * np.outer(by_tangential, by_tangential))
+    by_tangential = x, y, 0.0, -height * y, height * x, wrench[5]
+    covariance: Array = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            by_normal = (wrench[i] - by_tangential[i]) * (wrench[j] - by_tangential[j])
+            covariance[i, j] = normal_std**2 * by_normal
+            covariance[i, j] += tangential_std**2 * by_tangential[i] * by_tangential[j]
+    return covariance
 
 
 def basins(
@@ -223,7 +241,7 @@ class ContactRegions:
             shape = _shape(
                 force, place, hills.mask, hills.pressure, nodes, self._area, hills.passes[k]
             )
-            wrench = wrench_of(force[nodes], place[nodes])
+            wrench = wrench_of(force, place, nodes)
             found.append(Contact(nodes, wrench, noise + more, *shape))
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 

@@ -272,7 +272,7 @@ class ContactTraction:
             return np.asarray(self._smooth_on(nodes) @ values)
         whole = np.zeros((len(self._smoothness), 3))
         whole[nodes] = values
-        return np.asarray((self._smoothness @ whole)[nodes])
+        return np.asarray(self._spectrum.smoothed(whole)[nodes])
 
 
 def _is_traced(nodes: NDArray[np.intp], seen: SeenData) -> bool:

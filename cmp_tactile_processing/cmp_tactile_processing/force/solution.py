@@ -133,14 +133,18 @@ class ForceSolver:
             return solution
         return self._second_pass(solution.first, solution.posterior)
 
-    def functionals(self, place: Array, weight: Array, nodes: NDArray[np.intp]) -> Array:
-        """Functionals (6, 3 k) of the mask's coefficients that give a wrench about the origin.
+    def functionals(
+        self, place: Array, sets: list[NDArray[np.intp]], nodes: NDArray[np.intp]
+    ) -> Array:
+        """Functionals (6 s, 3 k) of the mask's coefficients that give wrenches about the origin.
 
-        Of nodal forces at place (nodes, 3), each counted with a weight (nodes,).
+        Of each of s sets of nodes, at place (nodes, 3) m.  nodes (k,): those of the mask.
         """
-        weights = np.column_stack([weight, weight[:, None] * place])
-        of_hats = self._spread.of_columns(weights)[nodes]
-        return resultant_matrix(of_hats[:, 1:], of_hats[:, 0])
+        weights = np.zeros((len(place), len(sets), 4))
+        for number, some in enumerate(sets):
+            weights[some, number, :3], weights[some, number, 3] = place[some], 1.0
+        of_hats = self._spread.of_columns(weights.reshape(len(place), -1))
+        return resultant_matrix(of_hats[nodes].reshape(len(nodes), len(sets), 4))
 
     def rest_covariance(self, functionals: Array) -> Array:
         """Covariance of functionals (j, 3 nodes) of nodal forces that noise of 1 alone causes."""

@@ -180,14 +180,14 @@ class TractionSpectrum:
             _Part(parity, (markers, nodes), response, (smooth[0], smooth[1]), nodal)
             for parity in PARITIES
         ]
-        self._smoothness = smoothness
+        # For what a solution leaves over and for its size 1e-7 of it will do, in half the time.
+        self._smoothness = smoothness.astype(np.float32)
         to_markers = sparse.hstack([part.of_markers for part in self.parts])
         to_nodes = sparse.hstack([part.of_nodes for part in self.parts])
         self.from_markers, self.from_nodes = SparseRows(to_markers.T), SparseRows(to_nodes.T)
         self.onto_markers, self.onto_nodes = SparseRows(to_markers), SparseRows(to_nodes)
         self._analysis = [part.modes_of_data.T for part in self.parts]
         self._pull = [np.ascontiguousarray(part.response.T) for part in self.parts]
-        # For what a solution leaves over 1e-7 of it will do, in half the time.
         self._response = [part.response.astype(np.float32) for part in self.parts]
         self._vectors = [part.vectors.astype(np.float32) for part in self.parts]
         squares = np.concatenate([part.nodal_squares for part in self.parts], axis=1)
@@ -277,8 +277,12 @@ class TractionSpectrum:
     def energy(self, coefficient: Array) -> Array:
         """Roughness (2,) of the tangential and of the normal part of coefficients (n,)."""
         found = coefficient.reshape(-1, 3)
-        by_axis = np.einsum("ij,ij->j", found, self._smoothness @ found)
+        by_axis = np.einsum("ij,ij->j", found, self.smoothed(found))
         return np.array([by_axis[0] + by_axis[1], by_axis[2]])
+
+    def smoothed(self, coefficient: Array) -> Array:
+        """Smoothness times coefficients (nodes, 3)."""
+        return np.asarray(self._smoothness @ coefficient.astype(np.float32), np.float64)
 
     def determined(self, tangential: float, normal: float) -> Array:
         """How many numbers of the tangential and of the normal part data determine, (2,)."""
