@@ -64,7 +64,8 @@ class DirectFactor(Factor):
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
         """As Factor."""
         half = forward(self._lower, right)
-        return half.T @ half, backward(self._lower, half)[unknowns]
+        first, lower = self._from(unknowns)
+        return half.T @ half, backward(lower, half[first:])[unknowns - first]
 
     def trace(self, smooth: Array) -> Array:
         """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3).
@@ -80,8 +81,14 @@ class DirectFactor(Factor):
         return self._trace
 
     def _variance(self, unknowns: Numbers) -> Array:
-        half = forward(self._lower, units_of(unknowns, len(self._lower)))
+        first, lower = self._from(unknowns)
+        half = forward(lower, units_of(unknowns - first, len(lower)))
         return np.asarray(np.einsum("ij,ij->j", half, half))
+
+    def _from(self, unknowns: Numbers) -> tuple[int, Array]:
+        """The first of some unknowns, and the factor from it on: the rest has no part in them."""
+        first = int(unknowns.min(initial=len(self._lower)))
+        return first, self._lower[first:, first:]
 
 
 class UpdatedFactor(Factor):

@@ -92,8 +92,8 @@ class TractionPosterior:
     nodes (k,): numbers.  coefficient (3 k,) N.  noise_squared: of the data.  weights: of their
     prior.  factor: inverse (3 k, 3 k) of the normal equations, the covariance for noise of 1.
     drift (3 k, 2): what a change of the two weights' logarithms adds to the normal equations.
-    edge (k,): nodes that a little more noise would have left out of the mask, so that whether they
-    bear anything is in doubt.
+    edge: how many of the nodes, the last ones, a little more noise would have left out of the mask,
+    so that whether they bear anything is in doubt.
     """
 
     nodes: NDArray[np.intp]
@@ -102,7 +102,7 @@ class TractionPosterior:
     weights: Weights
     factor: Factor
     drift: Array
-    edge: Mask
+    edge: int = 0
 
     def covariances(self, functionals: Array) -> tuple[Array, Array]:
         """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for these weights.
@@ -121,7 +121,7 @@ class TractionPosterior:
     @cached_property
     def _edge_pull(self) -> tuple[NDArray[np.intp], Array]:
         """Unknowns of the edge, and what has to pull at each for it to bear nothing."""
-        at = unknowns_of(np.flatnonzero(self.edge))
+        at = np.arange(len(self.coefficient) - 3 * self.edge, len(self.coefficient))
         return at, self.coefficient[at] / self.factor.variance(at)
 
 
@@ -233,8 +233,7 @@ class ContactTraction:
         drift = np.zeros((len(pull), 2))
         drift[0::3, 0], drift[1::3, 0] = weights.tangential * smoothed[:, :2].T
         drift[2::3, 1] = weights.normal * smoothed[:, 2]
-        no_edge = np.zeros(len(nodes), dtype=bool)
-        return TractionPosterior(nodes, coefficient, noise, weights, factor, drift, no_edge)
+        return TractionPosterior(nodes, coefficient, noise, weights, factor, drift)
 
     def _new_factor(self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData) -> Factor:
         unknowns = unknowns_of(nodes)

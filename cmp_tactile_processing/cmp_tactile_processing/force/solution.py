@@ -159,13 +159,14 @@ class ForceSolver:
 
     def _on(self, mask: Mask, first: FirstPass, seen: SeenData) -> TractionPosterior:
         """The posterior on some nodes (n,), for the noise that the first pass shows."""
-        nodes, scale = np.flatnonzero(mask), self._spectrum.scale_of_first(first)
+        edge, scale = self.rule.edge(mask), self._spectrum.scale_of_first(first)
+        nodes = np.concatenate([np.flatnonzero(mask & ~edge), np.flatnonzero(edge)])
         # That is of a traction on the whole surface.
         dense = float(np.sqrt(mask.size / len(nodes)))
         scale = TractionScale(dense * scale.normal, dense * scale.tangential)
         weights = self._second.weights(scale, first.noise_squared)
         posterior = self._second.solve(seen, nodes, weights)
-        return replace(posterior, edge=self.rule.edge(mask)[nodes])
+        return replace(posterior, edge=int(np.count_nonzero(edge)))
 
     def _with_its_scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
         """The posterior for the sizes and the noise that it shows itself."""
