@@ -58,7 +58,7 @@ TOGETHER = 3.0
 WIDE, FEW_MISSING = 0.5, 0.15
 # Factors that are kept, for masks that come and go, and bytes of inverses, for a press that grows
 # and falls: twenty of 20 x 20 nodes.
-KEPT_FACTORS, KEPT_BYTES = 8, 60e6
+KEPT_FACTORS, KEPT_BYTES = 8, 90e6
 
 
 class Weights(NamedTuple):
@@ -139,7 +139,7 @@ class ContactTraction:
         self._spectrum, self._response, self._smoothness = spectrum, response, smoothness
         self._normal = np.asarray(response.T @ response)
         self._felt = response.any(axis=1)
-        size = sum(part.gram.nbytes for part in spectrum.parts)
+        size = 1.5 * sum(part.gram.nbytes for part in spectrum.parts)
         self._factors: _Kept[Factor] = _Kept(KEPT_FACTORS)
         self._direct: _Kept[DirectFactor] = _Kept(KEPT_FACTORS)
         self._inverses: _Kept[WholeSurface] = _Kept(max(2, int(KEPT_BYTES / size)))

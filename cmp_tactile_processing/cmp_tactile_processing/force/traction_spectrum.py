@@ -147,8 +147,7 @@ class _Part:
         values, vectors = eigh(self.gram, prior, check_finite=False)
         self.values = np.maximum(values, 0.0)
         self.vectors = np.ascontiguousarray(vectors)
-        # Of each datum in the modes; 1e-7 of the data is far below their noise.
-        self.modes_of_data = np.ascontiguousarray(part @ vectors, np.float32)
+        self.modes_of_data = np.ascontiguousarray(part @ vectors)
         # Every mode has energy 1 in the prior; so much of it is of the normal traction.
         self.normal_share = np.einsum("ik,ik->k", vectors, self.normal @ vectors)
         quarter = _quarter(grids[1])[0]
@@ -308,14 +307,11 @@ class TractionSpectrum:
 
     def _in_modes(self, some: NDArray[np.intp]) -> NDArray[np.float32]:
         """Modes (q, modes) of a unit in each of some data (q,)."""
-        return np.concatenate(
-            [
-                part.share_of_data[some, None].astype(np.float32)
-                * part.modes_of_data[part.place_of_data[some]]
-                for part in self.parts
-            ],
-            axis=1,
-        )
+        parts = [
+            part.share_of_data[some, None] * part.modes_of_data[part.place_of_data[some]]
+            for part in self.parts
+        ]
+        return np.concatenate(parts, axis=1, dtype=np.float32)
 
 
 def _left_out(in_modes: NDArray[np.float32], gain: Array, modes: Array) -> NDArray[np.float32]:
