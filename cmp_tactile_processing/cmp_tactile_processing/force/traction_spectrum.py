@@ -23,6 +23,8 @@ from scipy.linalg import eigh
 
 from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,
+    Fold,
+    MirroredProduct,
     Parity,
     SparseRows,
     product_of_parts,
@@ -136,8 +138,6 @@ class _Part:
         self.of_markers, self.of_nodes = (
             parity.orthonormal(grid.rows, grid.cols) for grid in grids
         )
-        self.place, self.share = _sole_entries(self.of_nodes)
-        self.place_of_data, self.share_of_data = _sole_entries(self.of_markers)
         self.response = part = np.ascontiguousarray(self.of_markers.T @ response @ self.of_nodes)
         self.tangential, self.normal = (
             (self.of_nodes.T @ matrix @ self.of_nodes).toarray() for matrix in smooth
@@ -183,11 +183,15 @@ class TractionSpectrum:
         self._smoothness = smoothness.astype(np.float32)
         to_markers = sparse.hstack([part.of_markers for part in self.parts])
         to_nodes = sparse.hstack([part.of_nodes for part in self.parts])
-        self.from_markers, self.from_nodes = SparseRows(to_markers.T), SparseRows(to_nodes.T)
-        self.onto_markers, self.onto_nodes = SparseRows(to_markers), SparseRows(to_nodes)
+        self._from_markers = SparseRows(to_markers.T)
+        self.from_nodes, self.onto_nodes = SparseRows(to_nodes.T), SparseRows(to_nodes)
+        self._fold_of_markers = Fold.into(part.of_markers for part in self.parts)
+        self.fold = Fold.into(part.of_nodes for part in self.parts)
         self._analysis = [part.modes_of_data.T for part in self.parts]
-        self._pull = [np.ascontiguousarray(part.response.T) for part in self.parts]
-        self._response = [part.response.astype(np.float32) for part in self.parts]
+        pulls = [part.response for part in self.parts]
+        self._pull = MirroredProduct(pulls, self._fold_of_markers, self.fold)
+        responses = [part.response.T.astype(np.float32) for part in self.parts]
+        self._response = MirroredProduct(responses, self.fold, self._fold_of_markers)
         self._vectors = [part.vectors.astype(np.float32) for part in self.parts]
         squares = np.concatenate([part.nodal_squares for part in self.parts], axis=1)
         self._nodal_squares = np.ascontiguousarray(
@@ -211,7 +215,7 @@ class TractionSpectrum:
         data, count = np.where(known, data, 0.0), int(np.count_nonzero(known))
         total = float(data @ data)
         given = None if weight is None else int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
-        modes = product_of_parts(self._analysis, self.from_markers.of_vector(data))
+        modes = product_of_parts(self._analysis, self._from_markers.of_vector(data))
         index = self._likeliest(data, modes, count) if given is None else given
         if count < len(data):
             missing = np.flatnonzero(~known)
@@ -237,11 +241,11 @@ class TractionSpectrum:
 
     def respond(self, coefficient: Array) -> Array:
         """G f: data (m,) that coefficients (n,) cause."""
-        return self._mapped(self.from_nodes, self._response, self.onto_markers, coefficient)
+        return self._response.of_vector(coefficient)
 
     def pull(self, data: Array) -> Array:
         """G' d: what data (m,) ask of the coefficients, (n,)."""
-        return self._mapped(self.from_markers, self._pull, self.onto_nodes, data)
+        return self._pull.of_vector(data)
 
     def noise_covariance(self, functionals: Array, weight: float) -> Array:
         """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
@@ -290,15 +294,6 @@ class TractionSpectrum:
         of_tangential = (1 - self._normal_share) * self.values / (self.values + along)
         return np.array([of_tangential.sum(), of_normal.sum()])
 
-    def _mapped(
-        self,
-        fold: SparseRows,
-        parts: list[NDArray[np.float32]] | list[Array],
-        unfold: SparseRows,
-        values: Array,
-    ) -> Array:
-        return unfold.of_vector(product_of_parts(parts, fold.of_vector(values)))
-
     def _likeliest(self, data: Array, modes: Array, count: int) -> int:
         """Number of the weight of greatest evidence, for data (m,) and their modes."""
         misfit = np.maximum(data @ data - self._shrink @ modes**2, 0.0)
@@ -308,8 +303,8 @@ class TractionSpectrum:
     def _in_modes(self, some: NDArray[np.intp]) -> NDArray[np.float32]:
         """Modes (q, modes) of a unit in each of some data (q,)."""
         parts = [
-            part.share_of_data[some, None] * part.modes_of_data[part.place_of_data[some]]
-            for part in self.parts
+            share[some, None] * part.modes_of_data[place[some]]
+            for part, place, share in zip(self.parts, *self._fold_of_markers, strict=True)
         ]
         return np.concatenate(parts, axis=1, dtype=np.float32)
 
@@ -335,14 +330,6 @@ def _left_out(in_modes: NDArray[np.float32], gain: Array, modes: Array) -> NDArr
         last, power = power, float(residual @ residual)
         direction = residual + power / last * direction
     return filled
-
-
-def _sole_entries(basis: sparse.csc_array) -> tuple[NDArray[np.intp], Array]:
-    """For each unknown of a grid the one of a part's that it belongs to, and its share of that."""
-    entries = basis.tocoo()
-    place, share = np.zeros(entries.shape[0], np.intp), np.zeros(entries.shape[0])
-    place[entries.row], share[entries.row] = entries.col, entries.data
-    return place, share
 
 
 def _log_evidence(misfit: Any, noise: Any, count: int) -> Any:
