@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, overload
 
+import numpy as np
 from numba import njit
 from numba.extending import register_jitable
+from numpy.typing import NDArray
 
 # Nobody calls them by address; a division by zero gives what NumPy gives.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -37,3 +39,10 @@ def kernel_part(function: Any = None, **options: Any) -> Any:
     """
     decorate = register_jitable(**OPTIONS, **options)
     return decorate if function is None else decorate(function)
+
+
+def plain(array: NDArray[Any], dtype: type[Any]) -> NDArray[Any]:
+    """The array as kernels take it: they would be compiled again, in a frame, for any other."""
+    if array.dtype == dtype and array.flags.carray:
+        return array
+    return np.require(array, dtype, ["C", "W"])

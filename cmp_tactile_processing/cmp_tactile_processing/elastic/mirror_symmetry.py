@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.kernels import kernel, plain
 from cmp_tactile_processing.measured import SurfaceGrid
 
 Array = NDArray[np.float64]
@@ -95,6 +95,74 @@ def product_of_parts(parts: Iterable[NDArray[Any]], values: Array) -> Array:
     return np.concatenate(products, dtype=np.float64)
 
 
+class Fold(NamedTuple):
+    """How the unknowns (n,) of a grid fall into parts, one for each parity.
+
+    Unknown i belongs to unknown place[p][i] of part p alone, with the factor share[p][i].
+    """
+
+    place: tuple[NDArray[np.intp], ...]
+    share: tuple[Array, ...]
+
+    @classmethod
+    def into(cls, bases: Iterable[sparse.sparray]) -> Fold:
+        """From the parts' bases, (n, part) each, such as those of `Parity.orthonormal`."""
+        places, shares = [], []
+        for basis in bases:
+            entries = sparse.coo_array(basis)
+            place, share = np.zeros(basis.shape[0], np.intp), np.zeros(basis.shape[0])
+            place[entries.row], share[entries.row] = entries.col, entries.data
+            places.append(place)
+            shares.append(share)
+        return cls(tuple(places), tuple(shares))
+
+
+class MirroredProduct:
+    """Products of a matrix in parts, one for each parity, with vectors that may be 0 in many rows.
+
+    parts: each (source part, target part), what units of the source cause; in single or double
+    precision.  source, target: how the unknowns of the two grids fall into them.
+    """
+
+    def __init__(self, parts: Iterable[NDArray[Any]], source: Fold, target: Fold) -> None:
+        self.parts = tuple(np.ascontiguousarray(part) for part in parts)
+        self._folds = *source, *target
+        # Compiled, or read from numba's cache, before the first frame.
+        self.of_vector(np.zeros(len(source.place[0])))
+
+    def of_vector(self, values: Array) -> Array:
+        """The product with a vector (source,), (target,)."""
+        _require(values.shape, self._folds[0][0].shape)
+        return _mirrored_product(self.parts, *self._folds, plain(values, np.float64))
+
+
+@kernel
+def _mirrored_product(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    parts: tuple[NDArray[Any], ...],
+    source_place: tuple[NDArray[np.intp], ...],
+    source_share: tuple[Array, ...],
+    target_place: tuple[NDArray[np.intp], ...],
+    target_share: tuple[Array, ...],
+    values: Array,
+) -> Array:
+    """As MirroredProduct.of_vector; rows of a part for which the values are 0 are not read."""
+    product: Array = np.zeros(len(target_place[0]))
+    for p in range(len(parts)):
+        part, place, share = parts[p], source_place[p], source_share[p]
+        folded, found = np.zeros(len(part), part.dtype), np.zeros(part.shape[1], part.dtype)
+        for i in range(len(values)):
+            folded[place[i]] += share[i] * values[i]
+        for k in range(len(part)):
+            if folded[k] != 0:
+                row, factor = part[k], folded[k]
+                for j in range(len(row)):
+                    found[j] += factor * row[j]
+        place, share = target_place[p], target_share[p]
+        for i in range(len(product)):
+            product[i] += share[i] * found[place[i]]
+    return product
+
+
 class SparseRows:
     """Products of a sparse matrix, of any form that SciPy knows, with what a frame brings.
 
@@ -112,20 +180,12 @@ class SparseRows:
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector (columns,)."""
         _require(vector.shape, self.shape[1:])
-        return _product(*self._rows, _plain(vector).reshape(-1, 1)).reshape(-1)
+        return _product(*self._rows, plain(vector, np.float64).reshape(-1, 1)).reshape(-1)
 
     def of_columns(self, matrix: Array) -> Array:
         """The product with a matrix (columns, k)."""
         _require(matrix.shape[:1], self.shape[1:])
-        return _product(*self._rows, _plain(matrix))
-
-
-def _plain(values: Array) -> Array:
-    """As what is compiled takes it: others would be compiled for again, in a frame."""
-    flags = values.flags
-    if values.dtype == np.float64 and flags.c_contiguous and flags.writeable:
-        return values
-    return np.require(values, np.float64, ["C", "W"])
+        return _product(*self._rows, plain(matrix, np.float64))
 
 
 def _require(found: tuple[int, ...], expected: tuple[int, ...]) -> None:

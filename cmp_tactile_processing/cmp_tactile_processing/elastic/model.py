@@ -31,7 +31,12 @@ from cmp_tactile_processing.elastic.mesh import (
     hat_loads,
     interpolation,
 )
-from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Parity, mirrored_response
+from cmp_tactile_processing.elastic.mirror_symmetry import (
+    PARITIES,
+    Fold,
+    MirroredProduct,
+    Parity,
+)
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -267,7 +272,10 @@ class ElasticModel:
             lambda: _build(problem, sensor.name, progress),
         )
         # For where forces have moved to, 1e-7 of the way will do, in half the time.
-        self._of_nodes = self._responses["nodes"].astype(np.float32)
+        fold = Fold.into(parity.extension(self.nodes.rows, self.nodes.cols) for parity in PARITIES)
+        # The parts are symmetric.
+        parts = self._responses["nodes"].astype(np.float32)
+        self._of_nodes = MirroredProduct(parts, fold, fold)
 
     @property
     def node_position(self) -> NDArray[np.float64]:
@@ -298,8 +306,7 @@ class ElasticModel:
         flat = self._checked(force).ravel() / self._young
         if not flat.any():
             return np.zeros((len(flat) // 3, 3))
-        moved = mirrored_response(self._of_nodes, self.nodes, self.nodes, flat)
-        return moved.reshape(-1, 3)
+        return self._of_nodes.of_vector(flat).reshape(-1, 3)
 
     def displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
         """Displacement of the markers (rows, cols, 3) m under nodal forces (nodes, 3) N."""

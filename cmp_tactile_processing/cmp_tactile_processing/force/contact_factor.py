@@ -8,6 +8,7 @@ contact held free of traction: only as many unknowns as these have are factored.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.linalg import lapack
 from scipy.linalg.blas import dtrsm
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.elastic.mirror_symmetry import product_of_parts
+from cmp_tactile_processing.elastic.mirror_symmetry import MirroredProduct, product_of_parts
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
 
@@ -64,7 +65,8 @@ class DirectFactor(Factor):
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
         """As Factor."""
         half = forward(self._lower, right)
-        return half.T @ half, backward(self._lower, half)[unknowns]
+        first, lower = self._from(unknowns)
+        return half.T @ half, backward(lower, half[first:])[unknowns - first]
 
     def trace(self, smooth: Array) -> Array:
         """Traces (3,) of the inverse of each component times a symmetric matrix (n / 3, n / 3).
@@ -80,8 +82,14 @@ class DirectFactor(Factor):
         return self._trace
 
     def _variance(self, unknowns: Numbers) -> Array:
-        half = forward(self._lower, units_of(unknowns, len(self._lower)))
+        first, lower = self._from(unknowns)
+        half = forward(lower, units_of(unknowns - first, len(lower)))
         return np.asarray(np.einsum("ij,ij->j", half, half))
+
+    def _from(self, unknowns: Numbers) -> tuple[int, Array]:
+        """The first of some unknowns, and the factor from it on: the rest has no part in them."""
+        first = int(unknowns.min(initial=len(self._lower)))
+        return first, self._lower[first:, first:]
 
 
 class UpdatedFactor(Factor):
@@ -124,30 +132,41 @@ class WholeSurface:
 
     def __init__(self, spectrum: TractionSpectrum, tangential: float, normal: float) -> None:
         self._fold, self._unfold = spectrum.from_nodes, spectrum.onto_nodes
-        self._places = [(part.place, part.share) for part in spectrum.parts]
-        self._parts = [
+        inverses = [
             _inverse(part.gram + tangential * part.tangential + normal * part.normal)
             for part in spectrum.parts
         ]
+        self._product = MirroredProduct(inverses, spectrum.fold, spectrum.fold)
+        self._folded = list(zip(self._product.parts, *spectrum.fold, strict=True))
+        # Error bars are right to 1e-4 with it, in half the time.
+        self._single = [part.astype(np.float32) for part in inverses]
 
     def apply(self, right: Array) -> Array:
-        """The inverse times right (3 nodes, j)."""
-        folded = product_of_parts(self._parts, self._fold.of_columns(right))
-        return self._unfold.of_columns(folded)
+        """The inverse times right (3 nodes, j), of which many rows may be 0."""
+        if right.shape[1] == 1:
+            return self._product.of_vector(right[:, 0])[:, None]
+        return self._unfolded(self._product.parts, right)
+
+    def apply_roughly(self, right: Array) -> Array:
+        """The same in single precision: for error bars."""
+        return self._unfolded(self._single, right)
 
     def block(self, rows: Numbers, columns: Numbers, *, lower: bool = False) -> Array:
         """The inverse between some unknowns, (rows, columns); lower: not above the diagonal."""
         total = np.zeros((len(rows), len(columns)))
-        for part, (at, share) in zip(self._parts, self._places, strict=True):
+        for part, at, share in self._folded:
             add_block(part, at[rows], share[rows], at[columns], share[columns], lower, total)
         return total
 
     def diagonal(self, unknowns: Numbers) -> Array:
         """The inverse's diagonal at some unknowns (k,)."""
         total = np.zeros(len(unknowns))
-        for part, (at, share) in zip(self._parts, self._places, strict=True):
+        for part, at, share in self._folded:
             total += np.diag(part)[at[unknowns]] * share[unknowns] ** 2
         return total
+
+    def _unfolded(self, parts: Sequence[NDArray[Any]], right: Array) -> Array:
+        return self._unfold.of_columns(product_of_parts(parts, self._fold.of_columns(right)))
 
 
 class ComplementFactor(Factor):
@@ -174,7 +193,7 @@ class ComplementFactor(Factor):
 
     def solve(self, right: Array) -> Array:
         """As Factor."""
-        free = self._free(right)
+        free = self._whole.apply(self._on_all(right))
         held, data = self._multipliers(*self._halves(free[self._beside], self._gone @ free))
         taken = self._gone.T @ data
         taken[self._beside] += held
@@ -182,7 +201,7 @@ class ComplementFactor(Factor):
 
     def joint(self, right: Array, unknowns: Numbers) -> tuple[Array, Array]:
         """As Factor."""
-        free = self._free(right)
+        free = self._whole.apply_roughly(self._on_all(right))
         first, second = self._halves(free[self._beside], self._gone @ free)
         product = right.T @ free[self._unknowns] - first.T @ first + second.T @ second
         held, data = self._multipliers(first, second)
@@ -196,11 +215,11 @@ class ComplementFactor(Factor):
         lost = np.einsum("ij,ij->j", first, first) - np.einsum("ij,ij->j", second, second)
         return np.asarray(self._whole.diagonal(chosen) - lost)
 
-    def _free(self, right: Array) -> Array:
-        """The whole surface's inverse times right (k, j), (3 nodes, j)."""
+    def _on_all(self, right: Array) -> Array:
+        """right (k, j) as (3 nodes, j), 0 beside the contact."""
         whole = np.zeros((self._size, right.shape[1]))
         whole[self._unknowns] = right
-        return self._whole.apply(whole)
+        return whole
 
     def _to_beside(self, chosen: Numbers) -> Array:
         """The whole surface's inverse from some unknowns to those beside, the last one kept."""
@@ -264,15 +283,14 @@ def weighted_equations(
     """
     count = len(nodes)
     found = np.zeros((3 * count, 3 * count))
-    for i in range(count):
-        for j in range(i + 1):
-            for a in range(3):
-                for b in range(3):
-                    found[3 * j + b, 3 * i + a] = normal[3 * nodes[i] + a, 3 * nodes[j] + b]
-            rough = smooth[nodes[i], nodes[j]]
-            found[3 * j, 3 * i] += tangential * rough
-            found[3 * j + 1, 3 * i + 1] += tangential * rough
-            found[3 * j + 2, 3 * i + 2] += vertical * rough
+    for j in range(count):
+        for b in range(3):
+            row, column = normal[3 * nodes[j] + b], found[3 * j + b]
+            weight = vertical if b == 2 else tangential
+            for i in range(j, count):
+                for a in range(3):
+                    column[3 * i + a] = row[3 * nodes[i] + a]
+                column[3 * i + b] += weight * smooth[nodes[j], nodes[i]]
     lower: Array = found.T  # in the order of columns, as LAPACK has it
     return lower
 

@@ -6,13 +6,13 @@ join.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.kernels import kernel, kernel_part
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.force.outline import outline
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
@@ -28,32 +28,44 @@ LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-# Of the wrenches of some sets of nodes, for each by noise alone and what comes to it.
-Covariances = Callable[[list[Numbers]], list[tuple[Array, Array]]]
 
 
-def resultant_matrix(place: Array, weight: Array) -> Array:
-    """(6, 3 n): force and moment about the origin of n nodal forces, each counted with a weight.
+@kernel
+def resultant_matrix(weights: Array) -> Array:
+    """(6 s, 3 n): force and moment about the origin of n nodal forces, s times.
 
-    place (n, 3): where they act, times the weight; weight (n,).
+    weights (n, s, 4): where they act, x, y and z times their weight, and the weight.
     """
-    found = np.zeros((6, len(place), 3))
-    x, y, z = place.T
-    for axis in range(3):
-        found[axis, :, axis] = weight
-    found[3, :, 1], found[3, :, 2] = -z, y
-    found[4, :, 0], found[4, :, 2] = z, -x
-    found[5, :, 0], found[5, :, 1] = -y, x
-    return found.reshape(6, -1)
+    count, sets = weights.shape[:2]
+    found: Array = np.zeros((6 * sets, 3 * count))
+    for n in range(count):
+        for s in range(sets):
+            x, y, z = weights[n, s, 0], weights[n, s, 1], weights[n, s, 2]
+            of_set = found[6 * s : 6 * s + 6, 3 * n : 3 * n + 3]
+            for axis in range(3):
+                of_set[axis, axis] = weights[n, s, 3]
+            of_set[3, 1], of_set[3, 2] = -z, y
+            of_set[4, 0], of_set[4, 2] = z, -x
+            of_set[5, 0], of_set[5, 1] = -y, x
+    return found
 
 
-def wrench_of(force: Array, place: Array) -> Array:
-    """Force and moment about the origin (6,) of nodal forces (n, 3) that act at `place` (n, 3)."""
-    arms = place.T @ force
-    moment = arms[1, 2] - arms[2, 1], arms[2, 0] - arms[0, 2], arms[0, 1] - arms[1, 0]
-    return np.array([*force.sum(axis=0), *moment])
+@kernel
+def wrench_of(force: Array, place: Array, nodes: Numbers) -> Array:
+    """Force and moment about the origin (6,) of the forces of some nodes.
+
+    force (M, 3) N, place (M, 3) m: where they act, of all nodes; nodes (k,): numbers.
+    """
+    wrench: Array = np.zeros(6)
+    for n in nodes:
+        for c in range(3):
+            a, b = (c + 1) % 3, (c + 2) % 3
+            wrench[c] += force[n, c]
+            wrench[3 + c] += place[n, a] * force[n, b] - place[n, b] * force[n, a]
+    return wrench
 
 
+@kernel_part
 def material_covariance(
     wrench: Array, place: Array, normal_std: float, tangential_std: float
 ) -> Array:
@@ -63,10 +75,14 @@ def material_covariance(
     the normal force about x and y, those of the tangential force at height place (3,) m as well.
     """
     x, y, height = wrench[0], wrench[1], place[2]
-    by_tangential = np.array([x, y, 0.0, -height * y, height * x, wrench[5]])
-    by_normal = wrench - by_tangential
-    covariance = normal_std**2 * np.outer(by_normal, by_normal)
-    return np.asarray(covariance + tangential_std**2 * np.outer(by_tangential, by_tangential))
+    by_tangential = x, y, 0.0, -height * y, height * x, wrench[5]
+    covariance: Array = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            by_normal = (wrench[i] - by_tangential[i]) * (wrench[j] - by_tangential[j])
+            covariance[i, j] = normal_std**2 * by_normal
+            covariance[i, j] += tangential_std**2 * by_tangential[i] * by_tangential[j]
+    return covariance
 
 
 def basins(
@@ -142,29 +158,21 @@ def _renumber(parent: Any, passes: Any, found: int, order: Any, number: Any) -> 
     return count
 
 
-class _Load(NamedTuple):
-    """What every contact of a frame is cut from.
+class Hills(NamedTuple):
+    """The hills of pressure of a frame, each of which may be a contact.
 
-    force, place (M, 3).  mask (M,): nodes in contact.  pressure (rows, cols).  owner (M,): the hill
-    that a node belongs to, from 1.  pressing (hills + 1,) N: its normal force.  passes (hills,).
+    nodes: of each hill, numbers (K,).  pressing (hills,) N: their normal forces.  passes (hills,):
+    the lowest pass that joined the parts of each, inf where it is of one piece.
+    force, place (M, 3).  mask (M,): nodes in contact.  pressure (rows, cols).
     """
 
-    force: NDArray[np.float64]
-    place: NDArray[np.float64]
-    mask: NDArray[np.bool_]
-    pressure: NDArray[np.float64]
-    owner: NDArray[np.intp]
-    pressing: NDArray[np.float64]
-    passes: NDArray[np.float64]
-
-
-class _Shape(NamedTuple):
-    """What a Contact says of its own, besides how well it is known."""
-
-    area: float
-    centre_of_pressure: NDArray[np.float64]
-    outline: NDArray[np.float64]
-    at_border: bool
+    nodes: list[Numbers]
+    pressing: Array
+    passes: Array
+    force: Array
+    place: Array
+    mask: Mask
+    pressure: Array
 
 
 class ContactRegions:
@@ -184,29 +192,38 @@ class ContactRegions:
         border[1:-1, 1:-1] = False
         self.border = border.ravel()
         # Compiled here, before the first frame.
-        one, nothing = np.zeros((rows * cols, 3)), (np.zeros((6, 6)), np.zeros((6, 6)))
+        one = np.zeros((rows * cols, 3))
         one[0, 2] = -1.0
-        self.contacts(one, one[:, 2] < 0, np.zeros(one.shape), lambda sets: [nothing] * len(sets))
+        hill = self.hills(one, one[:, 2] < 0, np.zeros(one.shape))
+        self.contacts(hill, [(np.zeros((6, 6)), np.zeros((6, 6)))])
+
+    def hills(self, force: Array, contact: Mask, place: Array) -> Hills:
+        """What may be a contact.
+
+        force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
+        the forces act, on the deformed surface.
+
+        A hill is of nodes in contact that touch, sides or corners, but for those that a deep pass
+        parts.  To it belong those next to it that bear the rest of its force, so that the hills'
+        wrenches add up to that of all nodes.  Nodes without a finite force belong to none; a hill
+        with less than 1 % of the strongest one's normal force is none.
+        """
+        force, place = plain(force, np.float64), plain(place, np.float64)
+        pressure, mask, loaded = _pressure(force, place, np.asarray(contact, np.bool_), self._area)
+        grid = pressure.reshape(self._shape)
+        numbers, passes = basins(grid, mask.reshape(self._shape), MERGE_RATIO)
+        owner, pressing = _owner(numbers, grid, loaded.reshape(self._shape), force, len(passes))
+        large = np.flatnonzero(pressing > LEAST_SHARE * pressing.max(initial=0.0))
+        nodes = [np.flatnonzero(owner == hill + 1) for hill in large]
+        return Hills(nodes, pressing[large], passes[large], force, place, mask, grid)
 
     def contacts(
-        self,
-        force: NDArray[np.float64],
-        contact: NDArray[np.bool_],
-        place: NDArray[np.float64],
-        covariances: Covariances,
+        self, hills: Hills, covariances: Sequence[tuple[Array, Array]]
     ) -> tuple[Contact, ...]:
         """Separate contacts, that of the largest normal force first.
 
-        force (M, 3) N per node, on the gel; contact (M,): nodes in contact; place (M, 3) m: where
-        the forces act, on the deformed surface; covariances: for each of
-        some sets of nodes (6, 6) of its wrench, of noise alone and what comes to it.  The first
-        decides what is a contact.
-
-        A contact is a hill of pressure: nodes of the mask that touch, sides or corners, but for
-        hills that a deep pass parts.  To its nodes belong those next to the mask that bear the
-        rest of its force, so that the contacts' wrenches add up to that of all nodes.  Nodes
-        without a finite force belong to none; a hill with a normal force that does not stand out of
-        its noise, or is below 1 % of the strongest contact's, is none.
+        covariances: for each hill (6, 6) of its wrench, of noise alone and what comes to it.  A
+        hill with a normal force that does not stand out of the noise is none.
 
         The outline follows a level of the normal pressure between the nodes, closed along the
         border of the grid where the contact goes on beyond it.  Of a ring it is the outer edge;
@@ -217,80 +234,102 @@ class ContactRegions:
         off: the outline lies 0.3 to 0.7 spacings too far out, the area is a fifth to a half too
         large.  Two contacts are found apart when their edges are 0.7 spacings from each other.
         """
-        mask = np.asarray(contact, dtype=bool)
-        if not mask.any():
-            return ()
-        load = _load(force, place, mask, self._area, self._shape)
-        least = LEAST_SHARE * max(load.pressing.max(), 0.0)
-        numbers = np.flatnonzero(load.pressing > least)
-        found, owned = [], [np.flatnonzero(load.owner == number) for number in numbers]
-        for number, nodes, (noise, more) in zip(numbers, owned, covariances(owned), strict=True):
-            if load.pressing[number] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
+        force, place, found = hills.force, hills.place, []
+        for k, (nodes, (noise, more)) in enumerate(zip(hills.nodes, covariances, strict=True)):
+            if hills.pressing[k] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
                 continue
-            shape = _shape(load, nodes, self._area, self.border)
-            found.append(
-                Contact(nodes, wrench_of(force[nodes], place[nodes]), noise + more, *shape)
+            shape = _shape(
+                force, place, hills.mask, hills.pressure, nodes, self._area, hills.passes[k]
             )
+            wrench = wrench_of(force, place, nodes)
+            found.append(Contact(nodes, wrench, noise + more, *shape))
         return tuple(sorted(found, key=lambda item: item.wrench[2]))
 
 
-def _load(force: Array, place: Array, contact: Mask, area: Array, shape: tuple[int, int]) -> _Load:
-    """The hills of a frame; area (M,): of the nodes."""
-    known = np.isfinite(force).all(axis=1) & np.isfinite(place).all(axis=1)
-    mask, loaded = known & contact, known & force.any(axis=1)
-    grid = np.where(known, -force[:, 2] / area, 0.0).reshape(shape)
-    numbers, passes = basins(grid, mask.reshape(shape), MERGE_RATIO)
-    owner = _with_neighbours(numbers, grid, loaded.reshape(shape)).reshape(-1)
-    normal = np.where(owner > 0, -force[:, 2], 0.0)
-    pressing = np.asarray(np.bincount(owner, normal, len(passes) + 1), np.float64)
-    return _Load(force, place, mask, grid, owner, pressing, passes)
+@kernel
+def _pressure(force: Array, place: Array, contact: Mask, area: Array) -> tuple[Array, Mask, Mask]:
+    """Normal pressure at the nodes (M,), which of them are in contact, and which bear a force.
 
-
-def _shape(load: _Load, nodes: Numbers, area: Array, border: Mask) -> _Shape:
-    """One contact, by its nodes."""
-    rows, cols = load.pressure.shape
-    force, place, core = load.force[nodes], load.place[nodes], load.mask[nodes]
-    pressing = np.maximum(-force[:, 2], 0.0)
-    total = float(pressing.sum())
-    centre = pressing @ place / total if total > 0 else np.full(3, np.nan)
-    height = np.zeros((rows + 2, cols + 2))
-    at = nodes // cols, nodes % cols
-    height[at[0] + 1, at[1] + 1] = np.maximum(load.pressure[at], 0.0)
-    core_area = float(area[nodes][core].sum())
-    # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
-    level = float(-force[core, 2].sum()) / core_area
-    highest = load.passes[load.owner[nodes[0]] - 1] * (1 - 1e-9)
-    points, cells = outline(height, level, highest)
-    points = _lifted(points, load.place, (rows, cols))
-    at_border = bool(border[nodes][core].any())
-    return _Shape(cells * core_area / np.count_nonzero(core), centre, points, at_border)
-
-
-def _lifted(points: Array, place: Array, shape: tuple[int, int]) -> Array:
-    """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
-    last = np.array([shape[1] - 2, shape[0] - 2])
-    corner = np.minimum(points.astype(np.intp), last)
-    first, (u, v) = corner[:, 1] * shape[1] + corner[:, 0], (points - corner).T[..., None]
-    lower = (1 - u) * place[first] + u * place[first + 1]
-    upper = (1 - u) * place[first + shape[1]] + u * place[first + shape[1] + 1]
-    return np.asarray((1 - v) * lower + v * upper)
+    area (M,): of the nodes.  Where a force or its place is not known there is none.
+    """
+    pressure = np.zeros(len(force))
+    mask, loaded = np.zeros(len(force), np.bool_), np.zeros(len(force), np.bool_)
+    for n in range(len(force)):
+        known, some = True, False
+        for c in range(3):
+            known &= np.isfinite(force[n, c]) and np.isfinite(place[n, c])
+            some |= force[n, c] != 0
+        if known:
+            pressure[n] = -force[n, 2] / area[n]
+            mask[n], loaded[n] = contact[n], some
+    return pressure, mask, loaded
 
 
 @kernel
-def _with_neighbours(
-    numbers: NDArray[np.intp], pressure: NDArray[np.float64], loaded: NDArray[np.bool_]
-) -> NDArray[np.intp]:
-    """Numbers of the contacts, given also to loaded nodes beside them: that of the highest one."""
+def _shape(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    force: Array, place: Array, mask: Mask, pressure: Array, nodes: Numbers, area: Array,
+    lowest_pass: float,
+) -> tuple[float, Array, Array, bool]:  # fmt: skip
+    """Area, centre of pressure (3,) and outline (L, 3) of a hill, and whether it is at the border.
+
+    Arrays as in Hills; nodes (K,): those of the hill; area (M,): of all nodes.
+    """
+    rows, cols = pressure.shape
+    centre, height = np.zeros(3), np.zeros((rows + 2, cols + 2))
+    total = core_area = core_force = 0.0
+    count, at_border = 0, False
+    for n in nodes:
+        i, j = n // cols, n % cols
+        pressing = max(-force[n, 2], 0.0)
+        total += pressing
+        for c in range(3):
+            centre[c] += pressing * place[n, c]
+        height[i + 1, j + 1] = max(pressure[i, j], 0.0)
+        if mask[n]:
+            core_area, core_force, count = core_area + area[n], core_force - force[n, 2], count + 1
+            at_border |= i in (0, rows - 1) or j in (0, cols - 1)
+    # On a sloping surface -f_z per area is not quite the pressure: it only sets the level.
+    points, cells = outline(height, core_force / core_area, lowest_pass * (1 - 1e-9))
+    centre = centre / total if total > 0 else np.full(3, np.nan)
+    return cells * core_area / count, centre, _lifted(points, place, rows, cols), at_border
+
+
+@kernel_part
+def _lifted(points: Array, place: Array, rows: int, cols: int) -> Array:
+    """Points (L, 2) as (col, row) on the deformed surface, (L, 3) m, linear between nodes."""
+    lifted: Array = np.empty((len(points), 3))
+    for k in range(len(points)):
+        col, row = points[k]
+        j, i = min(int(col), cols - 2), min(int(row), rows - 2)
+        u, v, first = col - j, row - i, i * cols + j
+        for c in range(3):
+            lower = (1 - u) * place[first, c] + u * place[first + 1, c]
+            upper = (1 - u) * place[first + cols, c] + u * place[first + cols + 1, c]
+            lifted[k, c] = (1 - v) * lower + v * upper
+    return lifted
+
+
+@kernel
+def _owner(
+    numbers: Numbers, pressure: Array, loaded: Mask, force: Array, hills: int
+) -> tuple[Numbers, Array]:
+    """The hill (M,) from 1 that each node belongs to, and the normal forces (hills,) of these.
+
+    numbers, pressure, loaded (rows, cols).  To a hill belong loaded nodes beside it, too: to that
+    of the highest one of their neighbours.
+    """
     rows, cols = numbers.shape
-    owner: NDArray[np.intp] = numbers.copy()
+    owner: Numbers = numbers.copy().reshape(-1)
+    pressing = np.zeros(hills)
     for i in range(rows):
         for j in range(cols):
-            if numbers[i, j] != 0 or not loaded[i, j]:
-                continue
-            best = -np.inf
-            for k in range(max(i - 1, 0), min(i + 2, rows)):
+            node, best = i * cols + j, -np.inf
+            around = numbers[i, j] == 0 and loaded[i, j]
+            for k in range(max(i - 1, 0), min(i + 2, rows) if around else 0):
                 for m in range(max(j - 1, 0), min(j + 2, cols)):
                     if numbers[k, m] > 0 and pressure[k, m] > best:
                         best = pressure[k, m]
-                        owner[i, j] = numbers[k, m]
-    return owner
+                        owner[node] = numbers[k, m]
+            if owner[node] > 0:
+                pressing[owner[node] - 1] -= force[node, 2]
+    return owner, pressing

@@ -58,7 +58,7 @@ TOGETHER = 3.0
 WIDE, FEW_MISSING = 0.5, 0.15
 # Factors that are kept, for masks that come and go, and bytes of inverses, for a press that grows
 # and falls: twenty of 20 x 20 nodes.
-KEPT_FACTORS, KEPT_BYTES = 8, 60e6
+KEPT_FACTORS, KEPT_BYTES = 8, 90e6
 
 
 class Weights(NamedTuple):
@@ -92,8 +92,8 @@ class TractionPosterior:
     nodes (k,): numbers.  coefficient (3 k,) N.  noise_squared: of the data.  weights: of their
     prior.  factor: inverse (3 k, 3 k) of the normal equations, the covariance for noise of 1.
     drift (3 k, 2): what a change of the two weights' logarithms adds to the normal equations.
-    edge (k,): nodes that a little more noise would have left out of the mask, so that whether they
-    bear anything is in doubt.
+    edge: how many of the nodes, the last ones, a little more noise would have left out of the mask,
+    so that whether they bear anything is in doubt.
     """
 
     nodes: NDArray[np.intp]
@@ -102,7 +102,7 @@ class TractionPosterior:
     weights: Weights
     factor: Factor
     drift: Array
-    edge: Mask
+    edge: int = 0
 
     def covariances(self, functionals: Array) -> tuple[Array, Array]:
         """Covariance (j, j) of linear functionals (j, 3 k) of the coefficients, for these weights.
@@ -121,7 +121,7 @@ class TractionPosterior:
     @cached_property
     def _edge_pull(self) -> tuple[NDArray[np.intp], Array]:
         """Unknowns of the edge, and what has to pull at each for it to bear nothing."""
-        at = unknowns_of(np.flatnonzero(self.edge))
+        at = np.arange(len(self.coefficient) - 3 * self.edge, len(self.coefficient))
         return at, self.coefficient[at] / self.factor.variance(at)
 
 
@@ -139,7 +139,7 @@ class ContactTraction:
         self._spectrum, self._response, self._smoothness = spectrum, response, smoothness
         self._normal = np.asarray(response.T @ response)
         self._felt = response.any(axis=1)
-        size = sum(part.gram.nbytes for part in spectrum.parts)
+        size = 1.5 * sum(part.gram.nbytes for part in spectrum.parts)
         self._factors: _Kept[Factor] = _Kept(KEPT_FACTORS)
         self._direct: _Kept[DirectFactor] = _Kept(KEPT_FACTORS)
         self._inverses: _Kept[WholeSurface] = _Kept(max(2, int(KEPT_BYTES / size)))
@@ -233,8 +233,7 @@ class ContactTraction:
         drift = np.zeros((len(pull), 2))
         drift[0::3, 0], drift[1::3, 0] = weights.tangential * smoothed[:, :2].T
         drift[2::3, 1] = weights.normal * smoothed[:, 2]
-        no_edge = np.zeros(len(nodes), dtype=bool)
-        return TractionPosterior(nodes, coefficient, noise, weights, factor, drift, no_edge)
+        return TractionPosterior(nodes, coefficient, noise, weights, factor, drift)
 
     def _new_factor(self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData) -> Factor:
         unknowns = unknowns_of(nodes)
@@ -272,7 +271,7 @@ class ContactTraction:
             return np.asarray(self._smooth_on(nodes) @ values)
         whole = np.zeros((len(self._smoothness), 3))
         whole[nodes] = values
-        return np.asarray((self._smoothness @ whole)[nodes])
+        return np.asarray(self._spectrum.smoothed(whole)[nodes])
 
 
 def _is_traced(nodes: NDArray[np.intp], seen: SeenData) -> bool:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import binary_dilation, binary_propagation
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.elastic.model import ElasticModel
 from cmp_tactile_processing.force.contact_regions import (
     ContactRegions,
@@ -59,24 +60,31 @@ class FieldBuilder:
         self._whitening = whitening
         nodes = elastic.nodes
         self._position = elastic.node_position
+        self._every = np.arange(len(self._position))
+        error, record = sensor.force.model_error, sensor.elastomer.calibration
+        stated = (0.0, 0.0) if record is None else (record.normal_std, record.tangential_std)
+        material = float(np.hypot(error, stated[0])), float(np.hypot(error, stated[1]))
+        height = float(sensor.elastomer.size[2])
+        self._doubt = float(error), material, height, bool(whitening.depth_seen)
         area = nodes.spacing[0] * nodes.spacing[1] * elastic.node_stretch
         self._regions = ContactRegions(nodes, area)
         self._to_nodes = interpolation_matrix(elastic.markers, nodes)
-        of_all = resultant_matrix(self._position, np.ones(len(self._position)))
-        self._rest_covariance = solver.rest_covariance(of_all)
+        of_all = np.column_stack([self._position, np.ones(len(self._position))])
+        self._rest_covariance = solver.rest_covariance(resultant_matrix(of_all[:, None].copy()))
+        # Compiled here, before the first frame.
+        _model_covariance(self._position, self._position, self._every, *self._doubt)
 
     def field(
         self, solution: ForceSolution, measured: Measurements, moved: Array, flag: ForceFlag
     ) -> ForceField:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, place = solution.force, self._position + moved
-        wrench = wrench_of(force, place)
+        wrench = wrench_of(force, place, self._every)
         contact = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
         contacts: tuple[Contact, ...] = ()
         covariance, area = np.full((6, 6), np.nan), float("nan")
         if measured.contacts:
             contacts, covariance = self._contacts(solution, measured.valid, place, contact)
-            covariance += self._model_covariance(wrench, place, force)
             area = float(sum(item.area for item in contacts))
             of_some = np.zeros(len(force), dtype=bool)
             for item in contacts:
@@ -105,26 +113,10 @@ class FieldBuilder:
     def _contacts(
         self, solution: ForceSolution, valid: float, place: Array, pressed: Mask
     ) -> tuple[tuple[Contact, ...], Array]:
-        """The contacts among pressed nodes, and the covariance (6, 6) of the whole wrench.
-
-        Of the latter what noise and resolution leave open alone.
-        """
-        of_all: list[Array] = []
-
-        def of_some(sets: list[Numbers]) -> list[tuple[Array, Array]]:
-            # All in one, as what is solved for several costs little more than for one.
-            every = np.arange(len(place))
-            found = self._covariances(solution, valid, place, [every, *sets])
-            of_all.append(found[0][0] + found[0][1])
-            return found[1:]
-
-        contacts = tuple(
-            self._with_model_error(item, solution.force, place)
-            for item in self._regions.contacts(solution.force, pressed, place, of_some)
-        )
-        if not of_all:
-            of_some([])
-        return contacts, of_all[0]
+        """The contacts among pressed nodes, and the covariance (6, 6) of the whole wrench."""
+        hills = self._regions.hills(solution.force, pressed, place)
+        whole, *of_hills = self._covariances(solution, valid, place, hills.nodes)
+        return self._regions.contacts(hills, of_hills), whole[0] + whole[1]
 
     def unknown(self, valid: float, why: ForceFlag) -> ForceField:
         """A field of NaN; valid: share of the markers that are seen."""
@@ -143,71 +135,25 @@ class FieldBuilder:
         )
 
     def _covariances(
-        self,
-        solution: ForceSolution,
-        valid: float,
-        place: Array,
-        sets: list[Numbers],
+        self, solution: ForceSolution, valid: float, place: Array, parts: list[Numbers]
     ) -> list[tuple[Array, Array]]:
-        """Covariance (6, 6) of the wrench of each set of nodes, of noise and resolution alone.
+        """Covariance (6, 6) of the whole wrench and of that of some nodes each, by noise alone.
 
-        With it what scale and edge of the second pass leave open on top of that.  valid: share of
-        the markers that are seen.
+        With it all that comes to it: what resolution, scale, edge and the model leave open.
+        valid: share of the markers that are seen.
         """
+        sets = [self._every, *parts]
         if solution.posterior is None:
             # That of all nodes, for want of a better one; fewer markers average less noise.
             noise = solution.noise_squared / valid * self._rest_covariance
-            return [(noise, np.zeros((6, 6)))] * len(sets)
-        weights = np.zeros((len(sets), len(place)))
-        for weight, nodes in zip(weights, sets, strict=True):
-            weight[nodes] = 1.0
-        nodes = solution.posterior.nodes
-        functionals = [self._solver.functionals(place, weight, nodes) for weight in weights]
-        noise, doubt = solution.posterior.covariances(np.concatenate(functionals))
-        blocks = [slice(6 * k, 6 * k + 6) for k in range(len(sets))]
-        return [(noise[block, block], doubt[block, block]) for block in blocks]
-
-    def _with_model_error(
-        self,
-        contact: Contact,
-        force: Array,
-        place: Array,
-    ) -> Contact:
-        nodes = contact.nodes
-        error = self._model_covariance(contact.wrench, place[nodes], force[nodes])
-        return replace(contact, covariance=contact.covariance + error)
-
-    def _model_covariance(
-        self,
-        wrench: Array,
-        place: Array,
-        force: Array,
-    ) -> Array:
-        """What the model and its calibration leave open of a wrench, (6, 6).
-
-        place (k, 3) m, force (k, 3) N: of the nodes that bear the wrench.
-        """
-        normal = tangential = self._sensor.force.model_error
-        record = self._sensor.elastomer.calibration
-        if record is not None:
-            normal = float(np.hypot(normal, record.normal_std))
-            tangential = float(np.hypot(tangential, record.tangential_std))
-        error, height = self._sensor.force.model_error, self._sensor.elastomer.size[2]
-        sizes = np.sqrt(np.einsum("ij,ij->i", force, force))
-        total = float(sizes.sum())
-        centre = sizes @ place / total if total else np.zeros(3)
-        covariance = material_covariance(wrench, centre, normal, tangential)
-        # Where the forces act is as uncertain as the mesh that says how far they have moved.
-        lever = error * height * np.linalg.norm(wrench[:3])
-        about = error * height * np.hypot(wrench[0], wrench[1])
-        covariance[3:, 3:] += np.diag(np.square([lever, lever, about]))
-        leaking = LEAK_SHARE * error * total * resultant_matrix(centre[None], np.ones(1))
-        covariance += leaking @ leaking.T
-        if not self._whitening.depth_seen:
-            size = float(np.linalg.norm(wrench[:3]))
-            reach = float(np.linalg.norm(centre)) + self._sensor.elastomer.size[2]
-            covariance += np.diag((size * np.array([*ONE_VIEW_SHARE, *3 * (reach,)])) ** 2)
-        return covariance
+            found = [(noise, np.zeros((6, 6)))] * len(sets)
+        else:
+            functionals = self._solver.functionals(place, sets, solution.posterior.nodes)
+            noise, doubt = solution.posterior.covariances(functionals)
+            blocks = [slice(6 * k, 6 * k + 6) for k in range(len(sets))]
+            found = [(noise[block, block], doubt[block, block]) for block in blocks]
+        of_model = [_model_covariance(solution.force, place, nodes, *self._doubt) for nodes in sets]
+        return [(noise, more + model) for (noise, more), model in zip(found, of_model, strict=True)]
 
     def _flags(
         self, solution: ForceSolution, measured: Measurements, contacts: tuple[Contact, ...]
@@ -270,6 +216,44 @@ class FieldBuilder:
             poisson=elastomer.poisson,
             **values,  # type: ignore[arg-type]
         )
+
+
+@kernel
+def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    force: Array, place: Array, nodes: Numbers, error: float, material: tuple[float, float],
+    height: float, depth_seen: bool,
+) -> Array:  # fmt: skip
+    """What the model and its calibration leave open of the wrench of some nodes (k,), (6, 6).
+
+    force (M, 3) N, place (M, 3) m: of all nodes.  error: of the model; material: of the normal and
+    of the tangential scale; all relative.  height: of the gel, m.
+    """
+    wrench = wrench_of(force, place, nodes)
+    centre, total = np.zeros(3), 0.0
+    for n in nodes:
+        size = np.sqrt(force[n, 0] ** 2 + force[n, 1] ** 2 + force[n, 2] ** 2)
+        total += size
+        for c in range(3):
+            centre[c] += size * place[n, c]
+    if total > 0:
+        centre /= total
+    found: Array = material_covariance(wrench, centre, material[0], material[1])
+    across = np.hypot(wrench[0], wrench[1])
+    size = np.hypot(across, wrench[2])
+    # Where the forces act is as uncertain as the mesh that says how far they have moved.
+    for i, acting in enumerate((size, size, across)):
+        found[3 + i, 3 + i] += (error * height * acting) ** 2
+    leaking = LEAK_SHARE * error * total * resultant_matrix(np.append(centre, 1.0).reshape(1, 1, 4))
+    for i in range(6):
+        for j in range(6):
+            for c in range(3):
+                found[i, j] += leaking[i, c] * leaking[j, c]
+    if not depth_seen:
+        reach = height + np.sqrt(np.sum(centre**2))
+        for i in range(6):
+            share = ONE_VIEW_SHARE[i] if i < 3 else reach
+            found[i, i] += (size * share) ** 2
+    return found
 
 
 def _reaching_border(hidden: Mask) -> Mask:

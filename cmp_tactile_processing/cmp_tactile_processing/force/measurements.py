@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel, plain
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import Status, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # A marker whose deviation is so many times the median's shows next to nothing.
 MUCH_NOISIER = 4.0
+MISSING = int(Status.MISSING)
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,6 +47,10 @@ class Whitening:
         self.depth_seen = len(sensor.views) != 1
         self._sensor = sensor
         self._shape = markers.rows, markers.cols
+        self._farthest = float(max(sensor.elastomer.size))
+        self._no_covariance = np.full((*self._shape, 3, 3), np.nan)
+        # Compiled here, before the first frame.
+        self.measurements(np.zeros((*self._shape, 3)), np.zeros(self._shape, np.uint8), None)
 
     def measurements(
         self, displacement: Array, status: NDArray[np.uint8], covariance: Array | None
@@ -51,15 +58,19 @@ class Whitening:
         """Of a frame: see ForceModel.reconstruct."""
         moved, states = np.asarray(displacement, dtype=np.float64), np.asarray(status)
         self._check(moved, states, covariance)
-        moved = within_reach(moved, self._sensor).reshape(-1, 3)
-        known = np.isfinite(moved) & (states.reshape(-1, 1) != Status.MISSING.value)
-        if covariance is not None:
-            known &= ~_much_noisier(covariance, known.any(axis=1, keepdims=True))
-        if not self.depth_seen:
-            known[:, 2] = False
-        valid = np.count_nonzero(known.any(axis=1)) / len(known)
-        known = known.ravel()
-        return Measurements(self.in_noise(moved, known), known, valid)
+        given = self._no_covariance if covariance is None else np.asarray(covariance)
+        moved = plain(moved, np.float64).reshape(-1, 3)
+        known, variance = _known(
+            moved,
+            plain(states, np.uint8).reshape(-1),
+            plain(given, np.float64).reshape(-1, 3, 3),
+            self._farthest,
+            self.depth_seen,
+        )
+        stated = variance[np.isfinite(variance)]
+        most = MUCH_NOISIER**2 * float(np.median(stated)) if len(stated) else math.inf
+        data, count = _in_noise(moved, variance, most, self.noise, known)
+        return Measurements(data, known.reshape(-1), count / len(known))
 
     def in_noise(self, moved: Array, known: Mask) -> Array:
         """Displacements of any shape, m, as data (3 markers,), 0 where they are not known."""
@@ -82,14 +93,54 @@ class Whitening:
                 raise GeometryError(msg)
 
 
-def _much_noisier(covariance: Array, known: Mask) -> Mask:
-    """Markers (n, 1) that are much less certain than most of the known (n, 1)."""
-    variance = np.einsum("ijkk->ij", covariance).reshape(-1, 1)
-    stated = np.isfinite(variance) & (variance > 0)
-    seen = stated & known
-    if not seen.any():
-        return np.zeros_like(seen)
-    return np.asarray(stated & (variance > MUCH_NOISIER**2 * np.median(variance[seen])))
+@kernel
+def _known(
+    moved: Array,
+    status: NDArray[np.uint8],
+    covariance: Array,
+    farthest: float,
+    depth_seen: bool,
+) -> tuple[Mask, Array]:
+    """Which components (n, 3) of markers are measured, and the variance (n,) of these markers.
+
+    moved (n, 3) m; status (n,); covariance (n, 3, 3) m^2; farthest: that a marker may move, m.
+    The variance is the sum of all components', NaN where it is not known.
+    """
+    known = np.zeros(moved.shape, np.bool_)
+    variance = np.full(len(moved), np.nan)
+    for n in range(len(moved)):
+        reached, some = status[n] != MISSING, False
+        for c in range(3):
+            reached &= not abs(moved[n, c]) > farthest
+        for c in range(3):
+            finite = reached and math.isfinite(moved[n, c])
+            some |= finite
+            known[n, c] = finite and (depth_seen or c < 2)
+        total = covariance[n, 0, 0] + covariance[n, 1, 1] + covariance[n, 2, 2]
+        if some and math.isfinite(total) and total > 0:
+            variance[n] = total
+    return known, variance
+
+
+@kernel
+def _in_noise(
+    moved: Array, variance: Array, most: float, noise: Array, known: Mask
+) -> tuple[Array, int]:
+    """Data (3 n,) in units of the noise, 0 where not known, and how many markers are known.
+
+    Markers of a larger variance than `most` are struck from the known (n, 3).
+    """
+    data: Array = np.zeros(known.size)
+    count = 0
+    for n in range(len(known)):
+        some = False
+        for c in range(3):
+            known[n, c] &= not variance[n] > most
+            some |= known[n, c]
+            if known[n, c]:
+                data[3 * n + c] = moved[n, c] / noise[3 * n + c]
+        count += some
+    return data, count
 
 
 def within_reach(

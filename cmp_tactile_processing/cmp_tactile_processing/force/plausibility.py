@@ -10,6 +10,7 @@ how large the noise is, the frame itself determines.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from scipy.linalg import eigh, solve_triangular
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,
@@ -37,6 +39,8 @@ from cmp_tactile_processing.force.traction_spectrum import (
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
+
+Array = NDArray[np.float64]
 
 # How far a marker may move, over the thickness of the gel at the apex.  The base does not give way,
 # so nothing is pressed deeper than to it.  A gel that is described as linear has no such end: by
@@ -99,66 +103,105 @@ class Plausibility:
         wide = np.sqrt(area) / (4 * thickness)
         self._most_pressed = float(elastomer.young * (1 + 2 * wide**2) * area)
         self._most_pulled = float(min(TEARS_AT * elastomer.young, AIR_PA) * area)
+        # Compiled here, before the first frame.
+        nothing = np.zeros_like(self._rest)
+        self.allows_displacement(nothing)
+        self.allows_force(nothing.reshape(-1, 3), nothing)
 
-    def allows_displacement(self, moved: NDArray[np.float64]) -> bool:
+    def allows_displacement(self, moved: Array) -> bool:
         """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""
+        moved = plain(moved, np.float64)
         return bool(_keeps_order(moved, self._rest, self._farthest, self._shallow))
 
-    def allows_force(self, force: NDArray[np.float64], unexplained: NDArray[np.float64]) -> bool:
+    def allows_force(self, force: Array, unexplained: Array) -> bool:
         """Whether a gel can bear forces (nodes, 3) N that leave so much of its motion open.
 
         unexplained (rows, cols, 3) m: displacement beyond what the forces explain, NaN where not
         known.
         """
-        # Of one view the forces are inferred: what is open about them is in their deviations.
         return bool(
-            np.isnan(unexplained[..., 2]).all()
-            or (
-                _is_borne(force, self._most_pulled, self._most_pressed)
-                and _is_explained(unexplained, self._pitch)
+            _can_bear(
+                force,
+                plain(unexplained, np.float64),
+                (self._most_pulled, self._most_pressed),
+                self._pitch,
             )
         )
 
 
-def _keeps_order(
-    moved: NDArray[np.float64], rest: NDArray[np.float64], farthest: float, shallow: float
-) -> bool:
+@kernel
+def _keeps_order(moved: Array, rest: Array, farthest: float, shallow: float) -> bool:
     """As Plausibility.allows_displacement; rest (rows, cols, 3) m."""
-    unseen = np.isnan(moved[..., 2])
     # Of one view the depth is not known, nor is it needed here; but without the depth steep flanks
     # are not known either: only what changes places is refused.
-    most = 1.0 if unseen.all() else MOST_CHANGED
-    flat = np.where(unseen[..., None] & [False, False, True], 0.0, moved)
-    if (np.einsum("ijk,ijk->ij", flat, flat) > farthest**2).any():
-        return False
-    deep = np.abs(flat[..., 2]) > shallow
-    for axis in (0, 1):
-        along = np.diff(rest, axis=axis)
-        step = np.einsum("ijk,ijk->ij", np.diff(flat, axis=axis), along)
-        apart = np.einsum("ijk,ijk->ij", along, along)
-        flank = deep[1:] | deep[:-1] if axis == 0 else deep[:, 1:] | deep[:, :-1]
-        if (~flank & (np.abs(step) > most * apart)).any():
-            return False
+    most = 1.0 if np.isnan(moved[..., 2]).all() else MOST_CHANGED
+    rows, cols = moved.shape[:2]
+    for i in range(rows):
+        for j in range(cols):
+            here, depth = moved[i, j], _depth(moved[i, j])
+            if here[0] ** 2 + here[1] ** 2 + depth**2 > farthest**2:
+                return False
+            for k, m in ((i + 1, j), (i, j + 1)):
+                if k == rows or m == cols:
+                    continue
+                deep = _depth(moved[k, m])
+                if abs(depth) > shallow or abs(deep) > shallow:
+                    continue
+                step = apart = 0.0
+                for c in range(3):
+                    change = deep - depth if c == 2 else moved[k, m, c] - here[c]
+                    along = rest[k, m, c] - rest[i, j, c]
+                    step += change * along
+                    apart += along * along
+                if abs(step) > most * apart:
+                    return False
     return True
 
 
-def _is_borne(force: NDArray[np.float64], most_pulled: float, most_pressed: float) -> bool:
-    normal = force[:, 2]
-    pressed = -float(normal[normal < 0].sum())
-    return not (float(normal[normal > 0].sum()) > most_pulled or pressed > most_pressed)
+@kernel_part
+def _depth(moved: Array) -> float:
+    """How far a marker has moved along z, 0 where that is not known."""
+    return 0.0 if math.isnan(moved[2]) else float(moved[2])
 
 
-def _is_explained(unexplained: NDArray[np.float64], pitch: float) -> bool:
+@kernel
+def _can_bear(
+    force: Array, unexplained: Array, most_normal: tuple[float, float], pitch: float
+) -> bool:
+    """As Plausibility.allows_force; most_normal N: that pulls and that presses."""
+    # Of one view the forces are inferred: what is open about them is in their deviations.
+    if np.isnan(unexplained[..., 2]).all():
+        return True
+    pulled = pressed = 0.0
+    for n in range(len(force)):
+        pulled += max(force[n, 2], 0.0)
+        pressed += max(-force[n, 2], 0.0)
+    return not (pulled > most_normal[0] or pressed > most_normal[1]) and _is_explained(
+        unexplained, pitch
+    )
+
+
+@kernel_part
+def _is_explained(unexplained: Array, pitch: float) -> bool:
     """Whether little is left of the displacement, of all together and between neighbours."""
-    across = unexplained[..., :2]
-    for axis in (0, 1):
-        if (np.abs(np.diff(across, axis=axis)) > UNEXPLAINED_STEP * pitch).any():
-            return False
-    known = unexplained[np.isfinite(unexplained)]
-    return bool(known @ known <= (UNEXPLAINED * pitch) ** 2 * len(known))
+    rows, cols = unexplained.shape[:2]
+    total, count, most = 0.0, 0, UNEXPLAINED_STEP * pitch
+    for i in range(rows):
+        for j in range(cols):
+            for c in range(3):
+                left = unexplained[i, j, c]
+                if math.isnan(left):
+                    continue
+                total += left * left
+                count += 1
+                if c < 2 and i + 1 < rows and abs(unexplained[i + 1, j, c] - left) > most:
+                    return False
+                if c < 2 and j + 1 < cols and abs(unexplained[i, j + 1, c] - left) > most:
+                    return False
+    return total <= (UNEXPLAINED * pitch) ** 2 * count
 
 
-def _rest(pattern: Pattern, markers: SurfaceGrid) -> NDArray[np.float64]:
+def _rest(pattern: Pattern, markers: SurfaceGrid) -> Array:
     """Markers at rest, (rows, cols, 3) m."""
     points = markers.points
     height = pattern.surface.height(points)
@@ -175,10 +218,10 @@ class _Explanations(NamedTuple):
 
     basis: tuple[NDArray[np.float32], ...]
     probe: NDArray[np.float32]
-    shrink: NDArray[np.float64]
-    volume: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    more_volume: NDArray[np.float64]
+    shrink: Array
+    volume: Array
+    gain: Array
+    more_volume: Array
 
 
 class BorderContact:
@@ -238,7 +281,7 @@ class BorderContact:
             np.log1p(outside_part).sum(axis=2),
         )
 
-    def reaches_beyond(self, displacement: NDArray[np.float64], force: NDArray[np.float64]) -> bool:
+    def reaches_beyond(self, displacement: Array, force: Array) -> bool:
         """Whether these displacements are those of a force outside, at least in part.
 
         displacement (rows, cols, 3) m, NaN where not known; force (nodes, 3) N as found inside,
@@ -291,7 +334,7 @@ class BorderContact:
             "outside": of_modes / of_modes.max(),
         }
 
-    def _rigid(self, fold: sparse.csc_array) -> NDArray[np.float64]:
+    def _rigid(self, fold: sparse.csc_array) -> Array:
         """What rigid motions leave of one parity's part of the data, (part, k).
 
         A camera that was knocked, or a reference of another day, is no force outside.
@@ -301,7 +344,7 @@ class BorderContact:
         return np.asarray(part[:, size > LEAST_RIGID * np.linalg.norm(1 / self._noise)])
 
 
-def _is_outside_likelier(folded: NDArray[np.float64], weighed: _Explanations) -> bool:
+def _is_outside_likelier(folded: Array, weighed: _Explanations) -> bool:
     """Whether data, folded by parity, are likelier with loads outside than without."""
     parts = product_of_parts(weighed.basis, folded)
     of_modes = (weighed.probe @ parts.astype(np.float32)).astype(np.float64) ** 2
@@ -314,17 +357,13 @@ def _is_outside_likelier(folded: NDArray[np.float64], weighed: _Explanations) ->
     return bool(both - alone > LEAST_EVIDENCE + 0.5 * MODEL_ERROR**2 * squares.sum())
 
 
-def _log_evidence(
-    misfit: NDArray[np.float64], volume: NDArray[np.float64], count: int
-) -> NDArray[np.float64]:
+def _log_evidence(misfit: Array, volume: Array, count: int) -> Array:
     """Of data (count,) with these misfits, for the noise that is likeliest."""
     noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
     return np.asarray(-0.5 * (count * np.log(noise) + misfit / noise + volume))
 
 
-def _of_smooth(
-    response: NDArray[np.float64], nodes: SurfaceGrid, some: NDArray[np.bool_]
-) -> NDArray[np.float64]:
+def _of_smooth(response: Array, nodes: SurfaceGrid, some: NDArray[np.bool_]) -> Array:
     """Response (data, 3 k) to independent unknowns that make smooth forces on some nodes."""
     prior = smoothness(nodes, SMOOTHING_LENGTH)[np.ix_(some, some)]
     components = np.diag([TANGENTIAL_SHARE**-2, TANGENTIAL_SHARE**-2, 1.0])
@@ -332,9 +371,7 @@ def _of_smooth(
     return np.asarray(solve_triangular(lower, response.T, lower=True, check_finite=False).T)
 
 
-def _strongest(
-    response: NDArray[np.float64], variance: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _strongest(response: Array, variance: Array, count: int) -> tuple[Array, Array]:
     """Directions (count, data) in data of such variances (data,) that a response moves most.
 
     Data times them have variance 1; and by which variance (count,) the response adds to it.
@@ -375,7 +412,7 @@ def _used_markers(markers: SurfaceGrid) -> NDArray[np.intp]:
     return numbers[np.ix_(*lines)]
 
 
-def _rigid_motions(markers: SurfaceGrid) -> NDArray[np.float64]:
+def _rigid_motions(markers: SurfaceGrid) -> Array:
     """Displacements (3 markers, 6) of the markers by small rigid motions of all of them."""
     points = np.zeros((markers.rows * markers.cols, 3))
     points[:, :2] = markers.points

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.elastic.mirror_symmetry import SparseRows
 from cmp_tactile_processing.force.contact_mask import ContactRule
 from cmp_tactile_processing.force.contact_regions import resultant_matrix
@@ -36,7 +37,7 @@ Grid = TypeVar("Grid", NDArray[np.float64], NDArray[np.bool_])
 SCALE_STEPS, WIDE_STEPS = 3, 1
 # Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
 # contacts solved on finer nodes show it, and of that the share along x and y.
-UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, np.array([0.5, 0.5, 1.0])
+UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, (0.5, 0.5, 1.0)
 # Weight of the first pass that the deviations of a wrench at rest hold for.
 REST_WEIGHT = 1e-6
 # The second pass has left something out where it leaves so many times the first one's misfit,
@@ -95,6 +96,9 @@ class ForceSolver:
         )
         self._spectrum = TractionSpectrum(markers, nodes, response, one, lumped)
         self._second = ContactTraction(self._spectrum, response, one)
+        # Compiled here, before the first frame.
+        nothing, some = np.zeros((len(one), 3)), np.zeros(1, np.intp)
+        _deviations(nothing, some, nothing, 1.0, nothing[:, 0].copy(), self._shape)
 
     def solve(self, data: Array, known: Mask) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count."""
@@ -129,14 +133,18 @@ class ForceSolver:
             return solution
         return self._second_pass(solution.first, solution.posterior)
 
-    def functionals(self, place: Array, weight: Array, nodes: NDArray[np.intp]) -> Array:
-        """Functionals (6, 3 k) of the mask's coefficients that give a wrench about the origin.
+    def functionals(
+        self, place: Array, sets: list[NDArray[np.intp]], nodes: NDArray[np.intp]
+    ) -> Array:
+        """Functionals (6 s, 3 k) of the mask's coefficients that give wrenches about the origin.
 
-        Of nodal forces at place (nodes, 3), each counted with a weight (nodes,).
+        Of each of s sets of nodes, at place (nodes, 3) m.  nodes (k,): those of the mask.
         """
-        weights = np.column_stack([weight, weight[:, None] * place])
-        of_hats = self._spread.of_columns(weights)[nodes]
-        return resultant_matrix(of_hats[:, 1:], of_hats[:, 0])
+        weights = np.zeros((len(place), len(sets), 4))
+        for number, some in enumerate(sets):
+            weights[some, number, :3], weights[some, number, 3] = place[some], 1.0
+        of_hats = self._spread.of_columns(weights.reshape(len(place), -1))
+        return resultant_matrix(of_hats[nodes].reshape(len(nodes), len(sets), 4))
 
     def rest_covariance(self, functionals: Array) -> Array:
         """Covariance of functionals (j, 3 nodes) of nodal forces that noise of 1 alone causes."""
@@ -151,13 +159,14 @@ class ForceSolver:
 
     def _on(self, mask: Mask, first: FirstPass, seen: SeenData) -> TractionPosterior:
         """The posterior on some nodes (n,), for the noise that the first pass shows."""
-        nodes, scale = np.flatnonzero(mask), self._spectrum.scale_of_first(first)
+        edge, scale = self.rule.edge(mask), self._spectrum.scale_of_first(first)
+        nodes = np.concatenate([np.flatnonzero(mask & ~edge), np.flatnonzero(edge)])
         # That is of a traction on the whole surface.
         dense = float(np.sqrt(mask.size / len(nodes)))
         scale = TractionScale(dense * scale.normal, dense * scale.tangential)
         weights = self._second.weights(scale, first.noise_squared)
         posterior = self._second.solve(seen, nodes, weights)
-        return replace(posterior, edge=self.rule.edge(mask)[nodes])
+        return replace(posterior, edge=int(np.count_nonzero(edge)))
 
     def _with_its_scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
         """The posterior for the sizes and the noise that it shows itself."""
@@ -256,23 +265,47 @@ class ForceSolver:
         To what noise and resolution leave open comes what hats cannot show of the forces around.
         Where the mask bears nothing a force may hide in the noise.
         """
-        mask = np.zeros(len(force), dtype=bool)
-        mask[posterior.nodes] = True
-        bearing = _greatest_around(mask.reshape(self._shape)).reshape(-1, 1)
-        size = np.sqrt(np.einsum("ij,ij->i", force, force)).reshape(self._shape)
-        around = _greatest_around(size).reshape(-1, 1)
-        variance = posterior.noise_squared * self._second.nodal_variance(posterior.weights)
-        known = np.where(bearing, variance, first.nodal_std[:, None] ** 2)
-        unseen = (UNSEEN_SHARE * around * UNSEEN_COMPONENTS) ** 2
-        return np.asarray(np.sqrt(known + unseen))
+        variance = self._second.nodal_variance(posterior.weights)
+        noise, alone = posterior.noise_squared, first.nodal_std
+        return _deviations(force, posterior.nodes, variance, noise, alone, self._shape)
 
 
+@kernel
+def _deviations(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    force: Array,
+    bearing: NDArray[np.intp],
+    variance: Array,
+    noise_squared: float,
+    alone: Array,
+    shape: tuple[int, int],
+) -> Array:
+    """As ForceSolver._deviations.
+
+    bearing (k,): numbers of the mask's nodes.  variance (nodes, 3): for noise of 1, at them and
+    beside them.  alone (nodes,) N: deviation elsewhere.
+    """
+    near, around = np.zeros(len(force), np.bool_), np.zeros(len(force))
+    near[bearing] = True
+    near = _greatest_around(near.reshape(shape)).reshape(-1)
+    for n in range(len(force)):
+        around[n] = np.sqrt(force[n, 0] ** 2 + force[n, 1] ** 2 + force[n, 2] ** 2)
+    around = _greatest_around(around.reshape(shape)).reshape(-1)
+    std: Array = np.empty(force.shape)
+    for n in range(len(force)):
+        for c in range(3):
+            known = noise_squared * variance[n, c] if near[n] else alone[n] ** 2
+            std[n, c] = np.sqrt(known + (UNSEEN_SHARE * around[n] * UNSEEN_COMPONENTS[c]) ** 2)
+    return std
+
+
+@kernel_part
 def _greatest_around(grid: Grid) -> Grid:
     """The greatest of each value of a grid (rows, cols) and its eight neighbours."""
+    rows, cols = grid.shape
     found: Grid = grid.copy()
-    np.maximum(found[1:], grid[:-1], out=found[1:])
-    np.maximum(found[:-1], grid[1:], out=found[:-1])
-    rows = found.copy()
-    np.maximum(found[:, 1:], rows[:, :-1], out=found[:, 1:])
-    np.maximum(found[:, :-1], rows[:, 1:], out=found[:, :-1])
+    for i in range(rows):
+        for j in range(cols):
+            for k in range(max(i - 1, 0), min(i + 2, rows)):
+                for m in range(max(j - 1, 0), min(j + 2, cols)):
+                    found[i, j] = max(found[i, j], grid[k, m])
     return found

@@ -23,6 +23,8 @@ from scipy.linalg import eigh
 
 from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,
+    Fold,
+    MirroredProduct,
     Parity,
     SparseRows,
     product_of_parts,
@@ -136,11 +138,6 @@ class _Part:
         self.of_markers, self.of_nodes = (
             parity.orthonormal(grid.rows, grid.cols) for grid in grids
         )
-        # Each unknown of the grid belongs to one of the part's at most, with such a share.
-        entries = self.of_nodes.tocoo()
-        self.place = np.zeros(entries.shape[0], np.intp)
-        self.share = np.zeros(entries.shape[0])
-        self.place[entries.row], self.share[entries.row] = entries.col, entries.data
         self.response = part = np.ascontiguousarray(self.of_markers.T @ response @ self.of_nodes)
         self.tangential, self.normal = (
             (self.of_nodes.T @ matrix @ self.of_nodes).toarray() for matrix in smooth
@@ -150,7 +147,7 @@ class _Part:
         values, vectors = eigh(self.gram, prior, check_finite=False)
         self.values = np.maximum(values, 0.0)
         self.vectors = np.ascontiguousarray(vectors)
-        self.analysis = np.ascontiguousarray(vectors.T @ part.T)
+        self.modes_of_data = np.ascontiguousarray(part @ vectors)
         # Every mode has energy 1 in the prior; so much of it is of the normal traction.
         self.normal_share = np.einsum("ik,ik->k", vectors, self.normal @ vectors)
         quarter = _quarter(grids[1])[0]
@@ -182,15 +179,19 @@ class TractionSpectrum:
             _Part(parity, (markers, nodes), response, (smooth[0], smooth[1]), nodal)
             for parity in PARITIES
         ]
-        self._smoothness = smoothness
+        # For what a solution leaves over and for its size 1e-7 of it will do, in half the time.
+        self._smoothness = smoothness.astype(np.float32)
         to_markers = sparse.hstack([part.of_markers for part in self.parts])
         to_nodes = sparse.hstack([part.of_nodes for part in self.parts])
-        self.from_markers, self.from_nodes = SparseRows(to_markers.T), SparseRows(to_nodes.T)
-        self.onto_markers, self.onto_nodes = SparseRows(to_markers), SparseRows(to_nodes)
-        self._analysis = [part.analysis for part in self.parts]
-        self._pull = [np.ascontiguousarray(part.response.T) for part in self.parts]
-        # For what a solution leaves over 1e-7 of it will do, in half the time.
-        self._response = [part.response.astype(np.float32) for part in self.parts]
+        self._from_markers = SparseRows(to_markers.T)
+        self.from_nodes, self.onto_nodes = SparseRows(to_nodes.T), SparseRows(to_nodes)
+        self._fold_of_markers = Fold.into(part.of_markers for part in self.parts)
+        self.fold = Fold.into(part.of_nodes for part in self.parts)
+        self._analysis = [part.modes_of_data.T for part in self.parts]
+        pulls = [part.response for part in self.parts]
+        self._pull = MirroredProduct(pulls, self._fold_of_markers, self.fold)
+        responses = [part.response.T.astype(np.float32) for part in self.parts]
+        self._response = MirroredProduct(responses, self.fold, self._fold_of_markers)
         self._vectors = [part.vectors.astype(np.float32) for part in self.parts]
         squares = np.concatenate([part.nodal_squares for part in self.parts], axis=1)
         self._nodal_squares = np.ascontiguousarray(
@@ -214,10 +215,14 @@ class TractionSpectrum:
         data, count = np.where(known, data, 0.0), int(np.count_nonzero(known))
         total = float(data @ data)
         given = None if weight is None else int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
-        index, modes = self._weighted(data, count, given)
+        modes = product_of_parts(self._analysis, self._from_markers.of_vector(data))
+        index = self._likeliest(data, modes, count) if given is None else given
         if count < len(data):
-            data = self._filled(data, known, self._shrink[index])
-            index, modes = self._weighted(data, count, given)
+            missing = np.flatnonzero(~known)
+            in_modes = self._in_modes(missing)
+            data[missing] = filled = _left_out(in_modes, self._shrink[index], modes)
+            modes += filled @ in_modes
+            index = self._likeliest(data, modes, count) if given is None else given
         gain = self._shrink[index]
         misfit = max(float(data @ data - gain @ modes**2), 0.0)
         noise = max(misfit / count, MIN_NOISE_SQUARED)
@@ -236,11 +241,11 @@ class TractionSpectrum:
 
     def respond(self, coefficient: Array) -> Array:
         """G f: data (m,) that coefficients (n,) cause."""
-        return self._mapped(self.from_nodes, self._response, self.onto_markers, coefficient)
+        return self._response.of_vector(coefficient)
 
     def pull(self, data: Array) -> Array:
         """G' d: what data (m,) ask of the coefficients, (n,)."""
-        return self._mapped(self.from_markers, self._pull, self.onto_nodes, data)
+        return self._pull.of_vector(data)
 
     def noise_covariance(self, functionals: Array, weight: float) -> Array:
         """Covariance (j, j) of functionals (j, n) of the coefficients by noise of 1 alone."""
@@ -275,8 +280,12 @@ class TractionSpectrum:
     def energy(self, coefficient: Array) -> Array:
         """Roughness (2,) of the tangential and of the normal part of coefficients (n,)."""
         found = coefficient.reshape(-1, 3)
-        by_axis = np.einsum("ij,ij->j", found, self._smoothness @ found)
+        by_axis = np.einsum("ij,ij->j", found, self.smoothed(found))
         return np.array([by_axis[0] + by_axis[1], by_axis[2]])
+
+    def smoothed(self, coefficient: Array) -> Array:
+        """Smoothness times coefficients (nodes, 3)."""
+        return np.asarray(self._smoothness @ coefficient.astype(np.float32), np.float64)
 
     def determined(self, tangential: float, normal: float) -> Array:
         """How many numbers of the tangential and of the normal part data determine, (2,)."""
@@ -285,49 +294,42 @@ class TractionSpectrum:
         of_tangential = (1 - self._normal_share) * self.values / (self.values + along)
         return np.array([of_tangential.sum(), of_normal.sum()])
 
-    def _mapped(
-        self,
-        fold: SparseRows,
-        parts: list[NDArray[np.float32]] | list[Array],
-        unfold: SparseRows,
-        values: Array,
-    ) -> Array:
-        return unfold.of_vector(product_of_parts(parts, fold.of_vector(values)))
-
-    def _weighted(self, data: Array, count: int, given: int | None) -> tuple[int, Array]:
-        """Number of the weight, of greatest evidence where none is given, and modes of the data."""
-        modes = product_of_parts(self._analysis, self.from_markers.of_vector(data))
-        if given is not None:
-            return given, modes
+    def _likeliest(self, data: Array, modes: Array, count: int) -> int:
+        """Number of the weight of greatest evidence, for data (m,) and their modes."""
         misfit = np.maximum(data @ data - self._shrink @ modes**2, 0.0)
         noise = np.maximum(misfit / count, MIN_NOISE_SQUARED)
-        return int(np.argmax(_log_evidence(misfit, noise, count) + self._log_prior)), modes
+        return int(np.argmax(_log_evidence(misfit, noise, count) + self._log_prior))
 
-    def _filled(self, data: Array, known: NDArray[np.bool_], gain: Array) -> Array:
-        """Missing data as the solution itself predicts them, which is to leave them out.
+    def _in_modes(self, some: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Modes (q, modes) of a unit in each of some data (q,)."""
+        parts = [
+            share[some, None] * part.modes_of_data[place[some]]
+            for part, place, share in zip(self.parts, *self._fold_of_markers, strict=True)
+        ]
+        return np.concatenate(parts, axis=1, dtype=np.float32)
 
-        The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers);
-        the system for them, 1 - H with H the smoother, is solved by conjugate gradients.
-        """
 
-        def smoothed(values: Array) -> Array:
-            modes = product_of_parts(self._analysis, self.from_markers.of_vector(values))
-            folded = product_of_parts([part.T for part in self._analysis], gain * modes)
-            return np.asarray(np.where(known, 0.0, self.onto_markers.of_vector(folded)))
+def _left_out(in_modes: NDArray[np.float32], gain: Array, modes: Array) -> NDArray[np.float32]:
+    """Missing data (q,) as the solution itself predicts them, which is to leave them out.
 
-        residual = direction = smoothed(data)
-        power, filled = float(residual @ residual), data.copy()
-        enough = FILL_TOLERANCE**2 * np.count_nonzero(~known)
-        for _ in range(FILL_STEPS):
-            if power <= enough:
-                break
-            image = direction - smoothed(direction)
-            step = power / float(direction @ image)
-            filled += step * direction
-            residual = residual - step * image
-            last, power = power, float(residual @ residual)
-            direction = residual + power / last * direction
-        return np.asarray(filled)
+    in_modes (q, modes): of a unit in each.  gain, modes (modes,): of the solution without them.
+    The fit then pulls nowhere at the missing data (leave-out formula of linear smoothers); the
+    system for them, 1 - H with H the smoother, is solved by conjugate gradients.
+    """
+    single = gain.astype(np.float32)
+    residual = direction = in_modes @ (gain * modes).astype(np.float32)
+    power, filled = float(residual @ residual), np.zeros_like(residual)
+    enough = FILL_TOLERANCE**2 * len(residual)
+    for _ in range(FILL_STEPS):
+        if power <= enough:
+            break
+        image = direction - in_modes @ (single * (direction @ in_modes))
+        step = power / float(direction @ image)
+        filled += step * direction
+        residual = residual - step * image
+        last, power = power, float(residual @ residual)
+        direction = residual + power / last * direction
+    return filled
 
 
 def _log_evidence(misfit: Any, noise: Any, count: int) -> Any:

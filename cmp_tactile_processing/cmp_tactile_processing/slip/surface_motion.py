@@ -75,6 +75,8 @@ def _fill(values: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
 
     NaN where that reaches none.
     """
+    if known.all():
+        return
     filled, new = known.copy(), known.copy()
     for _ in range(FILL_ROUNDS):
         before = values.copy()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.kernels import kernel, plain
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.refraction import RayBundle, RayModel
@@ -28,7 +28,6 @@ from cmp_tactile_processing.stereo.virtual_markers import (
     Lines3D,
     LineTriangulator,
     SeenLines,
-    plain,
 )
 
 # No corner is known better than this, px, whatever its own standard deviation says.

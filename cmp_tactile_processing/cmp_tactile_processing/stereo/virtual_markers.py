@@ -20,12 +20,12 @@ gives one combination.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.kernels import kernel, kernel_part
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
 from cmp_tactile_processing.geometry.refraction import RayBundle
 from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
@@ -200,13 +200,6 @@ class _Direction:
             rays.origin_by_pixel,
             rays.direction_by_pixel,
         )
-
-
-def plain(array: NDArray[Any], dtype: type[Any]) -> NDArray[Any]:
-    """The array as what is compiled takes it: others would be compiled for again, in a frame."""
-    if array.dtype == dtype and array.flags.carray:
-        return array
-    return np.require(array, dtype, ["C", "W"])
 
 
 def _curvatures(surface: PatternSurface | None) -> NDArray[np.float64]:

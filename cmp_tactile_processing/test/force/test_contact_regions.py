@@ -20,10 +20,13 @@ AREA_RTOL = 0.1
 THRESHOLD = 0.08
 
 
-def nothing(sets: list[NDArray[np.intp]]) -> list[tuple[Array, Array]]:
-    """No uncertainty."""
-    assert all(nodes.dtype == np.intp for nodes in sets)
-    return [(np.zeros((6, 6)), np.zeros((6, 6)))] * len(sets)
+def found(
+    regions: ContactRegions, force: Array, mask: NDArray[np.bool_], place: Array, *known: Array
+) -> tuple[Contact, ...]:
+    """The contacts, of known covariances by noise and beyond; without these of none."""
+    hills = regions.hills(force, mask, place)
+    pair = known or (np.zeros((6, 6)), np.zeros((6, 6)))
+    return regions.contacts(hills, [(pair[0], pair[1])] * len(hills.nodes))
 
 
 def surface() -> Array:
@@ -58,9 +61,8 @@ def load(normal: Array, shear: tuple[float, float] = (0.0, 0.0)) -> Array:
 def find(force: Array, place: Array | None = None) -> tuple[Contact, ...]:
     """The contacts of nodal forces."""
     mask = -force[:, 2] > THRESHOLD * -force[:, 2].min()
-    return ContactRegions(NODES, AREA).contacts(
-        force, mask, surface() if place is None else place, nothing
-    )
+    place = surface() if place is None else place
+    return found(ContactRegions(NODES, AREA), force, mask, place)
 
 
 def enclosed(outline: Array) -> float:
@@ -132,15 +134,15 @@ def test_what_noise_or_ringing_makes_is_no_contact() -> None:
     force = load(hertz((0, 0), 2.0, 10.0))
     force[5, 2] = -0.05
     regions, mask = ContactRegions(NODES, AREA), force[:, 2] < 0
-    (contact,) = regions.contacts(force, mask, surface(), nothing)
+    (contact,) = found(regions, force, mask, surface())
     assert 5 not in contact.nodes
     force = np.zeros_like(force)
     force[100, 2] = -0.05
     for deviation, count in ((0.02, 0), (0.01, 1)):
         pair = np.eye(6) * deviation**2, np.eye(6)
-        found = regions.contacts(force, force[:, 2] < 0, surface(), lambda _, pair=pair: [pair])
-        assert len(found) == count
-        assert all((item.covariance == sum(pair)).all() for item in found)
+        contacts = found(regions, force, force[:, 2] < 0, surface(), *pair)
+        assert len(contacts) == count
+        assert all((item.covariance == sum(pair)).all() for item in contacts)
 
 
 def test_any_field_of_forces_is_answered() -> None:
@@ -149,19 +151,19 @@ def test_any_field_of_forces_is_answered() -> None:
     count = len(AREA)
     zero, noise = np.zeros((count, 3)), np.random.default_rng(1).normal(size=(count, 3))
     every, none = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
-    assert regions.contacts(noise, none, place, nothing) == ()
-    assert regions.contacts(np.full((count, 3), np.nan), every, place, nothing) == ()
-    assert regions.contacts(zero, every, place, nothing) == ()
-    assert regions.contacts(-load(np.full(count, -1.0)), every, place, nothing) == ()
-    assert regions.contacts(noise, every, np.full((count, 3), np.nan), nothing) == ()
+    assert found(regions, noise, none, place) == ()
+    assert found(regions, np.full((count, 3), np.nan), every, place) == ()
+    assert found(regions, zero, every, place) == ()
+    assert found(regions, -load(np.full(count, -1.0)), every, place) == ()
+    assert found(regions, noise, every, np.full((count, 3), np.nan)) == ()
     single = zero.copy()
     single[45] = 0.1, 0.2, -1.0
-    (one,) = regions.contacts(single, single[:, 2] < 0, place, nothing)
+    (one,) = found(regions, single, single[:, 2] < 0, place)
     np.testing.assert_allclose(one.centre_of_pressure, place[45])
     assert len(one.outline) == 4
     assert one.area > 0
     noise[::7], noise[3::11, 0] = np.nan, np.inf
-    for contact in regions.contacts(noise, every, place, nothing):
+    for contact in found(regions, noise, every, place):
         assert np.isfinite(contact.wrench).all()
         assert np.isfinite(contact.outline).all()
         assert contact.area >= 0

@@ -177,11 +177,9 @@ def test_what_the_weights_and_the_edge_leave_open_is_in_the_covariance(second, r
         off = WEIGHTS._replace(**{part: 1.1 * getattr(WEIGHTS, part)})
         moved = total @ (second.solve(seen, nodes, off).coefficient - found.coefficient)
         assert (np.abs(moved) < std).all()
-    edge = np.zeros(12, dtype=bool)
-    edge[0] = True
-    doubted = np.sqrt(np.diag(noise + replace(found, edge=edge).covariances(total)[1]))
-    without = second.solve(seen, nodes[1:], WEIGHTS)
-    moved = total[:, 3:] @ without.coefficient - total @ found.coefficient
+    doubted = np.sqrt(np.diag(noise + replace(found, edge=1).covariances(total)[1]))
+    without = second.solve(seen, nodes[:-1], WEIGHTS)
+    moved = total[:, :-3] @ without.coefficient - total @ found.coefficient
     assert (np.abs(moved) < doubted).all()
 
 
