@@ -116,6 +116,12 @@ class Fold(NamedTuple):
             shares.append(share)
         return cls(tuple(places), tuple(shares))
 
+    @classmethod
+    def one_after_another(cls, sizes: Sequence[int]) -> Fold:
+        """That of unknowns which are those of parts of such sizes, one part after the other."""
+        every, ends = sparse.eye_array(sum(sizes), format="csc"), np.cumsum(sizes)
+        return cls.into(every[:, end - size : end] for size, end in zip(sizes, ends, strict=True))
+
 
 class MirroredProduct:
     """Products of a matrix in parts, one for each parity, with vectors that may be 0 in many rows.

@@ -181,18 +181,19 @@ class TractionSpectrum:
         ]
         # For what a solution leaves over and for its size 1e-7 of it will do, in half the time.
         self._smoothness = smoothness.astype(np.float32)
-        to_markers = sparse.hstack([part.of_markers for part in self.parts])
         to_nodes = sparse.hstack([part.of_nodes for part in self.parts])
-        self._from_markers = SparseRows(to_markers.T)
         self.from_nodes, self.onto_nodes = SparseRows(to_nodes.T), SparseRows(to_nodes)
         self._fold_of_markers = Fold.into(part.of_markers for part in self.parts)
         self.fold = Fold.into(part.of_nodes for part in self.parts)
-        self._analysis = [part.modes_of_data.T for part in self.parts]
+        of_modes = Fold.one_after_another([len(part.values) for part in self.parts])
+        analysis = [part.modes_of_data for part in self.parts]
+        self._analysis = MirroredProduct(analysis, self._fold_of_markers, of_modes)
+        vectors = [part.vectors.T.astype(np.float32) for part in self.parts]
+        self._synthesis = MirroredProduct(vectors, of_modes, self.fold)
         pulls = [part.response for part in self.parts]
         self._pull = MirroredProduct(pulls, self._fold_of_markers, self.fold)
         responses = [part.response.T.astype(np.float32) for part in self.parts]
         self._response = MirroredProduct(responses, self.fold, self._fold_of_markers)
-        self._vectors = [part.vectors.astype(np.float32) for part in self.parts]
         squares = np.concatenate([part.nodal_squares for part in self.parts], axis=1)
         self._nodal_squares = np.ascontiguousarray(
             squares.reshape(-1, 3, squares.shape[1]).transpose(1, 0, 2), np.float32
@@ -215,7 +216,7 @@ class TractionSpectrum:
         data, count = np.where(known, data, 0.0), int(np.count_nonzero(known))
         total = float(data @ data)
         given = None if weight is None else int(np.argmin(np.abs(np.log(WEIGHTS / weight))))
-        modes = product_of_parts(self._analysis, self._from_markers.of_vector(data))
+        modes = self._analysis.of_vector(data)
         index = self._likeliest(data, modes, count) if given is None else given
         if count < len(data):
             missing = np.flatnonzero(~known)
@@ -228,7 +229,7 @@ class TractionSpectrum:
         noise = max(misfit / count, MIN_NOISE_SQUARED)
         evidence = float(_log_evidence(misfit, noise, count) + self._log_prior[index])
         alone = max(total / count, MIN_NOISE_SQUARED)
-        coefficient = self.onto_nodes.of_vector(product_of_parts(self._vectors, gain * modes))
+        coefficient = self._synthesis.of_vector(gain * modes)
         variance = self._nodal_squares[2] @ (noise * self.values * gain**2).astype(np.float32)
         return FirstPass(
             coefficient,
