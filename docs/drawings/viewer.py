@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,9 @@ TO_THE_LEFT = (np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0)
 COVER, COVER_GREY = (slice(200, 420), slice(60, 260)), 70
 TIMEOUT_MS = 60_000
 QUALITY = 88
+# The moving picture: px, time of a picture in it, and what the page needs to draw one.
+FILM_SIZE, FILM_STEP_MS, FILM_QUALITY = (960, 600), 120, 60
+SETTLED_MS = 700
 
 
 def main() -> int:
@@ -74,6 +78,7 @@ def main() -> int:
         )
         _take(tab, two, [shown[: CONTACT + 1]] * 2, "viewer_fingers")
         _take(tab, one, [shown], "viewer_plots", clip=(0, 0, 400, 720))
+        _film(tab, one[0], shown[::2], "viewer_grasp")
     return 0
 
 
@@ -96,6 +101,41 @@ def _take(
     clip: tuple[int, int, int, int] | None = None,
 ) -> None:
     """Show one snapshot after another of each sensor, and take a picture of the last."""
+    with _opened(tab, sensors, snapshots):
+        box = dict(zip(("x", "y", "width", "height"), clip, strict=True)) if clip else None
+        picture = Image.open(BytesIO(tab.screenshot(clip=box))).convert("RGB")
+    picture.save(OUTPUT / f"{name}.webp", quality=QUALITY)
+
+
+def _film(tab: Tab, sensor: ShownSensor, snapshots: Sequence[Snapshot], name: str) -> None:
+    """A moving picture of the page while one snapshot after another is shown."""
+    pictures = []
+    with _opened(tab, (sensor,), [snapshots[:1]]) as page:
+        # The first is there already.
+        for snapshot in snapshots[1:]:
+            drawn = page.pictures
+            page.show(sensor.name, snapshot)
+            while page.pictures <= drawn:
+                tab.wait_for_timeout(50)
+            tab.wait_for_timeout(SETTLED_MS)
+            picture = Image.open(BytesIO(tab.screenshot())).convert("RGB")
+            pictures.append(picture.resize(FILM_SIZE, Image.Resampling.LANCZOS))
+    pictures[0].save(
+        OUTPUT / f"{name}.webp",
+        save_all=True,
+        append_images=pictures[1:],
+        duration=FILM_STEP_MS,
+        loop=0,
+        quality=FILM_QUALITY,
+        method=6,
+    )
+
+
+@contextmanager
+def _opened(
+    tab: Tab, sensors: tuple[ShownSensor, ...], snapshots: Sequence[Sequence[Snapshot]]
+) -> Iterator[Page]:
+    """The page with these snapshots, drawn in the tab."""
     source = PassiveSource(sensors)
     with Page(source, Access(port=None)) as page:
         for sensor, items in zip(sensors, snapshots, strict=True):
@@ -115,11 +155,7 @@ def _take(
         while page.pictures < max(drawn, len(sensors)):
             tab.wait_for_timeout(100)
         tab.wait_for_timeout(3000)
-        place = OUTPUT / f"{name}.png"
-        box = dict(zip(("x", "y", "width", "height"), clip, strict=True)) if clip else None
-        tab.screenshot(path=place, clip=box)
-    Image.open(place).convert("RGB").save(place.with_suffix(".webp"), quality=QUALITY)
-    place.unlink()
+        yield page
 
 
 if __name__ == "__main__":
