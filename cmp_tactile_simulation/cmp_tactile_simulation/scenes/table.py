@@ -47,8 +47,8 @@ def _indenters() -> Iterator[str]:
 
 def _scenes() -> Iterator[str]:
     yield "### Packaged scenes\n"
-    yield "`ball:16mm` is variant `16mm` of the scene `ball`. The name of a scene is not the `type` of"
-    yield "its indenter: the indenter of `ball` is a `sphere`.\n"
+    yield "`ball:16mm` is variant `16mm` of the scene `ball`. The name of a scene is not the `type`"
+    yield "of its indenter: the indenter of `ball` is a `sphere`.\n"
     yield "| scene | frames | source | title |\n|---|---|---|---|"
     for name in packaged_scene_names():
         scene = load_scene(name)
