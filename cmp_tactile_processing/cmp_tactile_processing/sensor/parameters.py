@@ -129,8 +129,8 @@ class ForceParameters(Parameters, section="force"):
 
     regularization: float = parameter(
         0.0,
-        "weight of the smoothness of the traction against the measurements in the first pass, "
-        "relative to the largest singular value of the model; 0 chooses it for every frame",
+        "weight of smoothness in the first pass, relative to the model's largest singular value; "
+        "0 chooses it for every frame",
         within=(0.0, 1.0),
     )
     smoothing_length: float = parameter(
@@ -144,12 +144,12 @@ class ForceParameters(Parameters, section="force"):
     )
     large_press: str = parameter(
         "auto",
-        "correct for large strain: for a neo_hookean gel, always, or never (the linear model)",
+        "large-strain correction; auto: for neo_hookean gels only",
         choices=("auto", "on", "off"),
     )
     model_error: float = parameter(
         3e-3,
-        "relative standard deviation of forces that mesh and material model cause",
+        "relative standard deviation of the force due to mesh and material model",
         within=(0.0, 1.0),
     )
     noise_in_plane: float = parameter(
@@ -165,25 +165,24 @@ class ForceParameters(Parameters, section="force"):
         within=(1e-9, 1e-3),
     )
     min_valid_fraction: float = parameter(
-        0.3, "share of markers below which no force is given", within=(0.0, 1.0)
+        0.3, "no force below this share of valid markers", within=(0.0, 1.0)
     )
     contact_threshold: float = parameter(
         0.1,
-        "share of the largest force component on any node above which a node is in contact",
+        "a node in contact has at least this share of the largest force component of all nodes",
         within=(0.0, 1.0),
     )
     contact_pressure_floor: float = parameter(
-        500.0, "normal pressure below which no node is in contact", unit="Pa", within=(0.0, None)
+        500.0, "a node in contact has at least this normal pressure", unit="Pa", within=(0.0, None)
     )
     contact_deviations: float = parameter(
         3.0,
-        "standard deviations of a node's normal pressure, as the noise alone would show it, "
-        "below which the node is not in contact",
+        "a node in contact has at least this normal pressure, in standard deviations of its noise",
         within=(0.0, 100.0),
     )
     contact_evidence: float = parameter(
         12.0,
-        "logarithm of how much likelier a force must be than noise alone to report contact",
+        "contact is reported above this logarithm of the odds of a force against noise alone",
         within=(0.0, 1000.0),
     )
 
@@ -194,26 +193,26 @@ class SlipParameters(Parameters, section="slip"):
 
     min_normal_force: float = parameter(
         0.2,
-        "normal force of a contact below which its slip is not reported",
+        "no slip is reported for a contact with less normal force",
         unit="N",
         within=(0.0, None),
     )
     min_traction_ratio: float = parameter(
         0.1,
-        "tangential over normal force, counted from when the load last began again, below which "
-        "nothing is taken to slip",
+        "no slip is reported below this tangential over normal force, counted from the start of "
+        "the current load",
         within=(0.01, 1.0),
     )
     incipient_ratio: float = parameter(
         0.35,
-        "share of the contact, weighted by normal force, that slides from which on slip is "
-        "incipient; below it the contact sticks",
+        "slip is incipient if at least this share of the contact slides, weighted by normal "
+        "force; below it the contact sticks",
         within=(0.0, 1.0),
     )
     full_ratio: float = parameter(
         0.75,
-        "share of the contact, weighted by normal force, that is seen to slide from which on all "
-        "of it slides once the traction ratio no longer rises; it is seen to 0.2",
+        "slip is full if at least this share of the contact slides, weighted by normal force, and "
+        "the traction ratio no longer rises; the share has an error of up to 0.2",
         within=(0.0, 1.0),
     )
 
@@ -233,18 +232,19 @@ class TrackingParameters(Parameters, section="tracking"):
 
     detector: str = parameter(
         "saddle_lattice",
-        "gridline detector: saddle points that edges join to a lattice, or the outlines of the "
-        "checkers stitched together (paper, III.A)",
+        "gridline detector: a lattice of saddle points joined by edges, or the paper's stitched "
+        "outlines of checkers (III.A)",
         choices=("saddle_lattice", "contour_stitching"),
     )
     virtual_markers: str = parameter(
         "fused",
-        "virtual markers: gradient's ridge fused with the curve through the corners, or the "
-        "paper's local sub-pixel correction alone (III.C)",
+        "virtual markers: edge measurements fused with the curve through the corners, or the "
+        "paper's local sub-pixel correction (III.C)",
         choices=("fused", "local_correction"),
     )
     follow: bool = parameter(
-        True, "look for the corners where the last frame had them before detecting them again"
+        True,
+        "look for the corners at their last places first; detect them again only if this fails",
     )
     red: float = parameter(
         0.299, "weight of red in the grey value of a colour image", within=(-1.0, 1.0)
@@ -272,20 +272,20 @@ class TriangulationParameters(Parameters, section="triangulation"):
 
     method: str = parameter(
         "weighted",
-        "point that both views' pixels speak for most, weighted by their standard deviations, or "
-        "the middle of the common normal of both rays (paper, IV.A)",
+        "least squares of both views' pixels, weighted by their standard deviations, or the "
+        "midpoint of the common normal of both rays (paper, IV.A)",
         choices=("weighted", "common_normal"),
     )
     max_ray_gap: float = parameter(
         150e-6,
-        "length of the common normal above which a marker's rays are not those of one point",
+        "a marker is rejected if the common normal of its rays is longer",
         unit="m",
         within=(1e-7, 1e-2),
     )
     corner_noise: float = parameter(
         0.02,
-        "standard deviation of a corner, and of a virtual marker across its gridline, that comes "
-        "without its own",
+        "standard deviation of corners, and of virtual markers across their gridline, that have "
+        "none of their own",
         unit="px",
         within=(1e-4, 10.0),
     )

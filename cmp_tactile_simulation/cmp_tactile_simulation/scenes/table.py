@@ -41,14 +41,14 @@ def _indenters() -> Iterator[str]:
         text = " ".join((shape.__doc__ or "").split())
         yield f"| `{name}` | {keys} | {text} |"
     keys = ", ".join(f"`{key}`" for key in ("file", *MESH_KEYS))
-    yield f"| `{MESH}` | {keys} | The underside of a closed mesh: see below. |"
+    yield f"| `{MESH}` | {keys} | The underside of a closed mesh, see [mesh files](#mesh-files). |"
     yield ""
 
 
 def _scenes() -> Iterator[str]:
     yield "### Packaged scenes\n"
-    yield "`ball:16mm` is the scene `ball` in its variant `16mm`. A scene has the name of its file,"
-    yield "which is no `type` of an indenter: what presses in `ball` is a `sphere`.\n"
+    yield "`ball:16mm` is variant `16mm` of the scene `ball`. The name of a scene is not the `type`"
+    yield "of its indenter: the indenter of `ball` is a `sphere`.\n"
     yield "| scene | frames | source | title |\n|---|---|---|---|"
     for name in packaged_scene_names():
         scene = load_scene(name)
