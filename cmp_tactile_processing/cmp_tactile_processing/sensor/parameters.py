@@ -129,8 +129,8 @@ class ForceParameters(Parameters, section="force"):
 
     regularization: float = parameter(
         0.0,
-        "weight of the smoothness of the traction against the measurements in the first pass, "
-        "relative to the largest singular value of the model; 0 chooses it for every frame",
+        "weight of a smooth traction in the first pass, relative to the largest singular "
+"value of the model; 0: chosen for every frame",
         within=(0.0, 1.0),
     )
     smoothing_length: float = parameter(
@@ -149,7 +149,7 @@ class ForceParameters(Parameters, section="force"):
     )
     model_error: float = parameter(
         3e-3,
-        "relative standard deviation of forces that mesh and material model cause",
+        "relative standard deviation of the force due to mesh and material model",
         within=(0.0, 1.0),
     )
     noise_in_plane: float = parameter(
@@ -165,11 +165,11 @@ class ForceParameters(Parameters, section="force"):
         within=(1e-9, 1e-3),
     )
     min_valid_fraction: float = parameter(
-        0.3, "share of markers below which no force is given", within=(0.0, 1.0)
+        0.3, "share of valid markers below which the force is NaN", within=(0.0, 1.0)
     )
     contact_threshold: float = parameter(
         0.1,
-        "share of the largest force component on any node above which a node is in contact",
+        "a node is in contact above this share of the largest force component of all nodes",
         within=(0.0, 1.0),
     )
     contact_pressure_floor: float = parameter(
@@ -177,13 +177,13 @@ class ForceParameters(Parameters, section="force"):
     )
     contact_deviations: float = parameter(
         3.0,
-        "standard deviations of a node's normal pressure, as the noise alone would show it, "
-        "below which the node is not in contact",
+        "a node is not in contact if its normal pressure is below this multiple of the "
+"standard deviation that noise alone causes",
         within=(0.0, 100.0),
     )
     contact_evidence: float = parameter(
         12.0,
-        "logarithm of how much likelier a force must be than noise alone to report contact",
+        "contact is reported above this log likelihood ratio of a force against noise alone",
         within=(0.0, 1000.0),
     )
 
@@ -194,26 +194,26 @@ class SlipParameters(Parameters, section="slip"):
 
     min_normal_force: float = parameter(
         0.2,
-        "normal force of a contact below which its slip is not reported",
+        "slip is reported above this normal force of a contact",
         unit="N",
         within=(0.0, None),
     )
     min_traction_ratio: float = parameter(
         0.1,
-        "tangential over normal force, counted from when the load last began again, below which "
-        "nothing is taken to slip",
+        "ratio of tangential to normal force, since the load last began to grow, below "
+"which nothing counts as slip",
         within=(0.01, 1.0),
     )
     incipient_ratio: float = parameter(
         0.35,
-        "share of the contact, weighted by normal force, that slides from which on slip is "
-        "incipient; below it the contact sticks",
+        "slip is incipient above this sliding share of the contact, weighted by normal "
+"force; below it the contact sticks",
         within=(0.0, 1.0),
     )
     full_ratio: float = parameter(
         0.75,
-        "share of the contact, weighted by normal force, that is seen to slide from which on all "
-        "of it slides once the traction ratio no longer rises; it is seen to 0.2",
+        "full slip above this sliding share of the contact, weighted by normal force, once "
+"the traction ratio no longer rises; the share is known to 0.2",
         within=(0.0, 1.0),
     )
 
@@ -233,18 +233,18 @@ class TrackingParameters(Parameters, section="tracking"):
 
     detector: str = parameter(
         "saddle_lattice",
-        "gridline detector: saddle points that edges join to a lattice, or the outlines of the "
-        "checkers stitched together (paper, III.A)",
+        "gridline detector: saddle points joined along edges, or stitched outlines of the "
+"checkers (paper, III.A)",
         choices=("saddle_lattice", "contour_stitching"),
     )
     virtual_markers: str = parameter(
         "fused",
-        "virtual markers: gradient's ridge fused with the curve through the corners, or the "
-        "paper's local sub-pixel correction alone (III.C)",
+        "virtual markers: ridge of the image gradient fused with the curve through the "
+"corners, or only the paper's local sub-pixel correction (III.C)",
         choices=("fused", "local_correction"),
     )
     follow: bool = parameter(
-        True, "look for the corners where the last frame had them before detecting them again"
+        True, "look for corners at their place in the last frame before detecting them again"
     )
     red: float = parameter(
         0.299, "weight of red in the grey value of a colour image", within=(-1.0, 1.0)
@@ -272,20 +272,20 @@ class TriangulationParameters(Parameters, section="triangulation"):
 
     method: str = parameter(
         "weighted",
-        "point that both views' pixels speak for most, weighted by their standard deviations, or "
-        "the middle of the common normal of both rays (paper, IV.A)",
+        "point with the least reprojection error, weighted by the standard deviations of "
+"both views, or midpoint of the common normal of both rays (paper, IV.A)",
         choices=("weighted", "common_normal"),
     )
     max_ray_gap: float = parameter(
         150e-6,
-        "length of the common normal above which a marker's rays are not those of one point",
+        "the rays of a marker do not meet if their common normal is longer than this",
         unit="m",
         within=(1e-7, 1e-2),
     )
     corner_noise: float = parameter(
         0.02,
-        "standard deviation of a corner, and of a virtual marker across its gridline, that comes "
-        "without its own",
+        "standard deviation of corners, and of virtual markers across their gridline, used "
+"if the grid gives none",
         unit="px",
         within=(1e-4, 10.0),
     )
