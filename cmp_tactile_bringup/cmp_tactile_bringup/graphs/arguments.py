@@ -247,7 +247,12 @@ RUN_ARGUMENTS = (
     Argument(
         "view_port", "integer", "port of the page; 0 for the first free one from 8080 on", default=0
     ),
-    Argument("view_token", "text", "word that the page's address must contain; empty for none", default=""),
+    Argument(
+        "view_token",
+        "text",
+        "word that the page's address must contain; empty for none",
+        default="",
+    ),
     Argument(
         "view_allow_host",
         "text",

@@ -65,7 +65,7 @@ class SensorSettings:
     source: str = _setting(
         "simulated",
         "source of the frames: a simulated sensor, a recording, a camera, or another "
-"publisher, such as `ros2 bag play`",
+        "publisher, such as `ros2 bag play`",
         choices=SOURCES,
     )
     sensor: str = _setting(
@@ -98,7 +98,7 @@ class SensorSettings:
     input: str = _setting(
         "grasp",
         "bag, images, video, or name of a packaged scene; separate several by colons, they "
-"are played one after the other",
+        "are played one after the other",
         REPLAY,
         kind="recording",
     )
@@ -111,7 +111,7 @@ class SensorSettings:
     wait_for_subscribers: int = _setting(
         1,
         "number of subscribers on image_raw before the first frame is sent: 1 for the view "
-"splitter, 1 more for a recorder",
+        "splitter, 1 more for a recorder",
         REPLAY,
     )
     publish_clock: bool = _setting(
@@ -120,7 +120,7 @@ class SensorSettings:
     device: str = _setting(
         "",
         "camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; "
-"LEFT,RIGHT for two cameras",
+        "LEFT,RIGHT for two cameras",
         CAMERA,
     )
     pixel_format: str = _setting(
@@ -133,13 +133,14 @@ class SensorSettings:
         False, "publish colours if the camera has them; else grey values", CAMERA
     )
     camera_info_url: str = _setting(
-        "", "YAML file with camera_info to use in place of the description's, file:// or "
-"package://", CAMERA
+        "",
+        "YAML file with camera_info to use in place of the description's, file:// or package://",
+        CAMERA,
     )
     frame_queue: str = _setting(
         "auto",
         "frames to process if they come too quickly: every frame, or only the newest; auto: "
-"newest for a camera or simulation without record, else every",
+        "newest for a camera or simulation without record, else every",
         choices=("auto", "every", "newest"),
     )
     parent_frame: str = _setting("", "tf frame that the sensor is mounted on; empty for none")
@@ -156,7 +157,7 @@ class SensorSettings:
     record_topics: str = _setting(
         "image_raw camera_info /tf /tf_static wrench force_field",
         "topics to record, separated by spaces, relative to the namespace or absolute; * "
-"matches anything",
+        "matches anything",
         RECORDING,
     )
     record_compression: str = _setting(

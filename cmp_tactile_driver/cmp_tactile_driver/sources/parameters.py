@@ -23,7 +23,7 @@ class CameraDriverParameters(Parameters):
     frame_rate: float = parameter(
         0.0,
         "frames per second; 0: rate of the video, bag or scene, highest rate of a camera, "
-"30 for images",
+        "30 for images",
         unit="Hz",
         within=(0.0, 1000.0),
     )
@@ -34,7 +34,7 @@ class CameraDriverParameters(Parameters):
     camera_info_url: str = parameter(
         "",
         "YAML file of camera_info_manager, file://PATH or package://PACKAGE/PATH: published "
-"in place of the sensor description's camera_info, and written by set_camera_info",
+        "in place of the sensor description's camera_info, and written by set_camera_info",
     )
 
 
@@ -45,12 +45,12 @@ class CameraParameters(Parameters):
     device: str = parameter(
         "",
         "camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; for "
-"two cameras LEFT,RIGHT",
+        "two cameras LEFT,RIGHT",
     )
     pixel_format: str = parameter(
         "auto",
         "pixel format of the camera; auto: one that reaches the frame rate, uncompressed if "
-"possible",
+        "possible",
         choices=("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG"),
     )
     colour: bool = parameter(
@@ -94,7 +94,7 @@ class ReplayParameters(Parameters):
     input: str = parameter(
         "",
         "bag (folder, .mcap or .db3 file), folder of images, image or video; separate "
-"several by colons, they are played one after the other",
+        "several by colons, they are played one after the other",
     )
     topic: str = parameter("", "image topic of the bag; empty for the only one")
     sensor_description: str = parameter(
@@ -124,8 +124,7 @@ class ReplayParameters(Parameters):
     )
     wait_timeout: float = parameter(
         30.0,
-        "time after which it begins without subscribers or other replays that are still "
-"missing",
+        "time after which it begins without subscribers or other replays that are still missing",
         unit="s",
         within=(0.0, 3600.0),
     )
@@ -144,18 +143,17 @@ class RecorderParameters(Parameters):
     """Parameters of the node recorder."""
 
     output: str = parameter(
-        "", "folder of the bag, which must not exist; empty: made from the sensor's name and "
-"the time"
+        "",
+        "folder of the bag, which must not exist; empty: made from the sensor's name and the time",
     )
     topics: str = parameter(
         "image_raw camera_info /tf /tf_static wrench force_field",
-        "topics, separated by spaces: relative to the namespace, or absolute; * matches "
-"anything",
+        "topics, separated by spaces: relative to the namespace, or absolute; * matches anything",
     )
     compression: str = parameter(
         "zstd",
         "compression of frames: zstd (of the file) and png are lossless, jpeg is lossy, "
-"none is the fastest",
+        "none is the fastest",
         choices=COMPRESSIONS,
     )
     jpeg_quality: int = parameter(95, "quality of jpeg", within=(1, 100))

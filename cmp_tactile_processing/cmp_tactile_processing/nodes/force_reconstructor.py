@@ -50,7 +50,7 @@ class ForceReconstructorParameters(Parameters):
     large_press_steps: int = parameter(
         0,
         "steps of the large-press correction in each frame; until it has converged, the "
-"force is the linear one, with the flag not_converged; 0: as many steps as it needs",
+        "force is the linear one, with the flag not_converged; 0: as many steps as it needs",
         within=(0, 1000),
     )
 

@@ -38,7 +38,9 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 class PrintParameters(Parameters, section="print"):
     """From what the print is inspected."""
 
-    print_frames: int = parameter(8, "number of frames that inspect_print averages", within=(1, 100))
+    print_frames: int = parameter(
+        8, "number of frames that inspect_print averages", within=(1, 100)
+    )
     print_timeout: float = parameter(
         10.0, "time after which inspect_print gives up", unit="s", within=(0.1, 3600.0)
     )

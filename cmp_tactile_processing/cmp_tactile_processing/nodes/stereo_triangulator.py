@@ -34,7 +34,9 @@ from cmp_tactile_processing.surface.stillness import RestParameters
 class ReferenceParameters(Parameters, section="reference"):
     """From what the service takes the reference of the displacement."""
 
-    reference_frames: int = parameter(10, "number of frames that a reference averages", within=(1, 1000))
+    reference_frames: int = parameter(
+        10, "number of frames that a reference averages", within=(1, 1000)
+    )
     reference_timeout: float = parameter(
         10.0, "time after which taking a reference fails", unit="s", within=(0.1, 3600.0)
     )

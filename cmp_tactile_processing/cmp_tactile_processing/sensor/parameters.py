@@ -130,7 +130,7 @@ class ForceParameters(Parameters, section="force"):
     regularization: float = parameter(
         0.0,
         "weight of a smooth traction in the first pass, relative to the largest singular "
-"value of the model; 0: chosen for every frame",
+        "value of the model; 0: chosen for every frame",
         within=(0.0, 1.0),
     )
     smoothing_length: float = parameter(
@@ -178,7 +178,7 @@ class ForceParameters(Parameters, section="force"):
     contact_deviations: float = parameter(
         3.0,
         "a node is not in contact if its normal pressure is below this multiple of the "
-"standard deviation that noise alone causes",
+        "standard deviation that noise alone causes",
         within=(0.0, 100.0),
     )
     contact_evidence: float = parameter(
@@ -201,19 +201,19 @@ class SlipParameters(Parameters, section="slip"):
     min_traction_ratio: float = parameter(
         0.1,
         "ratio of tangential to normal force, since the load last began to grow, below "
-"which nothing counts as slip",
+        "which nothing counts as slip",
         within=(0.01, 1.0),
     )
     incipient_ratio: float = parameter(
         0.35,
         "slip is incipient above this sliding share of the contact, weighted by normal "
-"force; below it the contact sticks",
+        "force; below it the contact sticks",
         within=(0.0, 1.0),
     )
     full_ratio: float = parameter(
         0.75,
         "full slip above this sliding share of the contact, weighted by normal force, once "
-"the traction ratio no longer rises; the share is known to 0.2",
+        "the traction ratio no longer rises; the share is known to 0.2",
         within=(0.0, 1.0),
     )
 
@@ -234,13 +234,13 @@ class TrackingParameters(Parameters, section="tracking"):
     detector: str = parameter(
         "saddle_lattice",
         "gridline detector: saddle points joined along edges, or stitched outlines of the "
-"checkers (paper, III.A)",
+        "checkers (paper, III.A)",
         choices=("saddle_lattice", "contour_stitching"),
     )
     virtual_markers: str = parameter(
         "fused",
         "virtual markers: ridge of the image gradient fused with the curve through the "
-"corners, or only the paper's local sub-pixel correction (III.C)",
+        "corners, or only the paper's local sub-pixel correction (III.C)",
         choices=("fused", "local_correction"),
     )
     follow: bool = parameter(
@@ -273,7 +273,7 @@ class TriangulationParameters(Parameters, section="triangulation"):
     method: str = parameter(
         "weighted",
         "point with the least reprojection error, weighted by the standard deviations of "
-"both views, or midpoint of the common normal of both rays (paper, IV.A)",
+        "both views, or midpoint of the common normal of both rays (paper, IV.A)",
         choices=("weighted", "common_normal"),
     )
     max_ray_gap: float = parameter(
@@ -285,7 +285,7 @@ class TriangulationParameters(Parameters, section="triangulation"):
     corner_noise: float = parameter(
         0.02,
         "standard deviation of corners, and of virtual markers across their gridline, used "
-"if the grid gives none",
+        "if the grid gives none",
         unit="px",
         within=(1e-4, 10.0),
     )

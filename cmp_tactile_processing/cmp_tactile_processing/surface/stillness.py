@@ -46,28 +46,27 @@ class RestParameters(Parameters, section="rest"):
     rest_shake: float = parameter(
         20e-6,
         "the gel shakes if a marker's standard deviation over frames exceeds this, unless "
-"the markers' covariance explains it",
+        "the markers' covariance explains it",
         unit="m",
         within=(1e-8, 1e-3),
     )
     rest_creep: float = parameter(
         3e-6,
         "the gel creeps if neighbouring markers move more than this from the first to the "
-"second half of these frames, unless noise explains it",
+        "second half of these frames, unless noise explains it",
         unit="m",
         within=(1e-8, 1e-3),
     )
     rest_tolerance: float = parameter(
         40e-6,
         "largest distance of neighbouring markers from the nominal surface, without rigid "
-"motion and scale, that counts as untouched; a worn print alone causes 20 um",
+        "motion and scale, that counts as untouched; a worn print alone causes 20 um",
         unit="m",
         within=(1e-7, 1e-3),
     )
     rest_shift: float = parameter(
         5e-4,
-        "largest shift of the whole pattern from the nominal surface that counts as "
-"untouched",
+        "largest shift of the whole pattern from the nominal surface that counts as untouched",
         unit="m",
         within=(1e-6, 1e-2),
     )

@@ -31,14 +31,13 @@ class DiagnosticsParameters:
         0.0, "ERROR below this rate of results; 0: never", unit="Hz", within=(0.0, None)
     )
     late_after: float = parameter(
-        0.1, "a result is late if its camera frame is older than this", unit="s", within=(1e-3, 10.0)
+        0.1,
+        "a result is late if its camera frame is older than this",
+        unit="s",
+        within=(1e-3, 10.0),
     )
-    late_warn: float = parameter(
-        0.05, "WARN above this share of late results", within=(0.0, 1.0)
-    )
-    late_error: float = parameter(
-        1.0, "ERROR above this share of late results", within=(0.0, 1.0)
-    )
+    late_warn: float = parameter(0.05, "WARN above this share of late results", within=(0.0, 1.0))
+    late_error: float = parameter(1.0, "ERROR above this share of late results", within=(0.0, 1.0))
     dropped_warn: float = parameter(
         0.01, "WARN above this share of dropped frames", within=(0.0, 1.0)
     )
@@ -63,11 +62,14 @@ class DiagnosticsParameters:
         within=(0.0, 36500.0),
     )
     report_after: int = parameter(
-        2, "a threshold must be exceeded in this many reports in a row before the level "
-"changes", within=(1, 60)
+        2,
+        "a threshold must be exceeded in this many reports in a row before the level changes",
+        within=(1, 60),
     )
     clear_after: int = parameter(
-        3, "a threshold must be kept in this many reports in a row before the level goes back", within=(1, 60)
+        3,
+        "a threshold must be kept in this many reports in a row before the level goes back",
+        within=(1, 60),
     )
 
     def __post_init__(self) -> None:

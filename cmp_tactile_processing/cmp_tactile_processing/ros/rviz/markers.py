@@ -52,9 +52,7 @@ class MarkerParameters(Parameters, section="markers"):
         unit="m/(N m)",
         within=(0.0, 1e5),
     )
-    contact_text: bool = parameter(
-        True, "write normal force, area and slip state at each contact"
-    )
+    contact_text: bool = parameter(True, "write normal force, area and slip state at each contact")
     legend: bool = parameter(
         True, "draw a bar with the colours of depth, and the scales of the arrows"
     )
