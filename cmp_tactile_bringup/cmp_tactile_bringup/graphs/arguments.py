@@ -241,17 +241,22 @@ RUN_ARGUMENTS = (
     Argument(
         "view_host",
         "text",
-        "address on which the page listens; 0.0.0.0 for the whole network",
+        "address on which the page listens; 0.0.0.0 for all interfaces",
         default="127.0.0.1",
     ),
     Argument(
         "view_port", "integer", "port of the page; 0 for the first free one from 8080 on", default=0
     ),
-    Argument("view_token", "text", "that the address of the page must have", default=""),
+    Argument(
+        "view_token",
+        "text",
+        "word that the page's address must contain; empty for none",
+        default="",
+    ),
     Argument(
         "view_allow_host",
         "text",
-        "further names, separated by spaces, by which browsers reach the page",
+        "further host names of the page, separated by spaces",
         default="",
     ),
 )

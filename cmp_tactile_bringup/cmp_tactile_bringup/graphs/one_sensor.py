@@ -64,29 +64,29 @@ class SensorSettings:
 
     source: str = _setting(
         "simulated",
-        "where the frames come from: a simulated sensor, a recording, a camera, or others that "
-        "publish them, such as `ros2 bag play`",
+        "source of the frames: a simulated sensor, a recording, a camera, or another "
+        "publisher, such as `ros2 bag play`",
         choices=SOURCES,
     )
     sensor: str = _setting(
-        "", "sensor description, file or packaged name; empty for that of scene or recording"
+        "", "sensor description, file or packaged name; empty: that of the scene or recording"
     )
     name: str = _setting(
         "", "name of this sensor, with which its tf frames begin; empty for the description's"
     )
     namespace: str = _setting("", "namespace of all nodes and topics; empty for the sensor's name")
     frame_rate: float = _setting(
-        0.0, "frames per second that are aimed at, Hz; 0 for the source's own", SIMULATED_OR_CAMERA
+        0.0, "frames per second, Hz; 0: rate of the source", SIMULATED_OR_CAMERA
     )
     image_rate: float = _setting(30.0, "frames per second of a folder of images, Hz", REPLAY)
     input_transport: str = _setting(
         "raw",
-        "whether frames come on image_raw or, as PNG or JPEG, on image_raw/compressed",
+        "topic of the frames: image_raw, or image_raw/compressed (PNG or JPEG)",
         TOPIC,
         choices=("raw", "compressed"),
     )
     use_sim_time: bool = _setting(
-        False, "nodes take the time of /clock, as `ros2 bag play --clock` publishes it", TOPIC
+        False, "use the time of /clock, which `ros2 bag play --clock` publishes", TOPIC
     )
     scene: str = _setting(
         "grasp", "scene file, or name of a packaged scene", SIMULATED, kind="scene"
@@ -97,8 +97,8 @@ class SensorSettings:
     max_speed: float = _setting(0.01, "speed of the indenter towards a target, m/s", SIMULATED)
     input: str = _setting(
         "grasp",
-        "bag, images, video, or name of a packaged scene; several, one after another, separated by "
-        "colons",
+        "bag, images, video, or name of a packaged scene; separate several by colons, they "
+        "are played one after the other",
         REPLAY,
         kind="recording",
     )
@@ -110,35 +110,37 @@ class SensorSettings:
     paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
     wait_for_subscribers: int = _setting(
         1,
-        "subscribers on image_raw before the first frame is sent; the view splitter is one, a "
-        "recorder comes on top",
+        "number of subscribers on image_raw before the first frame is sent: 1 for the view "
+        "splitter, 1 more for a recorder",
         REPLAY,
     )
     publish_clock: bool = _setting(
-        True, "publish /clock; false for all but one of several sensors", REPLAY
+        True, "publish /clock; set it to true for only one of several sensors", REPLAY
     )
     device: str = _setting(
         "",
-        "camera's serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; A,B for two "
-        "cameras",
+        "camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; "
+        "LEFT,RIGHT for two cameras",
         CAMERA,
     )
     pixel_format: str = _setting(
         "auto",
-        "pixels that the camera is asked for; auto prefers uncompressed ones",
+        "pixel format of the camera; auto prefers uncompressed formats",
         CAMERA,
         choices=PIXEL_FORMATS,
     )
     colour: bool = _setting(
-        False, "publish colours where the camera has them, not only grey values", CAMERA
+        False, "publish colours if the camera has them; else grey values", CAMERA
     )
     camera_info_url: str = _setting(
-        "", "YAML file of camera_info in place of the description's, file:// or package://", CAMERA
+        "",
+        "YAML file with camera_info to use in place of the description's, file:// or package://",
+        CAMERA,
     )
     frame_queue: str = _setting(
         "auto",
-        "frames to process where they come too quickly: every one, or the newest; auto: newest of "
-        "a camera or simulation without record",
+        "frames to process if they come too quickly: every frame, or only the newest; auto: "
+        "newest for a camera or simulation without record, else every",
         choices=("auto", "every", "newest"),
     )
     parent_frame: str = _setting("", "tf frame that the sensor is mounted on; empty for none")
@@ -149,17 +151,18 @@ class SensorSettings:
     )
     record: str = _setting(
         "",
-        "folder of a bag to record into, which must not be there yet; empty for none",
+        "folder for a recorded bag, which must not exist; empty for none",
         kind="path",
     )
     record_topics: str = _setting(
         "image_raw camera_info /tf /tf_static wrench force_field",
-        "topics to record, separated by spaces, below the namespace or from / on; * for any",
+        "topics to record, separated by spaces, relative to the namespace or absolute; * "
+        "matches anything",
         RECORDING,
     )
     record_compression: str = _setting(
         "zstd",
-        "compression of recorded frames; jpeg loses some of them, the others nothing",
+        "compression of recorded frames; only jpeg is lossy",
         RECORDING,
         choices=COMPRESSIONS,
     )

@@ -49,7 +49,7 @@ def _one_sensor(given: Mapping[str, Any], **more: Any) -> list[Component]:
     Argument(
         "source",
         "text",
-        "camera that is opened, or topic for frames that others publish on image_raw",
+        "camera, or topic for frames that another node publishes on image_raw",
         default="v4l2",
         choices=("v4l2", "topic"),
     ),
@@ -71,7 +71,7 @@ def simulate(given: Mapping[str, Any]) -> list[Component]:
     *sensor_arguments(("replay",), without=("image_rate",)),
 )
 def replay(given: Mapping[str, Any]) -> list[Component]:
-    """A recording is played into the processing of one sensor."""
+    """Plays a recording into the processing of one sensor."""
     return _one_sensor(given, source="replay", image_rate=given["frame_rate"])
 
 
@@ -117,7 +117,7 @@ def _finger_arguments(
     *_finger_arguments("right", -0.02, -1.5707963, publish_clock=False),
 )
 def gripper(given: Mapping[str, Any]) -> list[Component]:
-    """The sensors of a left and a right finger, each with a source of its own."""
+    """The sensors of a left and a right finger, each with its own source."""
     left, right = (_finger(given, prefix) for prefix in ("left_", "right_"))
     # The sources last, so that all is there when they begin.
     return [*left[0], *right[0], *left[1], *right[1]]

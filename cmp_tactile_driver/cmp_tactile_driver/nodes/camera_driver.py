@@ -90,20 +90,21 @@ CAMERA = "v4l2"
 class CameraDriver(ReportingNode, LifecycleNode):
     """Publishes `image_raw` and `camera_info` while active, and `/diagnostics` always.
 
-    A source that cannot be opened leaves the node unconfigured, with the reason in the
-    diagnostics; it can be configured again.  With `autostart`, a camera that is missing is looked
-    for until it is there.  Raises CmpTactileError for wrong parameters.
+    With `autostart` it waits for a camera that is missing, then starts.
+    If a source cannot be opened, the node stays unconfigured and the diagnostics say why; correct
+    the cause and configure it again.  Raises CmpTactileError for wrong parameters.
 
-    Frames of a camera have the stamp of their exposure, those of other sources that of publishing.
-    A camera that is unplugged is found again by its serial number.  The parameters from `device`
-    on are those of the source `v4l2`; so are `controls.NAME` of each control that the camera has,
-    while the node is configured (docs/camera.md).
+    Camera frames have the time of their exposure as stamp, frames of other sources the time of
+    publishing.  A camera that was unplugged is found again by its serial number.
 
-    The topics and the service that begin with `indenter/` and `truth/`, and the parameters from
-    `autoplay` to `samples`, are those of the source `simulated`.  Targets and loads are in the gel
-    frame: a target is the place of the indenter's origin, a load has `force.z` below 0, into the
-    gel.  What cannot be used is refused with a warning.  `truth/` is made only while somebody
-    subscribes.
+    The parameters from `device` on are for the source `v4l2`.  While the node is configured, each
+    control of the camera is a parameter `controls.NAME` (docs/camera.md).
+
+    Topics and services below `indenter/` and `truth/`, and the parameters from `autoplay` to
+    `samples`, are for the source `simulated`.  Targets and loads are in the gel frame.  A target is
+    the position of the indenter's origin.  A load presses into the gel: its `force.z` is negative.
+    A message that cannot be used is refused with a warning.  `truth/` is published only while
+    somebody subscribes.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

@@ -46,16 +46,17 @@ EARLY_LIMIT = 1000
 class Recorder(ReportingNode):
     """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
 
-    Each message has two times: when it came here, and the stamp of its header.  Frames are
-    compressed as `compression` says: png and jpeg go to `image_raw/compressed`; where only that is
-    published, it is recorded for `image_raw`.  A topic is recorded reliably where those who publish
-    it when it is found do.  `sensor.yaml` beside the files is the sensor description.  What the
-    disk is too slow for is dropped and counted; a bag that cannot be written ends, with what it
-    has, and the diagnostics say why.
+    Each message is stored with the time of its arrival and the stamp of its header.
+    `compression` applies to frames.  With png and jpeg they are stored as `image_raw/compressed`;
+    if only that topic is published, it is recorded in place of `image_raw`.  A topic is recorded
+    reliably if its publishers are reliable when it is found.  The sensor description is stored
+    beside the files as `sensor.yaml`.  If the disk is too slow, messages are dropped and counted.
+    If the bag cannot be written, the recording ends; what was written is kept and the diagnostics
+    say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
-    `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched)
+    `~/split` begins a new file, which starts with the latched messages.  `~/status` (latched)
     reports state and counts.
-    Raises CmpTactileError where parameters or folder cannot be used.
+    Raises CmpTactileError if the parameters or the folder cannot be used.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

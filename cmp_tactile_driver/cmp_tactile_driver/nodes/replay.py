@@ -109,13 +109,12 @@ JUMP_S = 1.0
 class Replay(ReportingNode):
     """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
 
-    Of a bag without images it publishes `surface`.  Compressed frames are published as they were
-    before.  No frame is left out: where publishing is slow, the rest comes later.  `~/pause` pauses
-    and goes on, `~/step` sends the next frame while it is paused, `~/back` and `~/forward` go on
-    from a second earlier or later.  `~/status` (latched) reports state and counts, also once all is
-    sent.
-    Replays that begin together synchronise on `~/ready` (std_msgs/Header, latched).
-    Raises CmpTactileError where parameters or recording cannot be used.
+    From a bag without images it publishes `surface`.  Compressed frames are decompressed.  No frame
+    is left out: if publishing is slow, later frames are delayed.  `~/pause` pauses and continues,
+    `~/step` sends the next frame while paused, `~/back` and `~/forward` jump by one second.
+    `~/status` (latched) reports state and counts, also after the end.
+    Replays with `begin_with` start together: they exchange `~/ready` (std_msgs/Header, latched).
+    Raises CmpTactileError if the parameters or the recording cannot be used.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

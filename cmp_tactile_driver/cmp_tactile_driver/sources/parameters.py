@@ -22,19 +22,19 @@ class CameraDriverParameters(Parameters):
     )
     frame_rate: float = parameter(
         0.0,
-        "frames per second; 0 for the video's, bag's or scene's own, the fastest that a camera can "
-        "do, or 30 for images",
+        "frames per second; 0: rate of the video, bag or scene, highest rate of a camera, "
+        "30 for images",
         unit="Hz",
         within=(0.0, 1000.0),
     )
     loop: bool = parameter(False, "begin again at the end of images, video or bag")
     autostart: bool = parameter(
-        True, "configure and activate at start; where a camera is missing, once it is there"
+        True, "configure and activate at start, or as soon as a missing camera is found"
     )
     camera_info_url: str = parameter(
         "",
-        "camera_info to publish in place of the sensor description's, and where set_camera_info "
-        "keeps it: file://PATH or package://PACKAGE/PATH of a YAML file of camera_info_manager",
+        "YAML file of camera_info_manager, file://PATH or package://PACKAGE/PATH: published "
+        "in place of the sensor description's camera_info, and written by set_camera_info",
     )
 
 
@@ -44,17 +44,17 @@ class CameraParameters(Parameters):
 
     device: str = parameter(
         "",
-        "which camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; two, "
-        "with a comma between, for the views left and right",
+        "camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; for "
+        "two cameras LEFT,RIGHT",
     )
     pixel_format: str = parameter(
         "auto",
-        "pixels that the camera is asked for; auto takes those in which it gives the frame rate, "
-        "uncompressed ones first",
+        "pixel format of the camera; auto: one that reaches the frame rate, uncompressed if "
+        "possible",
         choices=("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG"),
     )
     colour: bool = parameter(
-        False, "publish the colours of a camera that has them (bgr8); else its grey values (mono8)"
+        False, "publish colours (bgr8) if the camera has them; else grey values (mono8)"
     )
     buffers: int = parameter(4, "frames that the kernel keeps until they are read", within=(2, 32))
     frame_timeout: float = parameter(
@@ -65,7 +65,7 @@ class CameraParameters(Parameters):
     )
     reconnect_delay: float = parameter(
         0.5,
-        "time before the first attempt to find the camera again; doubled after each",
+        "time before the first attempt to find the camera again; doubled after each attempt",
         unit="s",
         within=(0.01, 60.0),
     )
@@ -74,14 +74,14 @@ class CameraParameters(Parameters):
     )
     stamp_offset: float = parameter(
         0.0,
-        "added to the kernel's time of a frame: a known delay of the camera is negative",
+        "added to the kernel's time of a frame; negative for a known delay of the camera",
         unit="s",
         within=(-1.0, 1.0),
     )
 
     pair_tolerance: float = parameter(
         0.005,
-        "of two cameras, how far the times of a pair of frames may differ",
+        "largest difference between the times of a pair of frames of two cameras",
         unit="s",
         within=(0.0, 1.0),
     )
@@ -93,8 +93,8 @@ class ReplayParameters(Parameters):
 
     input: str = parameter(
         "",
-        "bag (folder, .mcap or .db3 file), folder of images, image or video; several, one "
-        "after the other, are separated by colons",
+        "bag (folder, .mcap or .db3 file), folder of images, image or video; separate "
+        "several by colons, they are played one after the other",
     )
     topic: str = parameter("", "image topic of the bag; empty for the only one")
     sensor_description: str = parameter(
@@ -110,7 +110,7 @@ class ReplayParameters(Parameters):
     rate: float = parameter(1.0, "speed, 1 as recorded", within=(0.01, 100.0))
     start: float = parameter(
         0.0,
-        "time in the recording to begin at; set while it plays, it goes on from there",
+        "time in the recording to begin at; a change while it plays jumps there",
         unit="s",
         within=(0.0, 1e6),
     )
@@ -124,12 +124,12 @@ class ReplayParameters(Parameters):
     )
     wait_timeout: float = parameter(
         30.0,
-        "time after which it begins without them, or without other replays",
+        "time after which it begins without subscribers or other replays that are still missing",
         unit="s",
         within=(0.0, 3600.0),
     )
     begin_with: str = parameter(
-        "", "full names of other replays, separated by spaces, that are to begin together with this"
+        "", "full names of other replays, separated by spaces, to begin at the same time"
     )
     publish_clock: bool = parameter(True, "publish /clock with the recorded time of each message")
 
@@ -143,19 +143,20 @@ class RecorderParameters(Parameters):
     """Parameters of the node recorder."""
 
     output: str = parameter(
-        "", "folder of the bag, which must not be there yet; empty for the sensor's name and time"
+        "",
+        "folder of the bag, which must not exist; empty: made from the sensor's name and the time",
     )
     topics: str = parameter(
         "image_raw camera_info /tf /tf_static wrench force_field",
-        "topics, separated by spaces: below the namespace, or from / on; * stands for anything",
+        "topics, separated by spaces: relative to the namespace, or absolute; * matches anything",
     )
     compression: str = parameter(
         "zstd",
-        "of frames: zstd (images as they are, the file compressed) and png lose nothing, jpeg "
-        "does, none is quickest",
+        "compression of frames: zstd (of the file) and png are lossless, jpeg is lossy, "
+        "none is the fastest",
         choices=COMPRESSIONS,
     )
-    jpeg_quality: int = parameter(95, "of jpeg", within=(1, 100))
+    jpeg_quality: int = parameter(95, "quality of jpeg", within=(1, 100))
     split_size: float = parameter(
         0.0,
         "size after which a new file of the bag begins; 0 for never",
@@ -170,12 +171,12 @@ class RecorderParameters(Parameters):
     )
     queue_size: float = parameter(
         200.0,
-        "messages that may wait for the disk; what comes while so much waits is dropped",
+        "size of the queue of messages for the disk; when it is full, messages are dropped",
         unit="MB",
         within=(1.0, 1e5),
     )
-    autostart: bool = parameter(True, "record from the start on, without a call of ~/record")
+    autostart: bool = parameter(True, "start recording at once, without a call of ~/record")
     sensor_description: str = parameter(
-        DEFAULT_SENSOR, "file or packaged name; is put beside the bag as sensor.yaml"
+        DEFAULT_SENSOR, "file or packaged name; stored beside the bag as sensor.yaml"
     )
     sensor_name: str = parameter("", SENSOR_NAME_HELP)

@@ -49,8 +49,8 @@ class ForceReconstructorParameters(Parameters):
     )
     large_press_steps: int = parameter(
         0,
-        "steps in a frame that correct for a large press; until it has settled the force is the "
-        "linear one, with not_converged; 0: it settles in every frame, however long that takes",
+        "steps of the large-press correction in each frame; until it has converged, the "
+        "force is the linear one, with the flag not_converged; 0: as many steps as it needs",
         within=(0, 1000),
     )
 
@@ -58,18 +58,20 @@ class ForceReconstructorParameters(Parameters):
 class ForceReconstructor(StageNode):
     """Turns `surface` into `wrench`, which is published first, and `force_field`.
 
-    The finite-element model may take tens of seconds to build the first time, so it is built in
-    the background: until then surfaces are counted and passed over, and the diagnostics say so.
-    With `wait_for_model` the constructor returns only when the model is there.  The parameters of
-    force and slip may be set while it runs.  Those of slip hold from the next frame on, for
-    contacts that are held too; for those of force the old model serves until the new one is built,
-    and what it knows of a gel that relaxes goes on.  Without contact `wrench` is 0.
-    `force_points` is made only while somebody subscribes.
+    Without contact `wrench` is 0.  `force_points` is made only while somebody subscribes.
 
-    A sensor with one view measures no depth: its tangential force is measured, its normal force
+    The first time, the finite-element model may take tens of seconds to build, in the background.
+    Until then surfaces are counted and skipped, and the diagnostics say so.  With `wait_for_model`
+    the constructor returns only when the model is ready.
+
+    Parameters of force and slip may change while the node runs.  Those of slip take effect with the
+    next frame, also for contacts that exist already.  Those of force build a new model; the old one
+    is used meanwhile, and the state of a gel that relaxes is kept.
+
+    A sensor with one view measures no depth.  Its tangential force is measured; its normal force
     and contact are inferred from how the gel spreads under a press, and can be wrong by a third.
-    That holds for a camera that looks at the gel from below: to one that looks from the side, as
-    by one mirror of two, a press is a shift, and the forces are wrong altogether.
+    The camera must look at the gel from below: if it looks from the side, as through one mirror of
+    two, a press looks like a shift and all forces are wrong.
     """
 
     default_name = "force_reconstructor"

@@ -34,21 +34,23 @@ from cmp_tactile_processing.surface.stillness import RestParameters
 class ReferenceParameters(Parameters, section="reference"):
     """From what the service takes the reference of the displacement."""
 
-    reference_frames: int = parameter(10, "frames that a zero averages", within=(1, 1000))
+    reference_frames: int = parameter(
+        10, "number of frames that a reference averages", within=(1, 1000)
+    )
     reference_timeout: float = parameter(
-        10.0, "time after which a zero is given up", unit="s", within=(0.1, 3600.0)
+        10.0, "time after which taking a reference fails", unit="s", within=(0.1, 3600.0)
     )
 
 
 class StereoTriangulator(base_nodes.StageNode):
     """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
 
-    A sensor with one view has one grid, and its surface no depth.  Displacement is against the
-    nominal surface of the sensor description until a reference is taken: by the node itself as
-    soon as the gel is still and nothing seems to touch it (`auto_reference`), or by the service
-    `~/set_reference`.  `reference` (latched) is the surface that displacement then refers to.  The
-    diagnostics warn where there is no reference yet, with the reason, and of drift of the gel at
-    rest; reference.md has more.  `surface_points` is made only while somebody subscribes.
+    A sensor with one view has one grid, and its surface no depth.  Displacement refers to the
+    nominal surface of the sensor description until a reference is taken.  The node takes it when
+    the gel is still and nothing seems to touch it (`auto_reference`), or when the service
+    `~/set_reference` is called.  `reference` (latched) is the surface that displacement refers to.
+    The diagnostics warn, with the reason, while there is no reference, and of drift of the gel at
+    rest (docs/reference.md).  `surface_points` is made only while somebody subscribes.
     """
 
     default_name = "stereo_triangulator"

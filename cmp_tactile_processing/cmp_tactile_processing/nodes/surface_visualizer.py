@@ -63,21 +63,23 @@ class DenseParameters(Parameters, section="dense surface"):
 class SurfaceVisualizer(StageNode):
     """Draws `surface` and `force_field` as `markers`, and fills `surface` up to `dense_points`.
 
-    Each is made only while somebody subscribes to it, markers with `max_rate` at most.
-    `dense_points` is the surface on a grid that is regular where the gel is at rest: position,
-    displacement and, as `status`, 0 missing, 1 in a cell of four measured markers, 2 interpolated
-    across lost or predicted ones, 3 extrapolated, by `dense_margin` at most.
-    Namespaces: `surface` (mesh coloured by indentation), `displacement`, `legend`, `force` (arrows
-    on the nodes in contact), and of each contact `contact` (outline), `resultant` (arrow that ends
-    at the centre of pressure), `moment` (about the centre of pressure) and `contact_text` (normal
-    force and its standard deviation, area, slip state).  Those of a contact have the colour of its
-    slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
-    blue where that is not known.  Ids are 0, but for the texts, which have one for each line.
-    Each message begins with DELETEALL and has all that is to be seen: the newest surface, and the
-    newest force unless it is more than a second older or newer.  Markers that are not drawn again
-    vanish after `lifetime`, all when the node ends.
+    Each is made only while somebody subscribes, markers at most `max_rate` times a second.
+
+    `dense_points` is the surface on a grid that is regular where the gel is at rest, with position,
+    displacement and `status`: 0 missing, 1 in a cell of four measured markers, 2 interpolated
+    across lost or predicted markers, 3 extrapolated, by at most `dense_margin`.
+
+    Namespaces of markers: `surface` (mesh coloured by indentation), `displacement`, `legend`,
+    `force` (arrows on the nodes in contact), and for each contact `contact` (outline), `resultant`
+    (arrow that ends at the centre of pressure), `moment` (about the centre of pressure) and
+    `contact_text` (normal force and its standard deviation, area, slip state).  A contact has the
+    colour of its slip state: green sticks, orange begins to slip, magenta slips, pale blue unknown.
+    Ids are 0; texts have one id for each line.  Each message begins with DELETEALL and is complete:
+    it has the newest surface, and the newest force unless their stamps differ by more than a
+    second.  Markers vanish after `lifetime` if they are not drawn again, and when the node ends.
+
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
-    Its parameters may be set while it runs; what is shown is then drawn again at once.
+    Parameters may change while the node runs; the markers are then drawn again at once.
     """
 
     default_name = "surface_visualizer"

@@ -47,7 +47,7 @@ class Mounting(Parameters):
     """The gel frame's pose in the frame of a robot: the numbers of a URDF joint's origin."""
 
     parent_frame: str = parameter(
-        "", "frame that the sensor is mounted on: tf joins the gel frame to it; empty for none"
+        "", "tf frame that the sensor is mounted on, parent of the gel frame; empty for none"
     )
     mount_position: tuple[float, float, float] = parameter(
         ORIGIN, "gel frame's origin in parent_frame", unit="m", within=(-FARTHEST_M, FARTHEST_M)
@@ -155,22 +155,24 @@ class ViewSplitterParameters(ImageInputParameters):
 
 
 class ViewSplitter(StageNode):
-    """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, and says where they look from.
+    """Cuts `image_raw` into `left/` and `right/`, un-mirrors them, publishes camera_info and tf.
 
-    With `input_transport` compressed it takes `image_raw/compressed` (PNG or JPEG) in its place, as
-    a bag may have it that `ros2 bag play` plays.  Frames in colour, such as bgr8 or rgba8, stay so;
-    those in YUV and Bayer become grey unless `tracking.red`, `green` and `blue` of the sensor
-    description ask for other than their luminance.  Pixels of 16 bits become 8, with a scale for
-    the bits that they use.  With `frame_queue` newest, for a controller, only the newest frame
-    waits while one is at work, on the way to its wrench where the stages share a container: the
-    latency does not grow where frames come quicker than they can be processed.
-    `<view>/image_rect` is rectified only while somebody subscribes.  It and `<view>/camera_info`
-    are as image_pipeline has them: with the stamp of the camera frame, and in the left optical
-    frame for both views.  `<view>/image_raw` is in the view's own optical frame.
-    `<view>/camera_info` is latched, and comes with each frame while somebody subscribes.  The
-    static transforms from the gel frame to all optical frames are sent once, latched, and with
-    `parent_frame` that from the frame the sensor is mounted on to the gel frame; a warning says
-    where another node gives one of these frames another parent or place.
+    With `input_transport` compressed it reads `image_raw/compressed` (PNG or JPEG) instead.
+    Colour frames, such as bgr8 or rgba8, keep their colours.  YUV and Bayer frames become grey,
+    unless `tracking.red`, `green` and `blue` of the sensor description differ from luminance.
+    16-bit pixels are scaled to 8 bits by the number of bits in use.
+    With `frame_queue` newest, for a controller, only the newest frame waits while another one is
+    processed: the latency does not grow when frames come too quickly.
+
+    `<view>/image_raw` is in the view's own optical frame.  `<view>/image_rect` and
+    `<view>/camera_info` are as image_pipeline expects them: they have the stamp of the camera frame
+    and, for both views, the left optical frame.  `<view>/image_rect` is computed only while
+    somebody subscribes.  `<view>/camera_info` is latched, and comes with each frame while somebody
+    subscribes.
+
+    The static transforms from the gel frame to all optical frames are sent once, latched.
+    `parent_frame` adds the transform from that frame to the gel frame.  If another node gives one
+    of these frames another parent or pose, a warning says so.
     """
 
     default_name = "view_splitter"

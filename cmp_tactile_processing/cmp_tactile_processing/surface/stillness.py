@@ -38,35 +38,35 @@ class RestParameters(Parameters, section="rest"):
     """When the gel counts as still and untouched."""
 
     rest_frames: int = parameter(
-        20, "frames from which it is determined whether the gel is still", within=(4, 1000)
+        20, "number of frames in which the gel must be still", within=(4, 1000)
     )
     rest_min_tracked: float = parameter(
-        0.9, "share of the markers to be measured in them", within=(0.1, 1.0)
+        0.9, "share of the markers that must be measured in these frames", within=(0.1, 1.0)
     )
     rest_shake: float = parameter(
         20e-6,
-        "standard deviation of a marker from frame to frame above which the gel shakes, unless the "
-        "markers' own covariance explains it",
+        "the gel shakes if a marker's standard deviation over frames exceeds this, unless "
+        "the markers' covariance explains it",
         unit="m",
         within=(1e-8, 1e-3),
     )
     rest_creep: float = parameter(
         3e-6,
-        "motion of neighbouring markers between the first and the last half of these frames above "
-        "which the gel creeps, unless noise explains it",
+        "the gel creeps if neighbouring markers move more than this from the first to the "
+        "second half of these frames, unless noise explains it",
         unit="m",
         within=(1e-8, 1e-3),
     )
     rest_tolerance: float = parameter(
         40e-6,
-        "how far neighbouring markers may be off the nominal surface, rigid motion and scale "
-        "removed, with nothing touching; a worn print alone makes 20 um",
+        "largest distance of neighbouring markers from the nominal surface, without rigid "
+        "motion and scale, that counts as untouched; a worn print alone causes 20 um",
         unit="m",
         within=(1e-7, 1e-3),
     )
     rest_shift: float = parameter(
         5e-4,
-        "how far the pattern as a whole may be off the nominal surface with nothing touching",
+        "largest shift of the whole pattern from the nominal surface that counts as untouched",
         unit="m",
         within=(1e-6, 1e-2),
     )

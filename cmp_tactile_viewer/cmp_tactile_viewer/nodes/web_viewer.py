@@ -43,30 +43,30 @@ class WebViewerParameters(Parameters):
         "poses of the gel frames in the scene, x y z in m and roll pitch yaw in rad, separated by "
         "commas; empty: all at the origin",
     )
-    host: str = parameter("127.0.0.1", "address to listen on; 0.0.0.0 for the whole network")
+    host: str = parameter("127.0.0.1", "address to listen on; 0.0.0.0 for all interfaces")
     port: int = parameter(
         0, f"to listen on; 0 for the first that is free from {DEFAULT_PORT} on", within=(0, 65535)
     )
-    token: str = parameter("", "that the address of the page must have; empty for none")
+    token: str = parameter("", "word that the page's address must contain; empty for none")
     allow_hosts: str = parameter(
         "",
-        "further names, separated by spaces, by which browsers reach this machine: those of a "
-        "name server or of a proxy",
+        "further host names of this machine, separated by spaces, such as that of a proxy",
     )
     read_only: bool = parameter(False, "no buttons and no parameters on the page")
     max_rate: float = parameter(
-        30.0, "the page is drawn so often at most", unit="Hz", within=(0.1, 120.0)
+        30.0, "highest rate at which the page is drawn", unit="Hz", within=(0.1, 120.0)
     )
 
 
 class WebViewer(ReportingNode):
     """Shows sensors in a browser: surface, force, contacts, camera image, plots, health, buttons.
 
-    It subscribes only while a browser looks, to `surface`, `force_field`, `left/grid`, `right/grid`
-    and `image_raw` of each sensor, and to `/diagnostics`; of more messages than `max_rate` only the
-    newest are read.  The page's address is logged and stands in the diagnostics.
-    Its buttons call the services of the sensor's nodes, `indenter/target` moves a simulated
-    indenter.  To be run in a process of its own, where it takes nothing from the sensor's nodes.
+    The log and the diagnostics give the address of the page.  Its buttons call the services of the
+    sensor's nodes; `indenter/target` moves a simulated indenter.
+    Run it in a process of its own, so that it takes no time from the sensor's nodes.
+    While a browser looks, it subscribes to `surface`, `force_field`, `left/grid`, `right/grid` and
+    `image_raw` of each sensor, and to `/diagnostics`.  If more messages come than `max_rate`, it
+    reads only the newest.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:

@@ -237,7 +237,7 @@ def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
     settings = {item.name: item for item in found}
     frames = settings["stereo_triangulator.reference_frames"]
     assert (frames.value, frames.low, frames.high) == (10, 1, 1000)
-    assert frames.description == "frames that a zero averages"
+    assert frames.description == "number of frames that a reference averages"
     assert not any("diagnostics" in name for name in settings)
     assert "stereo_triangulator.sensor_description" not in settings  # cannot change
     assert rig.do(lambda: frames.change(20.0)) == "is 20 now"

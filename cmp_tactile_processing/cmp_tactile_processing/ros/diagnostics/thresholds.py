@@ -23,50 +23,53 @@ class DiagnosticsParameters:
 
     rate_warn: float = parameter(
         0.0,
-        "rate of results below which it is warned of; 0: any will do",
+        "WARN below this rate of results; 0: never",
         unit="Hz",
         within=(0.0, None),
     )
     rate_error: float = parameter(
-        0.0, "rate of results below which it is an error; 0: none is", unit="Hz", within=(0.0, None)
+        0.0, "ERROR below this rate of results; 0: never", unit="Hz", within=(0.0, None)
     )
     late_after: float = parameter(
-        0.1, "age of its camera frame from which on a result is late", unit="s", within=(1e-3, 10.0)
+        0.1,
+        "a result is late if its camera frame is older than this",
+        unit="s",
+        within=(1e-3, 10.0),
     )
-    late_warn: float = parameter(
-        0.05, "share of late results above which it is warned of", within=(0.0, 1.0)
-    )
-    late_error: float = parameter(
-        1.0, "share of late results above which it is an error", within=(0.0, 1.0)
-    )
+    late_warn: float = parameter(0.05, "WARN above this share of late results", within=(0.0, 1.0))
+    late_error: float = parameter(1.0, "ERROR above this share of late results", within=(0.0, 1.0))
     dropped_warn: float = parameter(
-        0.01, "share of dropped frames above which it is warned of", within=(0.0, 1.0)
+        0.01, "WARN above this share of dropped frames", within=(0.0, 1.0)
     )
     dropped_error: float = parameter(
-        0.5, "share of dropped frames above which it is an error", within=(0.0, 1.0)
+        0.5, "ERROR above this share of dropped frames", within=(0.0, 1.0)
     )
     missing_warn: float = parameter(
         0.1,
-        "share of frames missing in what the camera sends above which the view splitter warns",
+        "WARN of the view splitter above this share of frames that the camera did not send",
         within=(0.0, 1.0),
     )
     tracked_warn: float = parameter(
-        0.5, "tracked fraction of the pattern below which it is warned of", within=(0.0, 1.0)
+        0.5, "WARN below this tracked fraction of the pattern", within=(0.0, 1.0)
     )
     tracked_error: float = parameter(
-        0.0, "tracked fraction of the pattern below which it is an error", within=(0.0, 1.0)
+        0.0, "ERROR below this tracked fraction of the pattern", within=(0.0, 1.0)
     )
     calibration_age_warn: float = parameter(
         365.0,
-        "age of the calibration above which it is warned of; 0: any will do",
+        "WARN above this age of the calibration; 0: never",
         unit="d",
         within=(0.0, 36500.0),
     )
     report_after: int = parameter(
-        2, "reports in a row beyond a threshold before that is reported", within=(1, 60)
+        2,
+        "a threshold must be exceeded in this many reports in a row before the level changes",
+        within=(1, 60),
     )
     clear_after: int = parameter(
-        3, "reports in a row within it before that is no longer reported", within=(1, 60)
+        3,
+        "a threshold must be kept in this many reports in a row before the level goes back",
+        within=(1, 60),
     )
 
     def __post_init__(self) -> None:
