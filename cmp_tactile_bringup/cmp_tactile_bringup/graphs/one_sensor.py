@@ -64,37 +64,38 @@ class SensorSettings:
 
     source: str = _setting(
         "simulated",
-        "where the frames come from: a simulated sensor, a recording, a camera, or others that "
-        "publish them, such as `ros2 bag play`",
+        "source of the frames: a simulated sensor, a recording, a camera, or a topic, for "
+            "example of `ros2 bag play`",
         choices=SOURCES,
     )
     sensor: str = _setting(
-        "", "sensor description, file or packaged name; empty for that of scene or recording"
+        "", "sensor description: a file or a packaged name; empty for that of the scene or recording"
     )
     name: str = _setting(
-        "", "name of this sensor, with which its tf frames begin; empty for the description's"
+        "", "name of this sensor, the beginning of its tf frames; empty for the description's name"
     )
     namespace: str = _setting("", "namespace of all nodes and topics; empty for the sensor's name")
     frame_rate: float = _setting(
-        0.0, "frames per second that are aimed at, Hz; 0 for the source's own", SIMULATED_OR_CAMERA
+        0.0, "frames per second to reach, Hz; 0 for the source's rate", SIMULATED_OR_CAMERA
     )
     image_rate: float = _setting(30.0, "frames per second of a folder of images, Hz", REPLAY)
     input_transport: str = _setting(
         "raw",
-        "whether frames come on image_raw or, as PNG or JPEG, on image_raw/compressed",
+        "transport of the frames: raw on image_raw; compressed (PNG or JPEG) on "
+            "image_raw/compressed",
         TOPIC,
         choices=("raw", "compressed"),
     )
     use_sim_time: bool = _setting(
-        False, "nodes take the time of /clock, as `ros2 bag play --clock` publishes it", TOPIC
+        False, "nodes use the time of /clock, for example of `ros2 bag play --clock`", TOPIC
     )
     scene: str = _setting(
         "grasp", "scene file, or name of a packaged scene", SIMULATED, kind="scene"
     )
     autoplay: bool = _setting(
-        True, "play the scene's motion again and again until a target or load comes", SIMULATED
+        True, "repeat the scene's motion until a target or load comes", SIMULATED
     )
-    max_speed: float = _setting(0.01, "speed of the indenter towards a target, m/s", SIMULATED)
+    max_speed: float = _setting(0.01, "highest speed of the indenter towards a target, m/s", SIMULATED)
     input: str = _setting(
         "grasp",
         "bag, images, video, or name of a packaged scene; several, one after another, separated by "
@@ -102,20 +103,20 @@ class SensorSettings:
         REPLAY,
         kind="recording",
     )
-    topic: str = _setting("", "image topic of the bag; empty for the only one", REPLAY)
+    topic: str = _setting("", "image topic of the bag; may be empty if there is only one", REPLAY)
     rate: float = _setting(1.0, "speed of the replay, 1 as recorded", REPLAY)
     start: float = _setting(0.0, "time in the recording to begin at, s", REPLAY)
-    end: float = _setting(0.0, "time in the recording to end at, s; 0 for its end", REPLAY)
+    end: float = _setting(0.0, "time in the recording to end at, s; 0 for the end of the recording", REPLAY)
     loop: bool = _setting(False, "begin again at the end, with the same stamps", REPLAY)
     paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
     wait_for_subscribers: int = _setting(
         1,
-        "subscribers on image_raw before the first frame is sent; the view splitter is one, a "
-        "recorder comes on top",
+        "number of subscribers on image_raw to wait for before the first frame; the view "
+            "splitter is one, a recorder is another",
         REPLAY,
     )
     publish_clock: bool = _setting(
-        True, "publish /clock; false for all but one of several sensors", REPLAY
+        True, "publish /clock; with several sensors, only one replay may do so", REPLAY
     )
     device: str = _setting(
         "",
@@ -125,23 +126,23 @@ class SensorSettings:
     )
     pixel_format: str = _setting(
         "auto",
-        "pixels that the camera is asked for; auto prefers uncompressed ones",
+        "pixel format of the camera; auto prefers uncompressed formats",
         CAMERA,
         choices=PIXEL_FORMATS,
     )
     colour: bool = _setting(
-        False, "publish colours where the camera has them, not only grey values", CAMERA
+        False, "publish colour frames if the camera has colours, not only grey values", CAMERA
     )
     camera_info_url: str = _setting(
-        "", "YAML file of camera_info in place of the description's, file:// or package://", CAMERA
+        "", "YAML file of camera_info, instead of the description's: file:// or package://", CAMERA
     )
     frame_queue: str = _setting(
         "auto",
-        "frames to process where they come too quickly: every one, or the newest; auto: newest of "
-        "a camera or simulation without record",
+        "frames to process if they come too quickly: every one, or only the newest; auto: newest "
+            "for a camera or simulation without record, else every",
         choices=("auto", "every", "newest"),
     )
-    parent_frame: str = _setting("", "tf frame that the sensor is mounted on; empty for none")
+    parent_frame: str = _setting("", "tf frame on which the sensor is mounted; empty for none")
     mount: tuple[float, ...] = _setting(
         (0.0,) * 6,
         'pose of the gel frame in parent_frame, "x y z roll pitch yaw" in m and rad',
@@ -149,17 +150,18 @@ class SensorSettings:
     )
     record: str = _setting(
         "",
-        "folder of a bag to record into, which must not be there yet; empty for none",
+        "folder of the bag to record; it must not exist yet; empty for none",
         kind="path",
     )
     record_topics: str = _setting(
         "image_raw camera_info /tf /tf_static wrench force_field",
-        "topics to record, separated by spaces, below the namespace or from / on; * for any",
+        "topics to record, separated by spaces: below the namespace, or from / on; * stands for "
+            "any text",
         RECORDING,
     )
     record_compression: str = _setting(
         "zstd",
-        "compression of recorded frames; jpeg loses some of them, the others nothing",
+        "compression of recorded frames; only jpeg loses information",
         RECORDING,
         choices=COMPRESSIONS,
     )
@@ -274,7 +276,7 @@ def _sensor_of_source(settings: SensorSettings, prefix: str) -> str:
         raise GraphError(msg) from None
     sensor = library.sensor_of_recordings(inputs)
     if not sensor:
-        expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
+        expected = f"the file of a description, or one of {', '.join(packaged_sensors())}"
         msg = f"argument {prefix}sensor: found nothing, expected {expected}"
         raise GraphError(msg)
     return sensor

@@ -45,11 +45,11 @@ def _one_sensor(given: Mapping[str, Any], **more: Any) -> list[Component]:
 
 
 @graph(
-    Argument("sensor", "text", "sensor description, file or name of a packaged one"),
+    Argument("sensor", "text", "sensor description: a file or a packaged name"),
     Argument(
         "source",
         "text",
-        "camera that is opened, or topic for frames that others publish on image_raw",
+        "v4l2 opens a camera; topic takes frames that another node publishes on image_raw",
         default="v4l2",
         choices=("v4l2", "topic"),
     ),
@@ -62,7 +62,7 @@ def sensor(given: Mapping[str, Any]) -> list[Component]:
 
 @graph(*sensor_arguments(("simulated",)))
 def simulate(given: Mapping[str, Any]) -> list[Component]:
-    """A simulated sensor in place of a camera, and its processing."""
+    """A simulated sensor instead of a camera, and its processing."""
     return _one_sensor(given, source="simulated")
 
 
@@ -71,7 +71,7 @@ def simulate(given: Mapping[str, Any]) -> list[Component]:
     *sensor_arguments(("replay",), without=("image_rate",)),
 )
 def replay(given: Mapping[str, Any]) -> list[Component]:
-    """A recording is played into the processing of one sensor."""
+    """The processing of one sensor, with frames from a recording."""
     return _one_sensor(given, source="replay", image_rate=given["frame_rate"])
 
 
@@ -98,7 +98,7 @@ def _finger_arguments(
     Argument("namespace", "text", "namespace of container and fingers; empty for none", ""),
     Argument("rate", "number", "speed of replays, 1 as recorded", 1.0),
     Argument("start", "number", "time in the recordings to begin at, s", 0.0),
-    Argument("end", "number", "time in the recordings to end at, s; 0 for their end", 0.0),
+    Argument("end", "number", "time in the recordings to end at, s; 0 for the end of the recordings", 0.0),
     Argument("loop", "boolean", "begin recordings again at their end, with the same stamps", False),
     Argument(
         "paused",
@@ -109,7 +109,7 @@ def _finger_arguments(
     Argument(
         "record",
         "path",
-        "folder to record into, a bag for each finger below it; empty for none",
+        "folder to record into, with a bag for each finger; it must not exist yet; empty for none",
         "",
     ),
     *(item for item in sensor_arguments() if item.name in OF_BOTH and RECORDING in item.only_with),
@@ -117,7 +117,7 @@ def _finger_arguments(
     *_finger_arguments("right", -0.02, -1.5707963, publish_clock=False),
 )
 def gripper(given: Mapping[str, Any]) -> list[Component]:
-    """The sensors of a left and a right finger, each with a source of its own."""
+    """The sensors of a left and a right finger. Each has its own source."""
     left, right = (_finger(given, prefix) for prefix in ("left_", "right_"))
     # The sources last, so that all is there when they begin.
     return [*left[0], *right[0], *left[1], *right[1]]

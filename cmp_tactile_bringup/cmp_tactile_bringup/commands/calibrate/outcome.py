@@ -138,7 +138,7 @@ def conclude(
         console.print(estimates_table(single))
     for estimate in outcome.estimates:
         if estimate.name.startswith(COMBINATION):
-            print_line(console, f"The images do not separate these values, {estimate.name}")
+            print_line(console, f"The images determine only {estimate.name}")
     for item in outcome.residuals:
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
