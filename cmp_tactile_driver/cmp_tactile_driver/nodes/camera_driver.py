@@ -90,20 +90,20 @@ CAMERA = "v4l2"
 class CameraDriver(ReportingNode, LifecycleNode):
     """Publishes `image_raw` and `camera_info` while active, and `/diagnostics` always.
 
-    A source that cannot be opened leaves the node unconfigured, with the reason in the
-    diagnostics; it can be configured again.  With `autostart`, a camera that is missing is looked
-    for until it is there.  Raises CmpTactileError for wrong parameters.
+    If a source cannot be opened, the node stays unconfigured and the diagnostics say why.  It can
+    be configured again.  With `autostart`, the node waits for a missing camera.  Raises
+    CmpTactileError for wrong parameters.
 
-    Frames of a camera have the stamp of their exposure, those of other sources that of publishing.
-    A camera that is unplugged is found again by its serial number.  The parameters from `device`
-    on are those of the source `v4l2`; so are `controls.NAME` of each control that the camera has,
-    while the node is configured (docs/camera.md).
+    The stamp of a camera frame is the time of its exposure.  Frames of other sources have the time
+    of publishing.  A camera that was unplugged is found again by its serial number.  The parameters
+    from `device` on belong to the source `v4l2`.  While the node is configured, each control of the
+    camera is the parameter `controls.NAME` (docs/camera.md).
 
-    The topics and the service that begin with `indenter/` and `truth/`, and the parameters from
-    `autoplay` to `samples`, are those of the source `simulated`.  Targets and loads are in the gel
-    frame: a target is the place of the indenter's origin, a load has `force.z` below 0, into the
-    gel.  What cannot be used is refused with a warning.  `truth/` is made only while somebody
-    subscribes.
+    The source `simulated` has the topics and the service `indenter/...`, the topics `truth/...`,
+    and the parameters from `autoplay` to `samples`.  Targets and loads are in the gel frame: a
+    target is the pose of the indenter's origin; a load has `force.z` below 0, into the gel.  The
+    node refuses an unusable target or load with a warning.  `truth/...` is published only while
+    somebody subscribes.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -134,7 +134,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         elif not self._settings.input:
             # It cannot be given later: nothing would ever be published.
             name = self.get_fully_qualified_name()
-            msg = f"{name}: parameter input: found nothing, expected what to open"
+            msg = f"{name}: parameter input: found nothing, expected a folder, file or scene to open"
             raise ParameterError(msg)
         self._open = frames.find_source(self._settings.source)
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)
@@ -157,7 +157,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         if self._settings.autostart:
             self._attempts.begin()
             if self._attempts.pending:
-                self.get_logger().info("it is looked for until it is there")
+                self.get_logger().info("the node tries again until the camera is there")
 
     def _attempt_start(self) -> bool:
         """Whether no other attempt is of use."""
@@ -194,7 +194,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._attempts.stop()
         self._report_unknown_parameters()
         self._capture = Capture(self._source, self._send)
-        rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
+        rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "its own rate"
         self.get_logger().info(f"{self._source.name} at {rate}")
         return super().on_configure(state)
 
@@ -326,7 +326,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     @property
     def _problem_text(self) -> str:
-        more = "; it is looked for until it is there" if self._attempts.pending else ""
+        more = "; the node tries again until the camera is there" if self._attempts.pending else ""
         return self._problem and self._problem + more
 
     def _log_silence(self, health: frames.SourceHealth) -> None:
@@ -334,7 +334,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         if self._silence and not before:
             self.get_logger().error(f"no frames: {self._silence}")
         elif before and not self._silence and self._source is not None:
-            self.get_logger().info(f"frames come again: {self._source.name}")
+            self.get_logger().info(f"frames are received again: {self._source.name}")
 
 
 def main() -> int:

@@ -46,15 +46,15 @@ EARLY_LIMIT = 1000
 class Recorder(ReportingNode):
     """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
 
-    Each message has two times: when it came here, and the stamp of its header.  Frames are
-    compressed as `compression` says: png and jpeg go to `image_raw/compressed`; where only that is
-    published, it is recorded for `image_raw`.  A topic is recorded reliably where those who publish
-    it when it is found do.  `sensor.yaml` beside the files is the sensor description.  What the
-    disk is too slow for is dropped and counted; a bag that cannot be written ends, with what it
-    has, and the diagnostics say why.
-    `~/record` starts and stops: a second recording takes the folder with _2 after its name.
-    `~/split` begins a new file; each begins with what is latched by then.  `~/status` (latched)
-    reports state and counts.
+    Each message has two times: the time of receipt and the stamp of its header.  `compression`
+    sets how frames are compressed: png and jpeg are recorded as `image_raw/compressed`.  If only
+    `image_raw/compressed` is published, it is recorded instead of `image_raw`.  A subscription is
+    reliable if the publishers are reliable when the topic is found.  `sensor.yaml` in the bag is
+    the sensor description.  Messages are dropped and counted if the disk is too slow.  If the bag
+    cannot be written, the recording ends and the diagnostics say why.
+    `~/record` starts and stops; the folder of a second recording ends in _2.  `~/split` begins a
+    new file, which begins with the latched messages.  `~/status` (latched) reports state and
+    counts.
     Raises CmpTactileError where parameters or folder cannot be used.
     """
 
@@ -89,7 +89,7 @@ class Recorder(ReportingNode):
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         topics = self._settings.topics.replace(",", " ").split()
         if not topics:
-            msg = f"{self.get_name()}: parameter topics: found none, expected one at least"
+            msg = f"{self.get_name()}: parameter topics: found none, expected at least one"
             raise BagWriteError(msg)
         self._watch = TopicWatch(self, topics)
         # Of the recording.
@@ -167,11 +167,11 @@ class Recorder(ReportingNode):
             kind = message_class(topic.kind)
             check_for_type_support(kind)
         except (ImportError, AttributeError, NoTypeSupportImportedException):
-            text = "found no such message here, expected its package to be built for this Python"
-            self.get_logger().warning(f"{topic.name}: is not recorded: {topic.kind}: {text}")
+            text = "found no such message type, expected its package to be built for this Python"
+            self.get_logger().warning(f"{topic.name}: not recorded: {topic.kind}: {text}")
             return
         if topic.instead_of:
-            text = f"is not published, {topic.name} is recorded in its place"
+            text = f"not published; {topic.name} is recorded instead"
             self.get_logger().warning(f"{topic.instead_of}: {text}")
         tap = self._tap(topic)
         end = Input(lambda given: partial(self._on_message, tap, given))

@@ -109,11 +109,10 @@ JUMP_S = 1.0
 class Replay(ReportingNode):
     """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
 
-    Of a bag without images it publishes `surface`.  Compressed frames are published as they were
-    before.  No frame is left out: where publishing is slow, the rest comes later.  `~/pause` pauses
-    and goes on, `~/step` sends the next frame while it is paused, `~/back` and `~/forward` go on
-    from a second earlier or later.  `~/status` (latched) reports state and counts, also once all is
-    sent.
+    From a bag without images it publishes `surface`.  Compressed frames are published uncompressed.
+    No frame is left out: if publishing is slow, later frames are late.  `~/pause` pauses and
+    resumes; `~/step` sends the next frame while paused; `~/back` and `~/forward` jump by one
+    second.  `~/status` (latched) reports state and counts, also after the end.
     Replays that begin together synchronise on `~/ready` (std_msgs/Header, latched).
     Raises CmpTactileError where parameters or recording cannot be used.
     """
@@ -158,7 +157,8 @@ class Replay(ReportingNode):
         self._names = ", ".join(item.name for item in self._recordings)
         if len({item.of_surfaces for item in self._recordings}) > 1:
             msg = (
-                f"{self._names}: found surfaces in some and images in others, expected one of them"
+                (f"{self._names}: found surfaces in some recordings and images in others, expected "
+                    "the same kind in all")
             )
             raise FrameSourceError(msg)
         for recording in self._recordings:
@@ -229,8 +229,9 @@ class Replay(ReportingNode):
         if count < wanted:
             text = f"found {count} subscribers, expected {wanted}"
             missing.insert(0, f"{publisher.topic_name}: {text}")
-        text = f"begins after {self._settings.wait_timeout:g} s without what it waited for"
-        self.get_logger().warning(f"{text} (a recorder misses frames): {', '.join(missing)}")
+        text = (f"not all subscribers or replays were there within {self._settings.wait_timeout:g} s; the "
+            "replay begins")
+        self.get_logger().warning(f"{text} (a recorder will miss frames): {', '.join(missing)}")
 
     def _send(self, message: RecordedMessage) -> None:
         self._publish_clock(message.time_ns)
@@ -285,7 +286,7 @@ class Replay(ReportingNode):
     def _on_step(self, _request: Any, response: Any) -> Any:
         player = self._require_player()
         response.success = player.step()
-        response.message = "" if response.success else f"{player.progress.state.value}, not paused"
+        response.message = "" if response.success else f"found the state {player.progress.state.value}, expected paused"
         return response
 
     def _on_jump(self, seconds: float, _request: Any, response: Any) -> Any:
@@ -293,7 +294,7 @@ class Replay(ReportingNode):
         place = player.jump_by(seconds)
         response.success = place is not None
         state = player.progress.state.value
-        response.message = f"{state}, not playing" if place is None else f"{state} at {place:.2f} s"
+        response.message = f"found the state {state}, expected playing or paused" if place is None else f"{state} at {place:.2f} s"
         return response
 
     def _use_parameters(self, parameters: list[Parameter[Any]]) -> None:
