@@ -102,8 +102,8 @@ def pairs_by_number(
     if not both:
         msg = (
             f"{left[0].name} to {left[-1].name}, {right[0].name} to {right[-1].name}: found no "
-                "number that is in the names of both, expected the same number in the two names of a "
-                "pair"
+            "number that is in the names of both, expected the same number in the two names of a "
+            "pair"
         )
         raise RecordingError(msg)
     pairs = [(numbered["left"][number], numbered["right"][number]) for number in both]
@@ -117,8 +117,8 @@ def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
     for file, found in zip(files, numbers, strict=True):
         if not found:
             msg = (
-                (f"{file}: found no number in its name, expected the number of its pair, as in "
-                    "left04.png")
+                f"{file}: found no number in its name, expected the number of its pair, as in "
+                "left04.png"
             )
             raise RecordingError(msg)
     if len(set(map(len, numbers))) == 1 and len(set(numbers)) > 1:

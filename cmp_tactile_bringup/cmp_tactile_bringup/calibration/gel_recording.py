@@ -271,7 +271,7 @@ def _rest_frames(
     if not chosen.size:
         msg = (
             f"{source}: rest: found no frame from {rest_s[0]:g} to {rest_s[1]:g} s, expected "
-                f"times from 0 to {time_s[-1]:.2f} s"
+            f"times from 0 to {time_s[-1]:.2f} s"
         )
         raise RecordingError(msg)
     return range(int(chosen[0]), int(chosen[-1]) + 1)

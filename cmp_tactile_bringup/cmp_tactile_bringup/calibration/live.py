@@ -232,7 +232,7 @@ class Weighing:
                 return
             self.say(
                 f"The gel moves by {moved * 1e6:.0f} um, expected at most {limit * 1e6:.0f} um: "
-                    "wait until it is still, then try again."
+                "wait until it is still, then try again."
             )
 
     def _motion(self) -> gel_recording.GelMotion:

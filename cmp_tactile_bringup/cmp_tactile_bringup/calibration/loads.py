@@ -137,8 +137,8 @@ def at_frames(
         frames = f"{stamp_ns[0] / NS_PER_S:.3f} to {stamp_ns[-1] / NS_PER_S:.3f} s"
         msg = (
             f"{series.source}: found stamps from {series.stamp_ns[0] / NS_PER_S:.3f} to "
-                f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some within those of the camera "
-                f"frames, {frames}; if the clocks differ, give --time-offset"
+            f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some within those of the camera "
+            f"frames, {frames}; if the clocks differ, give --time-offset"
         )
         raise RecordingError(msg)
     return force
@@ -253,7 +253,9 @@ def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, fl
         raise section.error("loads", [], "a list of known loads")
     for number, load in enumerate(loads):
         if load.recording is None and _overlap(rest, load.time_s):
-            expected = f"a time outside `rest`, {list(rest or ())}, in which nothing touches the gel"
+            expected = (
+                f"a time outside `rest`, {list(rest or ())}, in which nothing touches the gel"
+            )
             raise section.error(f"loads[{number}].time", list(load.time_s or ()), expected)
     section.finish()
     return loads, rest
@@ -386,7 +388,7 @@ def _timed(load: KnownLoad, motion: GelMotion) -> Sequence[int]:
     if not chosen.size:
         msg = (
             f"{motion.source}: {load.name}: time: found no frame from {begin:g} to {end:g} s, "
-                f"expected times from 0 to {motion.time_s[-1]:.2f} s"
+            f"expected times from 0 to {motion.time_s[-1]:.2f} s"
         )
         raise RecordingError(msg)
     return [int(item) for item in chosen]
@@ -405,8 +407,8 @@ def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -
     )
     msg = (
         f"{motion.source}: {names}: found {len(found)} times ({when or 'never'}) in which the gel "
-            f"is pressed and still for {least_frames} frames or more, expected {len(loads)}; give "
-            "`time` for each load"
+        f"is pressed and still for {least_frames} frames or more, expected {len(loads)}; give "
+        "`time` for each load"
     )
     raise RecordingError(msg)
 

@@ -21,7 +21,11 @@ class Zero(Command):
     """
 
     sensor: Annotated[
-        str, argument("[NAMESPACE]", "namespace of the sensor, or one of its topics; needed if several sensors run")
+        str,
+        argument(
+            "[NAMESPACE]",
+            "namespace of the sensor, or one of its topics; needed if several sensors run",
+        ),
     ] = ""
     loaded: Annotated[bool, option("zero even if something presses on the gel")] = False
 

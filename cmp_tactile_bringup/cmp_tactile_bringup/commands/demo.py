@@ -84,13 +84,13 @@ class Demo(Command):
         for rate, count in lost.items():
             console.print(
                 f"[yellow]{count} frames were lost at {rate:.3g} Hz: the machine is slow or busy. "
-                    f"All frames were played again, slower; see {log}.[/]",
+                f"All frames were played again, slower; see {log}.[/]",
                 soft_wrap=True,
             )
         if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
             console.print(
                 f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on "
-                    "a busy machine the replay slows down so that no frame is lost.[/]",
+                "a busy machine the replay slows down so that no frame is lost.[/]",
                 soft_wrap=True,
             )
         missed = [row.name for row in rows if row.passed is False]
@@ -99,7 +99,7 @@ class Demo(Command):
         if page:
             console.print(
                 f"Open [bold]{escape(printable(str(page)))}[/] for the figures, or see each frame "
-                    f"in a browser: [bold]cmp_tactile view {escape(self.recording)}[/]",
+                f"in a browser: [bold]cmp_tactile view {escape(self.recording)}[/]",
                 soft_wrap=True,
             )
         return int(bool(missed))

@@ -58,9 +58,7 @@ class Pattern(Command):
       cmp_tactile pattern my_sensor.yaml --rows 24 --cols 24 --pitch 0.55 --ink-gain 15
     """
 
-    sensor: Annotated[
-        str, argument("SENSOR", "sensor description: a file or a packaged name")
-    ]
+    sensor: Annotated[str, argument("SENSOR", "sensor description: a file or a packaged name")]
     rows: Annotated[int | None, option("inner corners along y", CORNERS, group=CHANGES)] = None
     cols: Annotated[int | None, option("inner corners along x", CORNERS, group=CHANGES)] = None
     pitch: Annotated[
@@ -106,7 +104,7 @@ class Pattern(Command):
         float | None,
         option(
             "diameter of a dot as a share of the pitch; with --type dmp (default: "
-                f"{DOT_DIAMETER:g})",
+            f"{DOT_DIAMETER:g})",
             Number(0.01, 0.99),
             metavar="SHARE",
             group=PRINT,
@@ -116,8 +114,8 @@ class Pattern(Command):
         str | None,
         option(
             "along_axis: printed along the gel's z axis (pad or transfer printing, exposure). "
-                "unrolled: a film is printed flat and laid around the gel (default: unrolled for a "
-                "cylinder, else along_axis, because a film on a sphere wrinkles)",
+            "unrolled: a film is printed flat and laid around the gel (default: unrolled for a "
+            "cylinder, else along_axis, because a film on a sphere wrinkles)",
             Choice(PROCESSES),
             group=PRINT,
         ),
@@ -133,7 +131,7 @@ class Pattern(Command):
         bool,
         option(
             "print the light parts and the margin instead of the dark ones: for light ink on a "
-                "dark skin, or if the drawn parts are removed",
+            "dark skin, or if the drawn parts are removed",
             group=PRINT,
         ),
     ] = False
@@ -157,16 +155,20 @@ class Pattern(Command):
             group=PRINT,
         ),
     ] = 0.0
-    paper: Annotated[str, option("size of the sheet; fit: as large as needed", Choice(PAPERS), group=SHEET)] = "A4"
+    paper: Annotated[
+        str, option("size of the sheet; fit: as large as needed", Choice(PAPERS), group=SHEET)
+    ] = "A4"
     copies: Annotated[
         int,
-        option("copies on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int), group=SHEET),
+        option(
+            "copies on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int), group=SHEET
+        ),
     ] = 1
     output: Annotated[
         Path | None,
         option(
             "write NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the name of the "
-                "description's file with _pattern, in this folder)",
+            "description's file with _pattern, in this folder)",
             metavar="NAME",
             short="-o",
             group=SHEET,

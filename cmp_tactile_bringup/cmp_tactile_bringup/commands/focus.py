@@ -41,7 +41,7 @@ class Focus(Looking):
         argument(
             "SOURCE",
             "camera, as /dev/video0 (two with a comma between). To try it without a camera: a "
-                "video, an image, a folder of images, a bag, or a scene",
+            "video, an image, a folder of images, a bag, or a scene",
         ),
     ]
 

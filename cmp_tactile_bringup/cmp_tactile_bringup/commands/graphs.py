@@ -10,7 +10,9 @@ from typing import Annotated, Any
 
 from cmp_tactile_bringup.commands.options import Command, Number, argument, misuse, option
 
-ASSIGNMENTS = "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
+ASSIGNMENTS = (
+    "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +118,9 @@ class Live(_Graph):
     max_speed: Annotated[
         float, option("highest speed of the indenter towards a target", Number(1e-5, 1.0, "m/s"))
     ] = 0.01
-    no_autoplay: Annotated[bool, option("do not play the scene: hold still until a target or load comes")] = False
+    no_autoplay: Annotated[
+        bool, option("do not play the scene: hold still until a target or load comes")
+    ] = False
     namespace: Annotated[str, option("namespace, instead of the sensor's name")] = ""
 
     def run(self) -> int:
@@ -157,15 +161,23 @@ class Replay(_Graph):
     ]
     sensor: Annotated[
         str | None,
-        option("sensor description, a file or a packaged name; not needed for simulated recordings"),
+        option(
+            "sensor description, a file or a packaged name; not needed for simulated recordings"
+        ),
     ] = None
-    rate: Annotated[float, option("speed; 1 is as recorded", Number(0.01, 100), metavar="SPEED")] = 1.0
+    rate: Annotated[
+        float, option("speed; 1 is as recorded", Number(0.01, 100), metavar="SPEED")
+    ] = 1.0
     start: Annotated[float, option("time in the recording to begin at", SECONDS)] = 0.0
-    end: Annotated[float, option("time in the recording to end at; 0: the last frame", SECONDS)] = 0.0
+    end: Annotated[float, option("time in the recording to end at; 0: the last frame", SECONDS)] = (
+        0.0
+    )
     loop: Annotated[bool, option("begin again at the end")] = False
     paused: Annotated[bool, option("begin paused, until replay/pause is called")] = False
     topic: Annotated[str, option("image topic, if the bag has several", metavar="NAME")] = ""
-    namespace: Annotated[str, option("namespace, instead of the sensor's name", metavar="NAME")] = ""
+    namespace: Annotated[str, option("namespace, instead of the sensor's name", metavar="NAME")] = (
+        ""
+    )
     no_clock: Annotated[bool, option("do not publish /clock, because another replay does")] = False
 
     def run(self) -> int:

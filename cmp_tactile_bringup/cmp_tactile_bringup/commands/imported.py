@@ -61,7 +61,9 @@ class Tac3d(_Import):
     SERIAL.mcap as input.
     """
 
-    folder: Annotated[Path, argument("FOLDER", "folder of one sensor, or with the folders of several")]
+    folder: Annotated[
+        Path, argument("FOLDER", "folder of one sensor, or with the folders of several")
+    ]
     sensor: Annotated[str, option(SENSOR)] = "tac3d_ad2"
 
     def run(self) -> int:
@@ -93,7 +95,7 @@ class Markers(_Import):
         str,
         option(
             "unit of lengths in the file; px: pixels of an image of the gel from inside; the "
-                "description's pitch gives the scale",
+            "description's pitch gives the scale",
             Choice(("m", "mm", "px")),
         ),
     ] = "m"
@@ -104,7 +106,7 @@ class Markers(_Import):
         int,
         option(
             "without a reference in the file: displacement is relative to the first N frames, in "
-                "which nothing touches the gel",
+            "which nothing touches the gel",
             Number(1, 1000, kind=int),
         ),
     ] = 1
@@ -145,5 +147,7 @@ def _report_agreement(name: str, found: Agreement, console: Console) -> None:
         f"{axis} {correlation:.3f} ({left:.2f} N)"
         for axis, correlation, left in zip("xyz", found.correlation, found.left, strict=True)
     )
-    print_line(console, f"{name}: correlation with the sensor's own force (remaining difference): {along}")
+    print_line(
+        console, f"{name}: correlation with the sensor's own force (remaining difference): {along}"
+    )
     print_line(console, f"{name}: the sensor's own force is {found.scale:.2f} times ours")

@@ -48,7 +48,7 @@ class Init(Looking):
         argument(
             "PICTURE",
             "a sharp picture of the whole pattern; or a camera, as /dev/video0 (two with a comma "
-                "between)",
+            "between)",
         ),
     ] = None
     output: Annotated[
@@ -61,7 +61,9 @@ class Init(Looking):
             Number(5, 150, "degrees"),
         ),
     ] = None
-    young: Annotated[float | None, option("Young's modulus of the gel (default: 500)", YOUNG)] = None
+    young: Annotated[float | None, option("Young's modulus of the gel (default: 500)", YOUNG)] = (
+        None
+    )
     thickness: Annotated[
         float | None, option("thickness of the gel, to the outer surface (default: 5)", THICKNESS)
     ] = None
@@ -107,7 +109,9 @@ class Init(Looking):
         print("counting the corners ...", file=sys.stderr)
         found = propose(image, pitch, self.output.stem, self.views or "", self.angle_of_view)
         if self.views is None and found.layout != "one":
-            question = "Two views are seen. Are they in two mirrors or of two cameras (mirrors, cameras)?"
+            question = (
+                "Two views are seen. Are they in two mirrors or of two cameras (mirrors, cameras)?"
+            )
             layout = self.ask(question, found.layout, Choice(LAYOUTS[1:]).parse)
             if layout != found.layout:
                 found = propose(image, pitch, self.output.stem, layout, self.angle_of_view)
@@ -144,16 +148,21 @@ class Init(Looking):
 
 def _report(found: Proposal, output: Path) -> None:
     pattern, two = found.sensor.pattern, found.layout != "one"
-    end = {"in_view": "ends within the picture on all sides", "beyond_view": "continues beyond the picture"}
-    how = {"one": "", "mirrors": " in two mirrors", "cameras": " in the pictures of two cameras"}[found.layout]
+    end = {
+        "in_view": "ends within the picture on all sides",
+        "beyond_view": "continues beyond the picture",
+    }
+    how = {"one": "", "mirrors": " in two mirrors", "cameras": " in the pictures of two cameras"}[
+        found.layout
+    ]
     seen = f"{pattern.rows} x {pattern.cols} corners{how}"
     print(f"{seen}, and the pattern {end[pattern.border]}")
     for name, view in found.views.items():
         worth = view.seen.worth
         print(
             f"{f'{name} view: ' if two else ''}checkers of {worth.side_px:.1f} px; contrast "
-                f"{worth.contrast:.0f} grey levels; noise {worth.noise:.1f}; blur {worth.blur_px:.2f} "
-                f"px; standard deviation of a marker {1e6 * pattern.pitch * worth.std_pitch:.1f} um"
+            f"{worth.contrast:.0f} grey levels; noise {worth.noise:.1f}; blur {worth.blur_px:.2f} "
+            f"px; standard deviation of a marker {1e6 * pattern.pitch * worth.std_pitch:.1f} um"
         )
         for advice in worth.advice(LEAST_GAIN):
             print(f"to do: {advice}")

@@ -50,13 +50,13 @@ class Looking(Command):
         str | None,
         option(
             "views in a frame: one, two in mirrors, or two cameras side by side (default: what "
-                "is detected)",
+            "is detected)",
             Choice(LAYOUTS),
         ),
     ] = None
-    size: Annotated[str, option("size of a camera's frames", _frame_size, metavar="WIDTHxHEIGHT")] = (
-        "640x480"
-    )
+    size: Annotated[
+        str, option("size of a camera's frames", _frame_size, metavar="WIDTHxHEIGHT")
+    ] = "640x480"
     yes: Annotated[bool, option("ask nothing; use the proposed values")] = False
 
     @property

@@ -57,7 +57,7 @@ class Process(Command):
         argument(
             "INPUT",
             "a ROS 2 bag, a folder of images, one image, a video, or a packaged scene, such as "
-                "grasp",
+            "grasp",
         ),
     ]
     output: Annotated[Path, option("folder to write", metavar="DIR")]
@@ -71,22 +71,24 @@ class Process(Command):
     frame_rate: Annotated[
         float,
         option(
-            "frames per second of a folder of images, which has no stamps", Number(0.01, 1000, "Hz"), group=READING
+            "frames per second of a folder of images, which has no stamps",
+            Number(0.01, 1000, "Hz"),
+            group=READING,
         ),
     ] = 30.0
     start: Annotated[
         float, option("begin this long after the first frame", SECONDS, group=READING)
     ] = 0.0
-    end: Annotated[
-        float, option("end this long after the first frame", SECONDS, group=READING)
-    ] = math.inf
+    end: Annotated[float, option("end this long after the first frame", SECONDS, group=READING)] = (
+        math.inf
+    )
     reference: Annotated[
         str,
         option(
             "reference of displacement and force. nominal: the description's surface; when_still "
-                "or at_start: taken automatically, as by the parameter auto_reference of "
-                "stereo_triangulator; first-N: mean of the first N frames, in which the gel must be "
-                "at rest",
+            "or at_start: taken automatically, as by the parameter auto_reference of "
+            "stereo_triangulator; first-N: mean of the first N frames, in which the gel must be "
+            "at rest",
             _reference,
             metavar="WHAT",
             group=RESULTS,
@@ -115,7 +117,7 @@ class Process(Command):
         int | None,
         option(
             "recordings that are processed at the same time, each in its own process (default: "
-                f"half the cores, here {_default_jobs()})",
+            f"half the cores, here {_default_jobs()})",
             Number(1, MOST_JOBS, kind=int),
             group=WORK,
         ),
@@ -124,7 +126,7 @@ class Process(Command):
         str | None,
         option(
             "address of a running dask cluster, as tcp://host:8786; its machines must see the "
-                "same files (needs dask.distributed)",
+            "same files (needs dask.distributed)",
             metavar="ADDRESS",
             group=WORK,
         ),
@@ -145,7 +147,8 @@ class Process(Command):
         console = output_console(stderr=True)
         if len(jobs) < len(self.inputs):
             console.print(
-                "warning: found recordings that are named twice; each is processed once", style="yellow"
+                "warning: found recordings that are named twice; each is processed once",
+                style="yellow",
             )
         complete = _process(jobs, self, console)
         if len(jobs) > 1:

@@ -38,7 +38,7 @@ class Record(Command):
         argument(
             "TOPIC",
             "topics below the sensor's namespace, or from / on; * stands for any text (default: "
-                f"{RecorderParameters.topics})",
+            f"{RecorderParameters.topics})",
         ),
     ] = None
     output: Annotated[

@@ -25,7 +25,9 @@ class Simulate(Command):
 
     scene: Annotated[
         str | None,
-        argument("SCENE", "packaged scene or file of a scene; NAME:VARIANT if the scene has variants"),
+        argument(
+            "SCENE", "packaged scene or file of a scene; NAME:VARIANT if the scene has variants"
+        ),
     ] = None
     output: Annotated[
         Path | None, option("folder to write (default: the scene's name)", metavar="DIR")
@@ -40,7 +42,9 @@ class Simulate(Command):
     video: Annotated[bool, option("write video.mp4: frames beside their truth")] = False
     seed: Annotated[
         int | None,
-        option("seed of noise and print defects, instead of the scene's", Number(0, MAX_SEED, kind=int)),
+        option(
+            "seed of noise and print defects, instead of the scene's", Number(0, MAX_SEED, kind=int)
+        ),
     ] = None
     frames: Annotated[
         int | None, option("simulate only the first N frames", Number(1, MAX_FRAMES, kind=int))

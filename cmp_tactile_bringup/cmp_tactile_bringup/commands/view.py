@@ -33,14 +33,14 @@ class View(Command):
         argument(
             "SOURCE",
             "a ROS 2 bag, results of `cmp_tactile process`, a folder of images, one image, a "
-                "video, or a packaged scene, such as grasp",
+            "video, or a packaged scene, such as grasp",
         ),
     ]
     sensor: Annotated[
         str | None,
         option(
             "sensor description: a file or a packaged name; not needed for simulated recordings "
-                "and results"
+            "and results"
         ),
     ] = None
     topic: Annotated[str, option("image topic, if the bag has several")] = ""
@@ -65,7 +65,7 @@ class View(Command):
         list[str] | None,
         option(
             "another name of this machine or of a proxy in browsers, as robot.lab.example; may "
-                "be repeated",
+            "be repeated",
             group=PAGE,
             metavar="NAME",
         ),
@@ -123,6 +123,6 @@ def _say_where(page: Page, access: Access) -> None:
         who = "anyone who has this address" if access.token else "anyone on that network"
         print(
             f"warning: listening on {access.host}, port {page.port}: {who} can press the buttons; "
-                "--read-only removes them" + ("" if access.token else ", --token sets a secret word"),
+            "--read-only removes them" + ("" if access.token else ", --token sets a secret word"),
             file=sys.stderr,
         )

@@ -162,8 +162,10 @@ class ComponentContainer:
             raise UnknownComponentError(msg)
         life.request_stop()
         if not life.join(timeout):
-            msg = (f"{life.full_name}: found a callback that still runs after {timeout} s, expected its "
-                "end")
+            msg = (
+                f"{life.full_name}: found a callback that still runs after {timeout} s, expected its "
+                "end"
+            )
             raise ComponentError(msg)
         _free_memory()
 
@@ -211,7 +213,7 @@ class ComponentContainer:
             if process:
                 msg = (
                     f"{name} runs already, in process {process}: end that process, or use another "
-                        "namespace (namespace:=NAME)"
+                    "namespace (namespace:=NAME)"
                 )
                 raise ComponentLoadError(msg)
         if self._closed:
@@ -261,7 +263,7 @@ class ComponentContainer:
                 if other.full_name == name:
                     msg = (
                         f"id {life.unique_id}: found the name {name}, which id {other.unique_id} "
-                            "has already; expected a different name"
+                        "has already; expected a different name"
                     )
                     raise ComponentLoadError(msg)
             life.full_name = name

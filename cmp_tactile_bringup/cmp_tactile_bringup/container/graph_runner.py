@@ -230,7 +230,9 @@ def _parser() -> argparse.ArgumentParser:
         help="set a parameter of a component; may be repeated",
     )
     parser.add_argument(
-        "--watch", action="store_true", help="show force, contacts and flags of the first sensor while it runs"
+        "--watch",
+        action="store_true",
+        help="show force, contacts and flags of the first sensor while it runs",
     )
     parser.add_argument(
         "--show-args", action="store_true", help="list the arguments of the graph and end"

@@ -110,8 +110,10 @@ class LoadedComponent:
         self.callback_errors += 1
         is_known, self._last_traceback = text == self._last_traceback, text
         self.last_error = text.strip().rpartition("\n")[2]
-        message = (f"a callback raised an exception (number {self.callback_errors}); the node "
-            f"continues\n{text}")
+        message = (
+            f"a callback raised an exception (number {self.callback_errors}); the node "
+            f"continues\n{text}"
+        )
         if is_known:
             self.node.get_logger().error(message, throttle_duration_sec=5.0)
         else:

@@ -111,7 +111,9 @@ def argument_values(
     for argument in declared:
         value = given.get(argument.name, argument.default)
         if value is None:
-            msg = f"{label}argument {argument.name!r}: found nothing, expected {argument.description}"
+            msg = (
+                f"{label}argument {argument.name!r}: found nothing, expected {argument.description}"
+            )
             raise GraphError(msg)
         values[argument.name] = _convert(argument, value, label)
     return values
@@ -130,8 +132,8 @@ def check_use(
             if not condition.holds(found):
                 msg = (
                     f"{label}argument {argument.name}: found {_shown(given[argument.name])}, "
-                        f"which has no effect with {condition.argument}:={_shown(found)}, expected "
-                        f"{condition}"
+                    f"which has no effect with {condition.argument}:={_shown(found)}, expected "
+                    f"{condition}"
                 )
                 raise GraphError(msg)
 
@@ -247,7 +249,12 @@ RUN_ARGUMENTS = (
     Argument(
         "view_port", "integer", "port of the page; 0 for the first free one from 8080 on", default=0
     ),
-    Argument("view_token", "text", "secret word that the address of the page must contain; empty for none", default=""),
+    Argument(
+        "view_token",
+        "text",
+        "secret word that the address of the page must contain; empty for none",
+        default="",
+    ),
     Argument(
         "view_allow_host",
         "text",

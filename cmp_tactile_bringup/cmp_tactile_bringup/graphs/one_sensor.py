@@ -65,11 +65,12 @@ class SensorSettings:
     source: str = _setting(
         "simulated",
         "source of the frames: a simulated sensor, a recording, a camera, or a topic, for "
-            "example of `ros2 bag play`",
+        "example of `ros2 bag play`",
         choices=SOURCES,
     )
     sensor: str = _setting(
-        "", "sensor description: a file or a packaged name; empty for that of the scene or recording"
+        "",
+        "sensor description: a file or a packaged name; empty for that of the scene or recording",
     )
     name: str = _setting(
         "", "name of this sensor, the beginning of its tf frames; empty for the description's name"
@@ -82,7 +83,7 @@ class SensorSettings:
     input_transport: str = _setting(
         "raw",
         "transport of the frames: raw on image_raw; compressed (PNG or JPEG) on "
-            "image_raw/compressed",
+        "image_raw/compressed",
         TOPIC,
         choices=("raw", "compressed"),
     )
@@ -95,7 +96,9 @@ class SensorSettings:
     autoplay: bool = _setting(
         True, "repeat the scene's motion until a target or load comes", SIMULATED
     )
-    max_speed: float = _setting(0.01, "highest speed of the indenter towards a target, m/s", SIMULATED)
+    max_speed: float = _setting(
+        0.01, "highest speed of the indenter towards a target, m/s", SIMULATED
+    )
     input: str = _setting(
         "grasp",
         "bag, images, video, or name of a packaged scene; several, one after another, separated by "
@@ -106,13 +109,15 @@ class SensorSettings:
     topic: str = _setting("", "image topic of the bag; may be empty if there is only one", REPLAY)
     rate: float = _setting(1.0, "speed of the replay, 1 as recorded", REPLAY)
     start: float = _setting(0.0, "time in the recording to begin at, s", REPLAY)
-    end: float = _setting(0.0, "time in the recording to end at, s; 0 for the end of the recording", REPLAY)
+    end: float = _setting(
+        0.0, "time in the recording to end at, s; 0 for the end of the recording", REPLAY
+    )
     loop: bool = _setting(False, "begin again at the end, with the same stamps", REPLAY)
     paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
     wait_for_subscribers: int = _setting(
         1,
         "number of subscribers on image_raw to wait for before the first frame; the view "
-            "splitter is one, a recorder is another",
+        "splitter is one, a recorder is another",
         REPLAY,
     )
     publish_clock: bool = _setting(
@@ -139,7 +144,7 @@ class SensorSettings:
     frame_queue: str = _setting(
         "auto",
         "frames to process if they come too quickly: every one, or only the newest; auto: newest "
-            "for a camera or simulation without record, else every",
+        "for a camera or simulation without record, else every",
         choices=("auto", "every", "newest"),
     )
     parent_frame: str = _setting("", "tf frame on which the sensor is mounted; empty for none")
@@ -156,7 +161,7 @@ class SensorSettings:
     record_topics: str = _setting(
         "image_raw camera_info /tf /tf_static wrench force_field",
         "topics to record, separated by spaces: below the namespace, or from / on; * stands for "
-            "any text",
+        "any text",
         RECORDING,
     )
     record_compression: str = _setting(

@@ -98,7 +98,9 @@ def _finger_arguments(
     Argument("namespace", "text", "namespace of container and fingers; empty for none", ""),
     Argument("rate", "number", "speed of replays, 1 as recorded", 1.0),
     Argument("start", "number", "time in the recordings to begin at, s", 0.0),
-    Argument("end", "number", "time in the recordings to end at, s; 0 for the end of the recordings", 0.0),
+    Argument(
+        "end", "number", "time in the recordings to end at, s; 0 for the end of the recordings", 0.0
+    ),
     Argument("loop", "boolean", "begin recordings again at their end, with the same stamps", False),
     Argument(
         "paused",

@@ -100,6 +100,6 @@ def unseen_file(task: Task, worker: str) -> str:
         if not place.exists() and not is_packaged(place):
             return (
                 f"{place}: found no such file or folder on the worker {worker}, expected a file "
-                    "system that all machines share, with the same paths"
+                "system that all machines share, with the same paths"
             )
     return ""

@@ -167,7 +167,7 @@ def require_parquet() -> None:
     except ImportError as error:
         msg = (
             f"--parquet: found no pyarrow ({error}), expected the package: pip install pyarrow; "
-                "the CSV file has the same columns"
+            "the CSV file has the same columns"
         )
         raise OutputError(msg) from None
 

@@ -199,7 +199,7 @@ class _Stamps:
         if missing > DiagnosticsParameters().missing_warn * (self._frames + missing):
             yield (
                 f"{missing} of {self._frames + missing} frames are missing in gaps between "
-                    f"stamps; the longest gap is {self._longest_ns / NS_PER_S:.6g} s"
+                f"stamps; the longest gap is {self._longest_ns / NS_PER_S:.6g} s"
             )
 
 

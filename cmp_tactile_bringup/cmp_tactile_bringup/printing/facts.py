@@ -35,8 +35,10 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
         "Seen from": "seen from the camera (mirrored): the printed side goes onto the gel"
         if copy.mirrored
         else "seen from the touching side: the printed side faces away from the gel",
-        "Targets": (f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat print, with the "
-            "apex at (0, 0); one quarter of the mark at corner (0, 0) is filled"),
+        "Targets": (
+            f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat print, with the "
+            "apex at (0, 0); one quarter of the mark at corner (0, 0) is filled"
+        ),
         "Sheet": f"{sheet.width:g} x {sheet.height:g} mm, copies: {len(sheet.origins)}",
         "Apex on the sheet": _places(sheet),
     }
@@ -45,8 +47,8 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
     if printed.rim_strain:
         facts["Stretch of the film"] = (
             f"{100 * printed.rim_strain:+.2f} % along the rim, at the farthest corner of the "
-                "margin; none along lines from the apex. A flat film does not fit a sphere without "
-                "stretch"
+            "margin; none along lines from the apex. A flat film does not fit a sphere without "
+            "stretch"
         )
     return facts
 
@@ -71,7 +73,7 @@ def advice_of(sensor: SensorDescription) -> PatternAdvice:
         if not np.isfinite(sides).all():
             raise DescriptionError(
                 f"{sensor.origin}: views.{view}: found corners of the pattern outside the lens's "
-                    "field, expected none; there is no advice for a print of this size"
+                "field, expected none; there is no advice for a print of this size"
             )
     return advise(sensor)
 
@@ -98,11 +100,13 @@ def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list
     if not printed.fits_gel:
         found = _mm(_size(printed) + 2e3 * printed.options.margin)
         block = _mm(np.array(sensor.elastomer.size[:2]) * 1e3)
-        warnings.append(f"pattern with margin: found {found}, expected at most the gel's block, {block}")
+        warnings.append(
+            f"pattern with margin: found {found}, expected at most the gel's block, {block}"
+        )
     if printed.gel is None:
         warnings.append(
             "the gel's block is larger than its surface (pattern.surface.radius), so its outline "
-                "is not drawn on the flat print"
+            "is not drawn on the flat print"
         )
     if printed.options.pattern_type == "dmp":
         warnings.append("dots are for comparisons only: the nodes of cmp_tactile track checkers")

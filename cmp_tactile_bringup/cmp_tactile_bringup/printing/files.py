@@ -51,7 +51,9 @@ class PatternFiles:
         """Raise OutputError where a file is there already, or is the description that is read."""
         for path in (*self.sheets.values(), self.sensor):
             if path.resolve() == source.resolve():
-                msg = f"{path}: is the input, so it is not replaced; give another name with --output"
+                msg = (
+                    f"{path}: is the input, so it is not replaced; give another name with --output"
+                )
                 raise OutputError(msg)
             if path.is_dir():
                 msg = f"{path}: is a folder, so it is not replaced; give another name with --output"
@@ -73,7 +75,7 @@ class PatternFiles:
         }
         missing = [
             f"{self.sheets[name]}: not written: found no library {library}; install it: python3 "
-                f"-m pip install {library}"
+            f"-m pip install {library}"
             for name, library in without.items()
         ]
         if not contents:

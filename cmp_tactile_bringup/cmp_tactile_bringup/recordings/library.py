@@ -78,8 +78,10 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
         return sensor
     _check_folder(source.expanduser())
     packaged = ", ".join(packaged_sensors())
-    msg = (f"--sensor: found nothing for {source}, expected the file of a description or one of "
-        f"{packaged}")
+    msg = (
+        f"--sensor: found nothing for {source}, expected the file of a description or one of "
+        f"{packaged}"
+    )
     raise RecordingError(msg)
 
 

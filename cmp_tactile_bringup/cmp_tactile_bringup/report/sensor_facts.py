@@ -60,16 +60,20 @@ def geometry_facts(sensor: SensorDescription) -> dict[str, str]:
         return {
             **facts,
             "Depth": "none: with one view, the height is that of the described surface",
-            "Normal force": ("inferred, not measured: one view shows how the markers spread, not their depth. "
-                "Every force has the flag NO_DEPTH. Shear is measured"),
+            "Normal force": (
+                "inferred, not measured: one view shows how the markers spread, not their depth. "
+                "Every force has the flag NO_DEPTH. Shear is measured"
+            ),
         }
     errors = position_errors(sensor, CORNER_ERROR_PX)
     middle = np.median(errors, axis=(0, 1)) * 1e6
     return {
         **facts,
         "Baseline": f"{rig.baseline * 1e3:.2f} mm",
-        "Resolution": (f"an error of {CORNER_ERROR_PX} px in every corner causes {middle[0]:.2f} um in x, "
-            f"{middle[1]:.2f} um in y, {middle[2]:.2f} um in depth (median over the pattern)"),
+        "Resolution": (
+            f"an error of {CORNER_ERROR_PX} px in every corner causes {middle[0]:.2f} um in x, "
+            f"{middle[1]:.2f} um in y, {middle[2]:.2f} um in depth (median over the pattern)"
+        ),
     }
 
 

@@ -127,7 +127,9 @@ class BagStorage:
             return
         for topic, stated in stated_counts.items():
             if stated is not None and stated != found[topic]:
-                found_count = f"found {found[topic]} messages, expected {stated} as metadata.yaml states"
+                found_count = (
+                    f"found {found[topic]} messages, expected {stated} as metadata.yaml states"
+                )
                 yield f"{self._path}: {topic}: {found_count}"
 
     def _listed_files(self) -> tuple[list[Path], list[str]]:

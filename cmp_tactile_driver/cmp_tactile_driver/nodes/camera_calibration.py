@@ -67,8 +67,10 @@ def camera_info_path(url: str, camera_name: str) -> Path | None:
         try:
             return Path(get_package_share_directory(package)) / path
         except (PackageNotFoundError, ValueError):
-            msg = (f"camera_driver.camera_info_url: found no package {package!r} for {url!r}, expected "
-                "an installed one")
+            msg = (
+                f"camera_driver.camera_info_url: found no package {package!r} for {url!r}, expected "
+                "an installed one"
+            )
             raise ParameterError(msg) from None
     msg = f"camera_driver.camera_info_url: found {url!r}, expected {EXPECTED}"
     raise ParameterError(msg)
@@ -105,8 +107,8 @@ class CameraCalibration:
         if not path.exists():
             self.problem = (
                 f"camera_info_url: found no file {path}, expected an existing file, or a call of "
-                    "set_camera_info, which makes it; until then the calibration of the sensor "
-                    "description is published"
+                "set_camera_info, which makes it; until then the calibration of the sensor "
+                "description is published"
             )
             return
         _, info = read_camera_info(path)
@@ -121,7 +123,7 @@ class CameraCalibration:
             if found != expected:
                 msg = (
                     f"{origin}: image_{field}: found {found}, expected {expected} as in the "
-                        f"description of {self._sensor.name}"
+                    f"description of {self._sensor.name}"
                 )
                 raise DescriptionError(msg)
         return self._difference(origin, info)
@@ -138,7 +140,7 @@ class CameraCalibration:
         difference = difference or calibration_mismatch(found, self._sensor)
         return difference and (
             f"{difference} (the processing uses the sensor description; cmp_tactile calibrate "
-                "makes a new one)"
+            "makes a new one)"
         )
 
     def _on_set(
@@ -156,7 +158,7 @@ class CameraCalibration:
         if self._path is None:
             msg = (
                 "camera_driver.camera_info_url: found nothing, expected a place to store the "
-                    "calibration: file://PATH or package://PACKAGE/PATH"
+                "calibration: file://PATH or package://PACKAGE/PATH"
             )
             raise DescriptionError(msg)
         info = ViewCameraInfo(

@@ -134,7 +134,9 @@ class CameraDriver(ReportingNode, LifecycleNode):
         elif not self._settings.input:
             # It cannot be given later: nothing would ever be published.
             name = self.get_fully_qualified_name()
-            msg = f"{name}: parameter input: found nothing, expected a folder, file or scene to open"
+            msg = (
+                f"{name}: parameter input: found nothing, expected a folder, file or scene to open"
+            )
             raise ParameterError(msg)
         self._open = frames.find_source(self._settings.source)
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)

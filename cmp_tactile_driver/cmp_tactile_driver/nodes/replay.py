@@ -157,8 +157,8 @@ class Replay(ReportingNode):
         self._names = ", ".join(item.name for item in self._recordings)
         if len({item.of_surfaces for item in self._recordings}) > 1:
             msg = (
-                (f"{self._names}: found surfaces in some recordings and images in others, expected "
-                    "the same kind in all")
+                f"{self._names}: found surfaces in some recordings and images in others, expected "
+                "the same kind in all"
             )
             raise FrameSourceError(msg)
         for recording in self._recordings:
@@ -229,8 +229,10 @@ class Replay(ReportingNode):
         if count < wanted:
             text = f"found {count} subscribers, expected {wanted}"
             missing.insert(0, f"{publisher.topic_name}: {text}")
-        text = (f"not all subscribers or replays were there within {self._settings.wait_timeout:g} s; the "
-            "replay begins")
+        text = (
+            f"not all subscribers or replays were there within {self._settings.wait_timeout:g} s; the "
+            "replay begins"
+        )
         self.get_logger().warning(f"{text} (a recorder will miss frames): {', '.join(missing)}")
 
     def _send(self, message: RecordedMessage) -> None:
@@ -286,7 +288,11 @@ class Replay(ReportingNode):
     def _on_step(self, _request: Any, response: Any) -> Any:
         player = self._require_player()
         response.success = player.step()
-        response.message = "" if response.success else f"found the state {player.progress.state.value}, expected paused"
+        response.message = (
+            ""
+            if response.success
+            else f"found the state {player.progress.state.value}, expected paused"
+        )
         return response
 
     def _on_jump(self, seconds: float, _request: Any, response: Any) -> Any:
@@ -294,7 +300,11 @@ class Replay(ReportingNode):
         place = player.jump_by(seconds)
         response.success = place is not None
         state = player.progress.state.value
-        response.message = f"found the state {state}, expected playing or paused" if place is None else f"{state} at {place:.2f} s"
+        response.message = (
+            f"found the state {state}, expected playing or paused"
+            if place is None
+            else f"{state} at {place:.2f} s"
+        )
         return response
 
     def _use_parameters(self, parameters: list[Parameter[Any]]) -> None:

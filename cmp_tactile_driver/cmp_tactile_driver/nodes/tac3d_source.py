@@ -31,7 +31,9 @@ class Tac3dSourceParameters(Parameters):
     port: int = parameter(
         9988, "UDP port to which the sensor's program sends frames", within=(1, 65535)
     )
-    serial: str = parameter("", "serial number of the sensor, if several send to that port; empty for any")
+    serial: str = parameter(
+        "", "serial number of the sensor, if several send to that port; empty for any"
+    )
 
 
 class Tac3dSource(StageNode):

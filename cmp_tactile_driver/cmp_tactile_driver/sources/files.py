@@ -207,8 +207,10 @@ class VideoFile(_Images):
             raise FrameSourceError(msg)
         missing = self.declared_frames - count
         if missing > 0:
-            text = (f"{self._path}: {count} of {self.declared_frames} frames can be read; the others are "
-                "damaged")
+            text = (
+                f"{self._path}: {count} of {self.declared_frames} frames can be read; the others are "
+                "damaged"
+            )
             self.health = frames.SourceHealth(missing, text)
 
     @contextmanager

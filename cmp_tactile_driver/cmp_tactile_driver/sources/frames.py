@@ -191,7 +191,7 @@ def find_source(name: str) -> SourceFactory:
             except ModuleNotFoundError as error:
                 msg = (
                     f"source {name}: found no Python module {error.name}, expected it installed: "
-                        f"pip install {str(error.name).partition('.')[0]}"
+                    f"pip install {str(error.name).partition('.')[0]}"
                 )
                 raise FrameSourceError(msg) from None
             except Exception as error:

@@ -93,7 +93,11 @@ def _read_arrays(path: Path) -> Mapping[str, NDArray[Any]]:
     except Exception as error:  # noqa: BLE001  a damaged archive raises what its parts raise
         raise _error(path, f"no arrays ({error})", "arrays of numpy, or a .csv file") from None
     if wrong or POSITION not in arrays:
-        found = f"{wrong[0]} with values that are not numbers" if wrong else ", ".join(arrays) or "nothing"
+        found = (
+            f"{wrong[0]} with values that are not numbers"
+            if wrong
+            else ", ".join(arrays) or "nothing"
+        )
         raise _error(path, found, f"an array {POSITION} of numbers")
     return arrays
 
@@ -148,8 +152,10 @@ def _on_grid(path: Path, name: str, values: NDArray[Any], shape: tuple[int, int]
     if not fits or values.shape[-1] not in (2, 3) or not len(values):
         frames = values.shape if name == POSITION else values.shape[1:]
         first = "frames, " if name == POSITION else ""
-        expected = (f"the shape ({first}{rows}, {cols}, 2 or 3), or one axis of {rows * cols} for rows and "
-            "columns")
+        expected = (
+            f"the shape ({first}{rows}, {cols}, 2 or 3), or one axis of {rows * cols} for rows and "
+            "columns"
+        )
         raise _error(path, f"{name} of shape {frames}", expected)
     grid = np.full((len(values), rows, cols, 3), np.nan)
     grid[..., : values.shape[-1]] = values.reshape(len(values), rows, cols, -1)
@@ -186,10 +192,12 @@ def _scale(path: Path, rest: Array, pattern: Pattern, unit: str) -> float:
     low, middle, high = np.quantile(steps, (STRAY_SHARE, 0.5, 1 - STRAY_SHARE))
     scale = UNITS[unit] if unit != PIXELS else pattern.pitch / abs(middle or np.nan)
     if not LEAST_STEP * pattern.pitch <= scale * low <= scale * high <= MOST_STEP * pattern.pitch:
-        found = f"distances of {low:.4g} to {high:.4g} {unit} between neighbours at rest, along x and y"
+        found = (
+            f"distances of {low:.4g} to {high:.4g} {unit} between neighbours at rest, along x and y"
+        )
         expected = (
             f"the pitch of the description, {1e3 * pattern.pitch:.4g} mm; x grows with the "
-                "column, y with the row; --unit sets the unit of lengths"
+            "column, y with the row; --unit sets the unit of lengths"
         )
         raise _error(path, found, expected)
     return float(scale)

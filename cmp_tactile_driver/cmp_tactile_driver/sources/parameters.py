@@ -15,16 +15,17 @@ class CameraDriverParameters(Parameters):
     source: str = parameter(
         "images",
         "source of the frames: v4l2 (a camera), images, video, bag, simulated, or another "
-            "installed source",
+        "installed source",
     )
     input: str = parameter(
-        "", "folder of images, video file, bag, or scene (name or file); not used with a camera, see "
-            "`device`"
+        "",
+        "folder of images, video file, bag, or scene (name or file); not used with a camera, see "
+        "`device`",
     )
     frame_rate: float = parameter(
         0.0,
         "frames per second; 0 for the rate of the video, bag or scene, the highest rate of a "
-            "camera, or 30 for images",
+        "camera, or 30 for images",
         unit="Hz",
         within=(0.0, 1000.0),
     )
@@ -35,7 +36,7 @@ class CameraDriverParameters(Parameters):
     camera_info_url: str = parameter(
         "",
         "YAML file of camera_info_manager, as file://PATH or package://PACKAGE/PATH: published "
-            "instead of the sensor description's calibration; set_camera_info writes it",
+        "instead of the sensor description's calibration; set_camera_info writes it",
     )
 
 
@@ -46,12 +47,12 @@ class CameraParameters(Parameters):
     device: str = parameter(
         "",
         "camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; two cameras "
-            "for the views left and right, with a comma between",
+        "for the views left and right, with a comma between",
     )
     pixel_format: str = parameter(
         "auto",
         "pixel format of the camera; auto takes a format that reaches the frame rate, "
-            "uncompressed ones first",
+        "uncompressed ones first",
         choices=("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG"),
     )
     colour: bool = parameter(
@@ -95,17 +96,15 @@ class ReplayParameters(Parameters):
     input: str = parameter(
         "",
         "bag (folder, .mcap or .db3 file), folder of images, image or video; several are "
-            "separated by colons and played one after the other",
+        "separated by colons and played one after the other",
     )
     topic: str = parameter("", "image topic of the bag; may be empty if there is only one")
     sensor_description: str = parameter(
         DEFAULT_SENSOR,
         "sensor description, a file or a packaged name; gives camera_info and frame ids to "
-            "recordings without them",
+        "recordings without them",
     )
-    sensor_name: str = parameter(
-        "", f"{SENSOR_NAME_HELP}; if set, it replaces recorded frame ids"
-    )
+    sensor_name: str = parameter("", f"{SENSOR_NAME_HELP}; if set, it replaces recorded frame ids")
     frame_rate: float = parameter(
         30.0, "frames per second of an image folder", unit="Hz", within=(0.01, 1000.0)
     )
@@ -117,7 +116,10 @@ class ReplayParameters(Parameters):
         within=(0.0, 1e6),
     )
     end: float = parameter(
-        0.0, "time in the recording to end at; 0 for the end of the recording", unit="s", within=(0.0, 1e6)
+        0.0,
+        "time in the recording to end at; 0 for the end of the recording",
+        unit="s",
+        within=(0.0, 1e6),
     )
     loop: bool = parameter(False, "begin again at the end, with the same stamps")
     paused: bool = parameter(False, "begin paused, until the service ~/pause is called with false")
@@ -154,7 +156,7 @@ class RecorderParameters(Parameters):
     compression: str = parameter(
         "zstd",
         "compression of frames: zstd (raw images in a compressed file) and png are lossless, "
-            "jpeg is not, none is fastest",
+        "jpeg is not, none is fastest",
         choices=COMPRESSIONS,
     )
     jpeg_quality: int = parameter(95, "quality of jpeg", within=(1, 100))
@@ -178,6 +180,7 @@ class RecorderParameters(Parameters):
     )
     autostart: bool = parameter(True, "record from the start, without a call of ~/record")
     sensor_description: str = parameter(
-        DEFAULT_SENSOR, "sensor description, a file or a packaged name; copied into the bag as sensor.yaml"
+        DEFAULT_SENSOR,
+        "sensor description, a file or a packaged name; copied into the bag as sensor.yaml",
     )
     sensor_name: str = parameter("", SENSOR_NAME_HELP)

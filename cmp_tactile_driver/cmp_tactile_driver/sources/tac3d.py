@@ -227,7 +227,9 @@ def _checked_shapes(folder: Path, arrays: dict[str, Array]) -> tuple[int, int]:
             expected = f"{frames} frames of {sizes[name]} numbers, as in {POSITIONS}"
             raise _error(folder, name, f"shape {values.shape}", expected)
     if not np.isfinite(arrays[STAMPS]).all() or arrays[STAMPS].min() < 0:
-        raise _error(folder, STAMPS, "times that are negative or not numbers", "times of at least 0 s")
+        raise _error(
+            folder, STAMPS, "times that are negative or not numbers", "times of at least 0 s"
+        )
     return frames, markers
 
 
@@ -242,14 +244,14 @@ def _wrong_at_rest(rest: Array, least: float = LEAST_KNOWN) -> str:
     if len(known) < least * len(every):
         return (
             f"found {np.isfinite(rest).all(axis=-1).sum()} of {rest[..., 0].size} markers with "
-                f"numbers at rest, expected at least {least:.0%}"
+            f"numbers at rest, expected at least {least:.0%}"
         )
     low, high = PITCH_MM
     if not (known.min() >= low and known.max() <= high):
         return (
             f"found steps of {known.min():.4g} to {known.max():.4g} between neighbours along x "
-                f"and y, expected {low:g} to {high:g} mm, with x and y falling from the first marker "
-                "to the last"
+            f"and y, expected {low:g} to {high:g} mm, with x and y falling from the first marker "
+            "to the last"
         )
     return ""
 
@@ -261,7 +263,7 @@ def _wrong_motion(left: Array) -> str:
         return ""
     return (
         f"found positions minus {DISPLACEMENTS} that change by {most:.2g} mm, expected the "
-            f"markers at rest (to {MOST_LEFT_MM} mm): are both in mm?"
+        f"markers at rest (to {MOST_LEFT_MM} mm): are both in mm?"
     )
 
 

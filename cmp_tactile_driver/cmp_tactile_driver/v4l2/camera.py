@@ -68,7 +68,7 @@ def choose_mode(device: Any, request: Mode) -> Mode:
         offered = "; ".join(f"{item}: {_sizes_text(device, item)}" for item in formats)
         msg = (
             f"{device.filename}: image size of the sensor description: found "
-                f"{size_text(request.size)}, expected a size that the camera offers: {offered}"
+            f"{size_text(request.size)}, expected a size that the camera offers: {offered}"
         )
         raise FrameSourceError(msg)
     rates = [_rates(device, item, request.size) for item in fitting]
@@ -80,7 +80,7 @@ def choose_mode(device: Any, request: Mode) -> Mode:
             return Mode(item.pixel_format, request.size, request.rate)
     msg = (
         f"{device.filename}: frame_rate: found {request.rate:g} Hz, expected a rate that the "
-            f"camera offers at {size_text(request.size)}: {'; '.join(item.text for item in rates)}"
+        f"camera offers at {size_text(request.size)}: {'; '.join(item.text for item in rates)}"
     )
     raise FrameSourceError(msg)
 
@@ -94,8 +94,10 @@ def _formats(device: Any, wanted: str) -> Sequence[str]:
     if not formats:
         found = ", ".join(PREFERENCE) if wanted == AUTO else wanted
         expected = ", ".join(offered) or "none"
-        msg = (f"{device.filename}: pixel_format: found {found}, expected a format that the camera "
-            f"offers: {expected}")
+        msg = (
+            f"{device.filename}: pixel_format: found {found}, expected a format that the camera "
+            f"offers: {expected}"
+        )
         raise FrameSourceError(msg)
     return formats
 
@@ -265,8 +267,8 @@ class V4L2Camera:
         if (got.width, got.height) != mode.size or found != mode.pixel_format:
             msg = (
                 f"{path}: image size of the sensor description: found {found} "
-                    f"{size_text((got.width, got.height))} set by the camera, expected "
-                    f"{mode.pixel_format} {size_text(mode.size)}"
+                f"{size_text((got.width, got.height))} set by the camera, expected "
+                f"{mode.pixel_format} {size_text(mode.size)}"
             )
             raise FrameSourceError(msg)
         return got.bytes_per_line, self._apply_rate(capture, mode.rate)
@@ -281,8 +283,10 @@ class V4L2Camera:
                 raise
             return rate
         if rate and abs(found - rate) > RATE_TOLERANCE * rate:
-            msg = (f"{self.found.path}: frame_rate: found {found:g} Hz set by the camera, expected "
-                f"{rate:g} Hz")
+            msg = (
+                f"{self.found.path}: frame_rate: found {found:g} Hz set by the camera, expected "
+                f"{rate:g} Hz"
+            )
             raise FrameSourceError(msg)
         return found
 

@@ -50,15 +50,17 @@ def _reason(path: Path | str, error: OSError) -> str:
     if number == errno.EBUSY:
         return (
             f"found it in use by another driver or program, expected it free (fuser -v {path} "
-                "shows the program)"
+            "shows the program)"
         )
     if number in GONE:
         return "found it unplugged, expected a camera"
     if number in (errno.ENOTTY, errno.EINVAL):
         return f"found a device that cannot do this ({error.strerror}), expected a V4L2 camera"
     if number == errno.ENOSPC:
-        return ("found too little USB bandwidth, expected a bus without other cameras, or a lower frame "
-            "rate or size")
+        return (
+            "found too little USB bandwidth, expected a bus without other cameras, or a lower frame "
+            "rate or size"
+        )
     return f"found the error {error.strerror or error}, expected frames"
 
 

@@ -47,7 +47,7 @@ class CameraPair:
         ):
             msg = (
                 f"device: found {options.camera.device!r} for {len(views)} views, expected one "
-                    "camera, or two different ones for the views left and right, with a comma between"
+                "camera, or two different ones for the views left and right, with a comma between"
             )
             raise FrameSourceError(msg)
         self._tolerance_ns = round(options.camera.pair_tolerance * 1e9)
@@ -184,14 +184,14 @@ class CameraPair:
             allowed_ms = self._tolerance_ns * 1e-6
             self._apart = (
                 f"{self.name}: found frames that are {abs(apart_ns) * 1e-6:.1f} ms apart, "
-                    f"expected at most {allowed_ms:g} ms (pair_tolerance)"
+                f"expected at most {allowed_ms:g} ms (pair_tolerance)"
             )
             return None
         self._waiting, self._apart = [None, None], ""
         if left.encoding != right.encoding:
             msg = (
                 f"{self.name}: found {left.encoding} and {right.encoding}, expected both cameras "
-                    "grey or both colour"
+                "grey or both colour"
             )
             raise FrameSourceError(msg)
         width, height = self._size

@@ -44,13 +44,12 @@ class _Abandoned(Exception):  # noqa: N818  not an error
 class ForceReconstructorParameters(Parameters):
     """What is fixed while the node runs."""
 
-    wait_for_model: bool = parameter(
-        False, "return from the start only when the force model is built"
-    )
+    wait_for_model: bool = parameter(False, "wait at the start until the force model is built")
     large_press_steps: int = parameter(
         0,
-        "steps in a frame that correct for a large press; until it has settled the force is the "
-        "linear one, with not_converged; 0: it settles in every frame, however long that takes",
+        "steps of the large-press correction in one frame; until it has settled, the linear "
+        "force is published with the flag not_converged; 0: settle within each frame, however "
+        "long it takes",
         within=(0, 1000),
     )
 
@@ -58,18 +57,18 @@ class ForceReconstructorParameters(Parameters):
 class ForceReconstructor(StageNode):
     """Turns `surface` into `wrench`, which is published first, and `force_field`.
 
-    The finite-element model may take tens of seconds to build the first time, so it is built in
-    the background: until then surfaces are counted and passed over, and the diagnostics say so.
-    With `wait_for_model` the constructor returns only when the model is there.  The parameters of
-    force and slip may be set while it runs.  Those of slip hold from the next frame on, for
-    contacts that are held too; for those of force the old model serves until the new one is built,
-    and what it knows of a gel that relaxes goes on.  Without contact `wrench` is 0.
-    `force_points` is made only while somebody subscribes.
+    The first build of the finite-element model may take tens of seconds.  It runs in the
+    background; meanwhile surfaces are counted and dropped, and the diagnostics say so.  With
+    `wait_for_model` the constructor waits for the model.  The parameters of force and slip may be
+    set while the node runs.  Slip parameters take effect with the next frame, also for present
+    contacts.  After a change of force parameters, the old model is used until the new one is built;
+    the state of the gel's relaxation is kept.  Without contact `wrench` is 0.  `force_points` is
+    published only while somebody subscribes.
 
-    A sensor with one view measures no depth: its tangential force is measured, its normal force
+    A sensor with one view measures no depth.  Its tangential force is measured.  Its normal force
     and contact are inferred from how the gel spreads under a press, and can be wrong by a third.
-    That holds for a camera that looks at the gel from below: to one that looks from the side, as
-    by one mirror of two, a press is a shift, and the forces are wrong altogether.
+    This requires a camera that looks at the gel from below.  For a camera that looks from the side,
+    for example through one of two mirrors, a press looks like a shift, and the forces are wrong.
     """
 
     default_name = "force_reconstructor"

@@ -38,7 +38,9 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 class PrintParameters(Parameters, section="print"):
     """From what the print is inspected."""
 
-    print_frames: int = parameter(8, "frames that inspect_print averages", within=(1, 100))
+    print_frames: int = parameter(
+        8, "number of frames that inspect_print averages", within=(1, 100)
+    )
     print_timeout: float = parameter(
         10.0, "time after which inspect_print gives up", unit="s", within=(0.1, 3600.0)
     )
@@ -54,13 +56,13 @@ class GridlineTrackerParameters(ImageInputParameters):
 class GridlineTracker(base_nodes.StageNode):
     """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
 
-    An image in which nothing can be found gives a grid with missing points, with `fault` and
-    `reason`; the diagnostics report the worst of the last second.
-    `<view>/grid_overlay`, the image with the gridlines drawn in, is made only while somebody
-    subscribes, with `overlay_rate` at most.  The parameters of the tracking stage may be set while
-    it runs; the tracker then starts again.  The service `~/inspect_print` inspects the print in the
-    next frames, in which the gel must be at rest: what it finds flawed is trusted less from then
-    on.
+    If nothing is found in an image, all points of its grid are missing, and `fault` and `reason`
+    say why.  The diagnostics report the worst fault of the last second.
+    `<view>/grid_overlay`, the image with the gridlines, is published only while somebody
+    subscribes, at most at `overlay_rate`.  The parameters of the tracking stage may be set while
+    the node runs; the tracker then starts again.  The service `~/inspect_print` inspects the print
+    in the next frames, in which the gel must be at rest.  Afterwards, flawed parts of the print
+    have a larger standard deviation.
     """
 
     default_name = "gridline_tracker"
@@ -99,7 +101,7 @@ class GridlineTracker(base_nodes.StageNode):
         self._inspection = FrameService[NDArray[np.uint8]](
             self,
             "~/inspect_print",
-            "the print is being inspected already",
+            "an inspection of the print is already running",
             self._wanted_for_print,
         )
 

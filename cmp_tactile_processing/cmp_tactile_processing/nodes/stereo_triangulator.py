@@ -34,21 +34,21 @@ from cmp_tactile_processing.surface.stillness import RestParameters
 class ReferenceParameters(Parameters, section="reference"):
     """From what the service takes the reference of the displacement."""
 
-    reference_frames: int = parameter(10, "frames that a zero averages", within=(1, 1000))
+    reference_frames: int = parameter(10, "number of frames that a zero averages", within=(1, 1000))
     reference_timeout: float = parameter(
-        10.0, "time after which a zero is given up", unit="s", within=(0.1, 3600.0)
+        10.0, "time after which a zero fails", unit="s", within=(0.1, 3600.0)
     )
 
 
 class StereoTriangulator(base_nodes.StageNode):
     """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
 
-    A sensor with one view has one grid, and its surface no depth.  Displacement is against the
-    nominal surface of the sensor description until a reference is taken: by the node itself as
-    soon as the gel is still and nothing seems to touch it (`auto_reference`), or by the service
-    `~/set_reference`.  `reference` (latched) is the surface that displacement then refers to.  The
-    diagnostics warn where there is no reference yet, with the reason, and of drift of the gel at
-    rest; reference.md has more.  `surface_points` is made only while somebody subscribes.
+    A sensor with one view has one grid, and a surface without depth.  Displacement is relative to
+    the nominal surface of the sensor description until a reference is taken.  The node takes one as
+    soon as the gel is still and untouched (`auto_reference`), or when the service `~/set_reference`
+    is called.  `reference` (latched) is this surface.  The diagnostics warn, with the reason, while
+    there is no reference, and if the gel at rest drifts; see reference.md.  `surface_points` is
+    published only while somebody subscribes.
     """
 
     default_name = "stereo_triangulator"
@@ -77,7 +77,7 @@ class StereoTriangulator(base_nodes.StageNode):
         self._averaging = FrameService[Markers3D](
             self,
             "~/set_reference",
-            "a reference is being taken already",
+            "a reference is already being taken",
             self._wanted_for_reference,
         )
 

@@ -54,7 +54,7 @@ class DenseParameters(Parameters, section="dense surface"):
     )
     dense_margin: float = parameter(
         0.0,
-        "how far dense_points is extrapolated beyond the known markers",
+        "how far dense_points extends beyond the known markers",
         unit="m",
         within=(0.0, 1e-2),
     )
@@ -63,19 +63,19 @@ class DenseParameters(Parameters, section="dense surface"):
 class SurfaceVisualizer(StageNode):
     """Draws `surface` and `force_field` as `markers`, and fills `surface` up to `dense_points`.
 
-    Each is made only while somebody subscribes to it, markers with `max_rate` at most.
-    `dense_points` is the surface on a grid that is regular where the gel is at rest: position,
-    displacement and, as `status`, 0 missing, 1 in a cell of four measured markers, 2 interpolated
-    across lost or predicted ones, 3 extrapolated, by `dense_margin` at most.
+    Each is published only while somebody subscribes to it, `markers` at most at `max_rate`.
+    `dense_points` is the surface on a grid that is regular on the gel at rest, with position,
+    displacement and `status`: 0 missing, 1 in a cell of four measured markers, 2 interpolated
+    across lost or predicted markers, 3 extrapolated, by `dense_margin` at most.
     Namespaces: `surface` (mesh coloured by indentation), `displacement`, `legend`, `force` (arrows
     on the nodes in contact), and of each contact `contact` (outline), `resultant` (arrow that ends
     at the centre of pressure), `moment` (about the centre of pressure) and `contact_text` (normal
-    force and its standard deviation, area, slip state).  Those of a contact have the colour of its
-    slip state: green where it sticks, orange where it begins to slip, magenta where it slips, pale
-    blue where that is not known.  Ids are 0, but for the texts, which have one for each line.
-    Each message begins with DELETEALL and has all that is to be seen: the newest surface, and the
-    newest force unless it is more than a second older or newer.  Markers that are not drawn again
-    vanish after `lifetime`, all when the node ends.
+    force and its standard deviation, area, slip state).  The colour of a contact's markers is its
+    slip state: green sticks, orange begins to slip, magenta slips, pale blue is not known.  Ids are
+    0; each line of a text has its own id.
+    Each message begins with DELETEALL and contains all markers: the newest surface, and the newest
+    force unless it is more than a second older or newer.  Markers that are not drawn again
+    disappear after `lifetime`, and all when the node ends.
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
     Its parameters may be set while it runs; what is shown is then drawn again at once.
     """

@@ -129,27 +129,28 @@ class ForceParameters(Parameters, section="force"):
 
     regularization: float = parameter(
         0.0,
-        "weight of the smoothness of the traction against the measurements in the first pass, "
-        "relative to the largest singular value of the model; 0 chooses it for every frame",
+        "weight of the traction's smoothness relative to the measurements in the first pass, "
+        "over the largest singular value of the model; 0: chosen for each frame",
         within=(0.0, 1.0),
     )
     smoothing_length: float = parameter(
         1.5e-3,
-        "length over which the traction is expected to be smooth",
+        "length over which the traction is assumed smooth",
         unit="m",
         within=(1e-5, 0.1),
     )
     two_pass: bool = parameter(
-        True, "solve a second time on the nodes that the first pass finds in contact"
+        True, "solve a second time on the nodes that were in contact in the first pass"
     )
     large_press: str = parameter(
         "auto",
-        "correct for large strain: for a neo_hookean gel, always, or never (the linear model)",
+        "correction for large strain: for a neo_hookean gel (auto), always (on), or never (off: "
+        "linear model)",
         choices=("auto", "on", "off"),
     )
     model_error: float = parameter(
         3e-3,
-        "relative standard deviation of forces that mesh and material model cause",
+        "relative standard deviation of forces from errors of mesh and material model",
         within=(0.0, 1.0),
     )
     noise_in_plane: float = parameter(
@@ -165,7 +166,7 @@ class ForceParameters(Parameters, section="force"):
         within=(1e-9, 1e-3),
     )
     min_valid_fraction: float = parameter(
-        0.3, "share of markers below which no force is given", within=(0.0, 1.0)
+        0.3, "share of measured markers below which no force is given", within=(0.0, 1.0)
     )
     contact_threshold: float = parameter(
         0.1,
@@ -173,17 +174,18 @@ class ForceParameters(Parameters, section="force"):
         within=(0.0, 1.0),
     )
     contact_pressure_floor: float = parameter(
-        500.0, "normal pressure below which no node is in contact", unit="Pa", within=(0.0, None)
+        500.0, "normal pressure below which a node is not in contact", unit="Pa", within=(0.0, None)
     )
     contact_deviations: float = parameter(
         3.0,
-        "standard deviations of a node's normal pressure, as the noise alone would show it, "
-        "below which the node is not in contact",
+        "normal pressure of a node, in standard deviations of its noise, below which the node is "
+        "not in contact",
         within=(0.0, 100.0),
     )
     contact_evidence: float = parameter(
         12.0,
-        "logarithm of how much likelier a force must be than noise alone to report contact",
+        "logarithm of the likelihood ratio of a force to noise alone above which contact is "
+        "reported",
         within=(0.0, 1000.0),
     )
 
@@ -200,20 +202,20 @@ class SlipParameters(Parameters, section="slip"):
     )
     min_traction_ratio: float = parameter(
         0.1,
-        "tangential over normal force, counted from when the load last began again, below which "
-        "nothing is taken to slip",
+        "tangential over normal force, counted since the last growth of the load began, below "
+        "which a contact does not slip",
         within=(0.01, 1.0),
     )
     incipient_ratio: float = parameter(
         0.35,
-        "share of the contact, weighted by normal force, that slides from which on slip is "
-        "incipient; below it the contact sticks",
+        "sliding share of the contact, weighted by normal force, above which slip is incipient; "
+        "below it the contact sticks",
         within=(0.0, 1.0),
     )
     full_ratio: float = parameter(
         0.75,
-        "share of the contact, weighted by normal force, that is seen to slide from which on all "
-        "of it slides once the traction ratio no longer rises; it is seen to 0.2",
+        "measured sliding share of the contact, weighted by normal force, above which the slip "
+        "is full once the traction ratio stops rising; its error is 0.2",
         within=(0.0, 1.0),
     )
 
@@ -233,18 +235,18 @@ class TrackingParameters(Parameters, section="tracking"):
 
     detector: str = parameter(
         "saddle_lattice",
-        "gridline detector: saddle points that edges join to a lattice, or the outlines of the "
+        "gridline detector: saddle points joined to a lattice by edges, or outlines of the "
         "checkers stitched together (paper, III.A)",
         choices=("saddle_lattice", "contour_stitching"),
     )
     virtual_markers: str = parameter(
         "fused",
-        "virtual markers: gradient's ridge fused with the curve through the corners, or the "
-        "paper's local sub-pixel correction alone (III.C)",
+        "virtual markers: the gradient's ridge fused with the curve through the corners, or the "
+        "paper's local sub-pixel correction (III.C)",
         choices=("fused", "local_correction"),
     )
     follow: bool = parameter(
-        True, "look for the corners where the last frame had them before detecting them again"
+        True, "look for the corners near their places in the last frame before detecting them again"
     )
     red: float = parameter(
         0.299, "weight of red in the grey value of a colour image", within=(-1.0, 1.0)
@@ -272,20 +274,20 @@ class TriangulationParameters(Parameters, section="triangulation"):
 
     method: str = parameter(
         "weighted",
-        "point that both views' pixels speak for most, weighted by their standard deviations, or "
-        "the middle of the common normal of both rays (paper, IV.A)",
+        "position of a marker: weighted by the standard deviations of both views' pixels, or the "
+        "middle of the common normal of both rays (paper, IV.A)",
         choices=("weighted", "common_normal"),
     )
     max_ray_gap: float = parameter(
         150e-6,
-        "length of the common normal above which a marker's rays are not those of one point",
+        "length of the common normal above which the two rays do not belong to one marker",
         unit="m",
         within=(1e-7, 1e-2),
     )
     corner_noise: float = parameter(
         0.02,
-        "standard deviation of a corner, and of a virtual marker across its gridline, that comes "
-        "without its own",
+        "standard deviation of a corner, and of a virtual marker across its gridline, if the "
+        "grid has none",
         unit="px",
         within=(1e-4, 10.0),
     )

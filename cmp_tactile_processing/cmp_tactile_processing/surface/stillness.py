@@ -38,10 +38,10 @@ class RestParameters(Parameters, section="rest"):
     """When the gel counts as still and untouched."""
 
     rest_frames: int = parameter(
-        20, "frames from which it is determined whether the gel is still", within=(4, 1000)
+        20, "number of frames to decide whether the gel is still", within=(4, 1000)
     )
     rest_min_tracked: float = parameter(
-        0.9, "share of the markers to be measured in them", within=(0.1, 1.0)
+        0.9, "share of the markers that must be measured in them", within=(0.1, 1.0)
     )
     rest_shake: float = parameter(
         20e-6,
@@ -59,14 +59,14 @@ class RestParameters(Parameters, section="rest"):
     )
     rest_tolerance: float = parameter(
         40e-6,
-        "how far neighbouring markers may be off the nominal surface, rigid motion and scale "
-        "removed, with nothing touching; a worn print alone makes 20 um",
+        "largest distance of neighbouring markers from the nominal surface, apart from rigid "
+        "motion and scale, of an untouched gel; a worn print alone makes 20 um",
         unit="m",
         within=(1e-7, 1e-3),
     )
     rest_shift: float = parameter(
         5e-4,
-        "how far the pattern as a whole may be off the nominal surface with nothing touching",
+        "largest shift of the whole pattern from the nominal surface of an untouched gel",
         unit="m",
         within=(1e-6, 1e-2),
     )
@@ -236,7 +236,7 @@ def _moving(shake: float, creep: float, limits: tuple[float, float]) -> str:
     for what, found, limit in (("shakes", shake, limits[0]), ("moves", creep, limits[1])):
         if math.isnan(found):
             return (
-                "found the markers in too few frames in a row to determine whether the gel is still"
+                "found the markers in too few consecutive frames to decide whether the gel is still"
             )
         if not found <= limit:
             return f"the gel {what} by {found * 1e6:.1f} um, expected at most {limit * 1e6:.1f} um"
@@ -251,17 +251,17 @@ def why_touched(shape: RestShape | None, parameters: RestParameters) -> str:
         return (
             f"markers around {shape.place} are {shape.bump * 1e6:.0f} um off the shape at rest, "
             f"expected at most {parameters.rest_tolerance * 1e6:.0f} um: something touches the "
-            "gel, or the sensor description does not fit"
+            "gel, or the sensor description is wrong"
         )
     if shape.shift > parameters.rest_shift:
         return (
-            f"the pattern is {shape.shift * 1e6:.0f} um off its place, expected at most "
+            f"the pattern is shifted by {shape.shift * 1e6:.0f} um, expected at most "
             f"{parameters.rest_shift * 1e6:.0f} um: something drags the gel, or the sensor "
-            "description does not fit"
+            "description is wrong"
         )
     if abs(shape.scale - 1) > LARGEST_SCALE:
         return (
-            f"the pattern is {shape.scale:.3f} times its size, expected 1 to within "
-            f"{LARGEST_SCALE:g}: does the sensor description fit?"
+            f"the pattern is {shape.scale:.3f} times its described size, expected 1 +- "
+            f"{LARGEST_SCALE:g}: check the sensor description"
         )
     return ""

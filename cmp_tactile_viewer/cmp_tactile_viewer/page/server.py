@@ -28,7 +28,7 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 DEFAULT_PORT = 8080
 # Of a page that is refused: one sentence that says what to do.
 ASK_FOR_ADDRESS = (
-    "This page needs its token: open the address that was printed, which ends in ?token=..."
+    "This page needs its token: open the address that the program printed; it ends in ?token=..."
 )
 # Refused at another name: what was found, and what the user can do about it.
 OTHER_NAME = (
@@ -239,5 +239,5 @@ def _guarded(guard: Guard) -> Iterator[None]:
         finally:
             websockets.asyncio.server.serve = original  # type: ignore[misc]
     if not taken:
-        msg = f"found viser {viser.__version__}, which cannot be guarded; expected 1.1"
+        msg = f"found viser {viser.__version__}, whose access cannot be restricted, expected 1.1"
         raise ViewerError(msg)

@@ -77,7 +77,9 @@ class Check(FrameInput):
         print_verdict(console, report.verdict, accepted=report.accepted)
         if errors is not None and not errors.kept:
             print_verdict(
-                console, "The markers differ from the recording's truth: see the errors above.", accepted=False
+                console,
+                "The markers differ from the recording's truth: see the errors above.",
+                accepted=False,
             )
         if self.report is not None:
             _write_figures(report, frames.images[0], errors, self.report.expanduser())

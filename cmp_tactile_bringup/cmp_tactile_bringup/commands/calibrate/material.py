@@ -75,7 +75,7 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
         str,
         option(
             "image or surface topic, if the bag has several; without INPUT: image topic of a "
-                "running sensor",
+            "running sensor",
             metavar=sources.IMAGE_TOPIC,
         ),
     ] = ""
@@ -84,22 +84,26 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
         tuple[float, float] | None,
         option(
             "time in which nothing touches the gel, s from the recording's start (default: from "
-                "the start until the gel moves)",
+            "the start until the gel moves)",
             Number(0, 1e6, "s"),
             metavar="FROM TO",
         ),
     ] = None
     frames: Annotated[
         int,
-        option("a load counts if the gel is still for N frames in a row", Number(1, 1000, kind=int)),
+        option(
+            "a load counts if the gel is still for N frames in a row", Number(1, 1000, kind=int)
+        ),
     ] = 4
     duration: Annotated[
         float, option("how long to record a running sensor", Number(1, 3600, "s"))
     ] = 30.0
-    weights: Annotated[
-        Path | None, option("known loads and their times", metavar="FILE.yaml")
-    ] = None
-    wrench_topic: Annotated[str, option("topic of the reference force sensor", metavar="TOPIC")] = ""
+    weights: Annotated[Path | None, option("known loads and their times", metavar="FILE.yaml")] = (
+        None
+    )
+    wrench_topic: Annotated[str, option("topic of the reference force sensor", metavar="TOPIC")] = (
+        ""
+    )
     mass: Annotated[
         list[float] | None,
         option(
@@ -116,7 +120,8 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     every_frame: Annotated[
         bool,
         option(
-            "use frames in motion, too, not only those in which gel and force are still", group=WRENCH
+            "use frames in motion, too, not only those in which gel and force are still",
+            group=WRENCH,
         ),
     ] = False
     samples: Annotated[
@@ -299,9 +304,7 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) ->
             f"{value:+.3f} +- {std:.3f}"
             for value, std in zip(outcome.offset, outcome.offset_std, strict=True)
         )
-        print_line(
-            console, f"Offset of the reference sensor: {zero} N (x, y, z of the gel frame)"
-        )
+        print_line(console, f"Offset of the reference sensor: {zero} N (x, y, z of the gel frame)")
     if outcome.estimates:
         # A terminal is narrow; the page has the keys in full.
         short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
@@ -356,12 +359,14 @@ class Relaxation(sources.Output, sources.WrenchSensor):
     """
 
     input: Annotated[Path, argument("INPUT", "a ROS 2 bag with images or surfaces, or a scene")]
-    topic: Annotated[str, option("image topic, if the bag has several", metavar=sources.IMAGE_TOPIC)] = ""
+    topic: Annotated[
+        str, option("image topic, if the bag has several", metavar=sources.IMAGE_TOPIC)
+    ] = ""
     sensor: Annotated[str, option(OWN_SENSOR)] = ""
     mass: Annotated[float | None, option("mass of the weight on the gel", KILOGRAMS)] = None
-    wrench_topic: Annotated[str | None, option("topic of the reference force sensor", metavar="TOPIC")] = (
-        None
-    )
+    wrench_topic: Annotated[
+        str | None, option("topic of the reference force sensor", metavar="TOPIC")
+    ] = None
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""

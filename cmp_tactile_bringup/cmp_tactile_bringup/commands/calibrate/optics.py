@@ -62,8 +62,12 @@ class Board(Output, LiveInput):
         argument("INPUT", "a folder of images, or a ROS 2 bag: whole camera frames"),
     ] = None
     topic: Annotated[str, option(LIVE, metavar=IMAGE_TOPIC)] = ""
-    left: Annotated[list[Path] | None, option("images of the left camera", metavar="FILE...")] = None
-    right: Annotated[list[Path] | None, option("images of the right camera", metavar="FILE...")] = None
+    left: Annotated[list[Path] | None, option("images of the left camera", metavar="FILE...")] = (
+        None
+    )
+    right: Annotated[list[Path] | None, option("images of the right camera", metavar="FILE...")] = (
+        None
+    )
     sensor: Annotated[
         str, option("description of the rig as designed: a file or a packaged name")
     ] = ""
@@ -76,7 +80,9 @@ class Board(Output, LiveInput):
             "inner corners: a board of 10 x 7 squares has 9x6", _board_size, metavar="COLSxROWS"
         ),
     ]
-    square: Annotated[float, option("side of a square, in m; measure it on the print", Number(1e-4, 1, "m"))]
+    square: Annotated[
+        float, option("side of a square, in m; measure it on the print", Number(1e-4, 1, "m"))
+    ]
     charuco: Annotated[str, option("ChArUco board with this OpenCV dictionary", metavar="DICT")] = (
         ""
     )
@@ -171,7 +177,11 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
         pairs, alone = pairs_by_number(chosen["left"], arguments.right)
         chosen = {view: [pair[side] for pair in pairs] for side, view in enumerate(views)}
         names = ", ".join(file.name for file in alone)
-        warn(f"{names}: found no image of the other camera with the same number; left out" if alone else "")
+        warn(
+            f"{names}: found no image of the other camera with the same number; left out"
+            if alone
+            else ""
+        )
     images = {view: read_images(files) for view, files in chosen.items()}
     with shown_count() as count:
         outcome = calibrate_cameras(images["left"], images.get("right"), target, on_progress=count)

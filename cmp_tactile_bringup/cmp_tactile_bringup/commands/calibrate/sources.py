@@ -81,7 +81,7 @@ class WrenchSensor(Command):
         tuple[float, float, float] | None,
         option(
             "rotation from the gel frame's axes to the sensor's, degrees about the gel's x, then "
-                "y, then z axis (default: from /tf_static of the bag, else none)",
+            "y, then z axis (default: from /tf_static of the bag, else none)",
             Number(-360, 360, "degrees"),
             metavar="X Y Z",
             group=FORCE_SENSOR,
@@ -97,7 +97,9 @@ class WrenchSensor(Command):
     time_offset: Annotated[
         float,
         option(
-            "how far its clock is ahead of the camera's", Number(-1e10, 1e10, "s"), group=FORCE_SENSOR
+            "how far its clock is ahead of the camera's",
+            Number(-1e10, 1e10, "s"),
+            group=FORCE_SENSOR,
         ),
     ] = 0.0
 
@@ -154,9 +156,13 @@ def _wrench_frame(
     if arguments.input is not None and series.frame_id:
         T = fixed_transform(recorded_source(arguments.input), gel_frame, series.frame_id)
         if T is not None:
-            print(f"Force sensor: the pose of its frame {series.frame_id} is taken from /tf_static.")
+            print(
+                f"Force sensor: the pose of its frame {series.frame_id} is taken from /tf_static."
+            )
             return WrenchFrame(T[:3, :3], reaction)
-    print("Force sensor: its axes are assumed to be the gel frame's; if not, give --wrench-rotation.")
+    print(
+        "Force sensor: its axes are assumed to be the gel frame's; if not, give --wrench-rotation."
+    )
     return WrenchFrame.turned(reaction=reaction)
 
 

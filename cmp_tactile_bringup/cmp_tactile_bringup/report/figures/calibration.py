@@ -147,7 +147,9 @@ def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) ->
         mean_um = np.nanmean(values, axis=0) * 1e6
         image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
         whole = length_text(float(np.nanmean(values)))
-        style.title(axes, name, f"mean error of each marker against the truth; all markers: {whole}")
+        style.title(
+            axes, name, f"mean error of each marker against the truth; all markers: {whole}"
+        )
         style.colour_bar(image, [axes], "um", shrink=0.8)
     return figure
 
@@ -249,7 +251,9 @@ def material_figure(loads: Sequence[LoadResult]) -> Figure:
         axes.margins(0.08)
     meaning = f"bars: {BAR:g} standard deviations"
     style.title(left, "Force of the sensor under known loads", f"{meaning}, after")
-    style.title(right, "Remaining difference with the new material", f"{meaning} of sensor and load")
+    style.title(
+        right, "Remaining difference with the new material", f"{meaning} of sensor and load"
+    )
     left.legend(loc="best")
     return figure
 

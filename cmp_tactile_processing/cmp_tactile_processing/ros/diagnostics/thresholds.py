@@ -23,50 +23,53 @@ class DiagnosticsParameters:
 
     rate_warn: float = parameter(
         0.0,
-        "rate of results below which it is warned of; 0: any will do",
+        "rate of results below which a warning is given; 0: never",
         unit="Hz",
         within=(0.0, None),
     )
     rate_error: float = parameter(
-        0.0, "rate of results below which it is an error; 0: none is", unit="Hz", within=(0.0, None)
+        0.0,
+        "rate of results below which an error is given; 0: never",
+        unit="Hz",
+        within=(0.0, None),
     )
     late_after: float = parameter(
-        0.1, "age of its camera frame from which on a result is late", unit="s", within=(1e-3, 10.0)
+        0.1, "age of its camera frame above which a result is late", unit="s", within=(1e-3, 10.0)
     )
     late_warn: float = parameter(
-        0.05, "share of late results above which it is warned of", within=(0.0, 1.0)
+        0.05, "share of late results above which a warning is given", within=(0.0, 1.0)
     )
     late_error: float = parameter(
-        1.0, "share of late results above which it is an error", within=(0.0, 1.0)
+        1.0, "share of late results above which an error is given", within=(0.0, 1.0)
     )
     dropped_warn: float = parameter(
-        0.01, "share of dropped frames above which it is warned of", within=(0.0, 1.0)
+        0.01, "share of dropped frames above which a warning is given", within=(0.0, 1.0)
     )
     dropped_error: float = parameter(
-        0.5, "share of dropped frames above which it is an error", within=(0.0, 1.0)
+        0.5, "share of dropped frames above which an error is given", within=(0.0, 1.0)
     )
     missing_warn: float = parameter(
         0.1,
-        "share of frames missing in what the camera sends above which the view splitter warns",
+        "share of frames missing from the camera above which the view splitter gives a warning",
         within=(0.0, 1.0),
     )
     tracked_warn: float = parameter(
-        0.5, "tracked fraction of the pattern below which it is warned of", within=(0.0, 1.0)
+        0.5, "tracked fraction of the pattern below which a warning is given", within=(0.0, 1.0)
     )
     tracked_error: float = parameter(
-        0.0, "tracked fraction of the pattern below which it is an error", within=(0.0, 1.0)
+        0.0, "tracked fraction of the pattern below which an error is given", within=(0.0, 1.0)
     )
     calibration_age_warn: float = parameter(
         365.0,
-        "age of the calibration above which it is warned of; 0: any will do",
+        "age of the calibration above which a warning is given; 0: never",
         unit="d",
         within=(0.0, 36500.0),
     )
     report_after: int = parameter(
-        2, "reports in a row beyond a threshold before that is reported", within=(1, 60)
+        2, "reports in a row beyond a threshold before a problem is reported", within=(1, 60)
     )
     clear_after: int = parameter(
-        3, "reports in a row within it before that is no longer reported", within=(1, 60)
+        3, "reports in a row within a threshold before the problem is cleared", within=(1, 60)
     )
 
     def __post_init__(self) -> None:

@@ -29,57 +29,55 @@ class MarkerParameters(Parameters, section="markers"):
     """How the markers are drawn."""
 
     displacement_gain: float = parameter(
-        1.0, "drawn length of a displacement arrow per displacement; 0: none", within=(0.0, 1e3)
+        1.0, "length of a displacement arrow over the displacement; 0: no arrows", within=(0.0, 1e3)
     )
     force_gain: float = parameter(
         0.05,
-        "drawn length of a force arrow per force on a node; 0: none",
+        "length of the arrow of a force on a node over the force; 0: no arrows",
         unit="m/N",
         within=(0.0, 1e3),
     )
     depth_range: float = parameter(
-        0.001, "indentation at which the colour of the mesh ends", unit="m", within=(1e-6, 1.0)
+        0.001, "indentation at the end of the mesh's colour scale", unit="m", within=(1e-6, 1.0)
     )
     resultant_gain: float = parameter(
         0.001,
-        "drawn length of the arrow of a contact's force per force; 0: none",
+        "length of the arrow of a contact's force over the force; 0: no arrows",
         unit="m/N",
         within=(0.0, 1e3),
     )
     moment_gain: float = parameter(
         0.5,
-        "drawn length of the arrow of a contact's moment per moment; 0: none",
+        "length of the arrow of a contact's moment over the moment; 0: no arrows",
         unit="m/(N m)",
         within=(0.0, 1e5),
     )
-    contact_text: bool = parameter(
-        True, "whether normal force, area and slip state are written at each contact"
-    )
+    contact_text: bool = parameter(True, "write normal force, area and slip state at each contact")
     legend: bool = parameter(
-        True, "whether a bar with the colours of depth and the scales of the arrows is drawn"
+        True, "draw a bar with the colours of depth and the scales of the arrows"
     )
     up: tuple[float, float, float] = parameter(
         (0.0, 0.0, 1.0),
-        "what is up for the viewer, in the gel frame: lines of text are stacked along it, and the "
-        "colour bar is large at its upper end",
+        "direction that is up for the viewer, in the gel frame: lines of text are stacked along "
+        "it, and the colour bar is upright along it",
         within=(-1.0, 1.0),
     )
     text_size: float = parameter(0.0006, "height of the letters", unit="m", within=(1e-6, 1.0))
     line_width: float = parameter(
         0.00005,
-        "width of arrows, half that of outlines, a third of that of resultants and moments",
+        "width of arrows; outlines have twice, resultants and moments three times this width",
         unit="m",
         within=(1e-6, 1.0),
     )
     max_rate: float = parameter(
         15.0,
-        "markers are drawn so often at most; 0: with every message",
+        "highest rate of markers; 0: with every message",
         unit="Hz",
         within=(0.0, 1000.0),
     )
     lifetime: float = parameter(
         2.0,
-        "time after which markers vanish that are not drawn again; 0: never",
+        "time after which markers that are not drawn again disappear; 0: never",
         unit="s",
         within=(0.0, 3600.0),
     )
