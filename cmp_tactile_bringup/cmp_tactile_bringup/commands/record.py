@@ -27,10 +27,11 @@ _setting = partial(parameter_option, RecorderParameters)
 
 @dataclass(frozen=True, kw_only=True)
 class Record(Command):
-    """Record topics of a running sensor, on this or another machine, until Ctrl-C. The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`,
-    `cmp_tactile process`, `ros2 bag` and others read; the sensor description lies in it as
-    sensor.yaml. To have no frame go over the network, record within the sensor's own container:
-    record:=FOLDER, an argument of every launch file and of the commands that start nodes.
+    """Record topics of a running sensor, on this or another machine, until Ctrl-C. The bag is a
+    folder of MCAP files with metadata.yaml and sensor.yaml, the sensor description. `cmp_tactile
+    replay`, `cmp_tactile process`, `ros2 bag` and others read it. To keep frames off the network,
+    record in the sensor's own container: give record:=FOLDER to a launch file or to a command
+    that starts nodes.
     """
 
     topics: Annotated[
@@ -106,7 +107,7 @@ def _recorder(arguments: Record, context: Any) -> Any:
         sensor = find_sensor(search.node, arguments.namespace)
     description = arguments.sensor or sensor.description
     if not description:
-        msg = f"{sensor.namespace}: found nodes that do not report their description, expected --sensor"
+        msg = f"{sensor.namespace}: found no description reported by the nodes, expected --sensor"
         raise RunningSensorError(msg)
     values = {
         "output": arguments.output,

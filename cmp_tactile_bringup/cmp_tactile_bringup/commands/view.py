@@ -20,10 +20,9 @@ PAGE = "Page"
 @dataclass(frozen=True, kw_only=True)
 class View(Command):
     """Show a recording in a browser: the gel's surface with forces and contacts in 3-D, the camera
-    image with gridlines, plots of forces and slip, and warnings. A slider selects the
-    frame. Camera frames are processed when they are shown; results of `cmp_tactile process` and of a
-    recorded sensor are shown as they were stored. Ctrl-C ends it. Needs no running ROS and no
-    internet.
+    image with gridlines, plots of forces and slip, and warnings. A slider selects the frame.
+    Camera frames are processed when they are shown; stored results of `cmp_tactile process` or of
+    a recorded sensor are shown as they are. Ctrl-C ends it. Needs no running ROS and no internet.
 
     To show a running sensor, give view:=true to a launch file or to a command that starts nodes.
     """

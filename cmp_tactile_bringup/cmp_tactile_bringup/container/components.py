@@ -162,10 +162,7 @@ class ComponentContainer:
             raise UnknownComponentError(msg)
         life.request_stop()
         if not life.join(timeout):
-            msg = (
-                f"{life.full_name}: found a callback that still runs after {timeout} s, expected its "
-                "end"
-            )
+            msg = f"{life.full_name}: found a callback that still runs after {timeout} s"
             raise ComponentError(msg)
         _free_memory()
 

@@ -238,7 +238,7 @@ class GraphFunction:
         ):
             twice = [name for number, name in enumerate(names) if name in names[:number]]
             if twice:
-                msg = f"{self.label}found {twice[0]!r} twice, expected a different name for each {kind}"
+                msg = f"{self.label}found {twice[0]!r} twice, expected another name for each {kind}"
                 raise GraphError(msg)
 
 

@@ -36,8 +36,8 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
         if copy.mirrored
         else "seen from the touching side: the printed side faces away from the gel",
         "Targets": (
-            f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat print, with the "
-            "apex at (0, 0); one quarter of the mark at corner (0, 0) is filled"
+            f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat print, with "
+            "the apex at (0, 0); one quarter of the mark at corner (0, 0) is filled"
         ),
         "Sheet": f"{sheet.width:g} x {sheet.height:g} mm, copies: {len(sheet.origins)}",
         "Apex on the sheet": _places(sheet),

@@ -38,7 +38,7 @@ class SqliteBagFile:
                     self._topics[number] = name, full_kind(kind, encoding)
         except sqlite3.Error as error:
             hint = (
-                f"; with its {LOG_SUFFIX} file it can only be read from a folder with write access: "
+                f"; with its {LOG_SUFFIX} file it can only be read in a folder with write access: "
                 "copy it there"
             )
             raise DamageError(f"{error}{hint if self._has_log else ''}") from None

@@ -68,8 +68,8 @@ def camera_info_path(url: str, camera_name: str) -> Path | None:
             return Path(get_package_share_directory(package)) / path
         except (PackageNotFoundError, ValueError):
             msg = (
-                f"camera_driver.camera_info_url: found no package {package!r} for {url!r}, expected "
-                "an installed one"
+                f"camera_driver.camera_info_url: found no package {package!r} for {url!r}, "
+                "expected an installed one"
             )
             raise ParameterError(msg) from None
     msg = f"camera_driver.camera_info_url: found {url!r}, expected {EXPECTED}"

@@ -230,8 +230,8 @@ class Replay(ReportingNode):
             text = f"found {count} subscribers, expected {wanted}"
             missing.insert(0, f"{publisher.topic_name}: {text}")
         text = (
-            f"not all subscribers or replays were there within {self._settings.wait_timeout:g} s; the "
-            "replay begins"
+            "the replay begins, but not all subscribers or replays were there within "
+            f"{self._settings.wait_timeout:g} s"
         )
         self.get_logger().warning(f"{text} (a recorder will miss frames): {', '.join(missing)}")
 

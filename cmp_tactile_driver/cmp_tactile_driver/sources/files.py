@@ -208,8 +208,8 @@ class VideoFile(_Images):
         missing = self.declared_frames - count
         if missing > 0:
             text = (
-                f"{self._path}: {count} of {self.declared_frames} frames can be read; the others are "
-                "damaged"
+                f"{self._path}: {count} of {self.declared_frames} frames can be read; the others "
+                "are damaged"
             )
             self.health = frames.SourceHealth(missing, text)
 

@@ -86,7 +86,7 @@ def tac3d_folders(folder: Path) -> list[Path]:
     found = sorted(path.parent for path in folder.glob(f"*/{POSITIONS}.npy"))
     if not found:
         there = ", ".join(sorted(path.name for path in folder.glob("*"))[:6]) or "nothing"
-        msg = f"{folder}: found {there}, expected {POSITIONS}.npy, or folders of sensors that contain it"
+        msg = f"{folder}: found {there}, expected {POSITIONS}.npy, or folders that contain it"
         raise FrameSourceError(msg)
     return found
 

@@ -58,8 +58,8 @@ def _reason(path: Path | str, error: OSError) -> str:
         return f"found a device that cannot do this ({error.strerror}), expected a V4L2 camera"
     if number == errno.ENOSPC:
         return (
-            "found too little USB bandwidth, expected a bus without other cameras, or a lower frame "
-            "rate or size"
+            "found too little USB bandwidth, expected a bus without other cameras, or a lower "
+            "frame rate or size"
         )
     return f"found the error {error.strerror or error}, expected frames"
 

@@ -300,7 +300,7 @@ class V4L2Source:
         origin = f"{self._found.path} frame {buffer.sequence}"
         try:
             if buffer.damaged:
-                msg = "data: found a buffer that the kernel marks as damaged, expected an undamaged one"
+                msg = "data: found a buffer that the kernel marks as damaged, expected a whole one"
                 raise FrameError(msg)  # noqa: TRY301 - one way for all damaged frames
             colour = self._options.camera.colour
             image = decode_buffer(buffer.data, camera.mode, camera.bytes_per_line, colour=colour)

@@ -58,7 +58,7 @@ def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]
 
 def _views_of(sensor: SensorDescription) -> dict[str, ViewGeometry]:
     if not sensor.views:
-        msg = f"{sensor.origin}: views: found none, expected at least one in which the pattern is seen"
+        msg = f"{sensor.origin}: views: found none, expected at least one that shows the pattern"
         raise DescriptionError(msg)
     return build_views(sensor)
 

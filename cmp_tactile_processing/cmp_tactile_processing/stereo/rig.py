@@ -46,7 +46,7 @@ class StereoRig:
 
     def __init__(self, sensor: SensorDescription) -> None:
         if not sensor.views:
-            msg = f"{sensor.origin}: views: found none, expected at least one in which markers are seen"
+            msg = f"{sensor.origin}: views: found none, expected at least one that shows markers"
             raise GeometryError(msg)
         self._sensor = sensor
         self._options = sensor.triangulation

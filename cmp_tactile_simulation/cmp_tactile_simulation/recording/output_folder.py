@@ -59,7 +59,7 @@ class OutputFolder:
         for file in files:
             places = (file.parent.resolve() / file.name, file.resolve())
             if any(self.path in place.parents for place in places):
-                msg = f"{self.path}: contains {file}, an input file; give another folder with --output"
+                msg = f"{self.path}: contains the input {file}; give another folder with --output"
                 raise OutputError(msg)
 
     @property

@@ -38,10 +38,10 @@ WORDY_COLUMNS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
-    """Find Young's modulus of the gel. The loads are weights on the gel, or a press that a reference
-    force sensor (geometry_msgs/WrenchStamped) has recorded. Poisson's ratio, thickness and
-    shading layer are taken from the description. The remaining uncertainty of the modulus becomes
-    part of the error bars of all forces.
+    """Find Young's modulus of the gel. The loads are weights on the gel, or presses that a
+    reference force sensor (geometry_msgs/WrenchStamped) has recorded. Poisson's ratio, thickness
+    and shading layer are taken from the description. The uncertainty of the modulus becomes part of
+    the error bars of all forces.
 
     NEW.yaml (description of the sensor) is written only if the result is accepted.
     NEW_calibration/index.html, with reference and reading, is always written.

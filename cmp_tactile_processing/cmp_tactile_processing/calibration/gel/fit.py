@@ -418,8 +418,8 @@ def deviation_findings(
             f"{options.largest_deviation:g} standard deviations."
         )
         advice = (
-            "Check that this is the description of this kind of sensor. If it is, correct its rough "
-            "values."
+            "Check that this is the description of this kind of sensor. If it is, correct its "
+            "rough values."
         )
         findings.append(Finding(Severity.ERROR, text, advice))
     growth = _growth(sensor, found.sensor)

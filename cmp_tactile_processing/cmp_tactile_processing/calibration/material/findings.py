@@ -183,8 +183,8 @@ def certainty_findings(normal: float, tangential: float, options: MaterialOption
             "Add loads, or give larger or more certain ones, on a foot or ball that is narrower "
             "than the gel is thick; or set --poisson-std."
             if name == "normal"
-            else "Add a load with a known sideways force. If the sensor measures it wrongly, correct "
-            "elastomer.poisson and elastomer.size."
+            else "Add a load with a known sideways force. If the sensor measures it wrongly, "
+            "correct elastomer.poisson and elastomer.size."
         )
         findings.append(Finding.graded(text, advice, error=error))
     return findings

@@ -260,7 +260,7 @@ def age_in_days(date: str | None, now_s: float | None = None) -> float:
 
 def age_text(days: float) -> str:
     """The age as a figure of the diagnostics."""
-    return "without a date" if math.isnan(days) else f"{days:.1f}"
+    return "no date" if math.isnan(days) else f"{days:.1f}"
 
 
 def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Finding:
