@@ -64,7 +64,8 @@ exit codes:
   2    a wrong option
   130  stopped by Ctrl-C
   143  stopped by SIGTERM
-focus, live, sensor, gripper, record and replay run until you stop them: 0.
+focus, live, sensor, gripper, record and replay run until you stop them; then
+the exit code is 0.
 """
 CALIBRATE_HELP = """\
 Calibrate the camera, mirrors and gel of a sensor, and the stiffness of the gel.

@@ -33,8 +33,8 @@ class Init(Looking):
     """Write a first description of a sensor from a picture of its pattern at rest. The picture
     shows the views, rows, columns and colours, and the size and direction of the checkers. Two
     views of the whole pattern, in mirrors or by two cameras, also show where camera, mirrors and
-    gel are. On a terminal you are asked for the other values (modulus, thickness, angle of view).
-    Otherwise defaults are assumed, and marked in the file. Next:
+    gel are. On a terminal you are asked for modulus and thickness of the gel. Values that nobody
+    gave and no picture shows are assumed, and marked in the file. Next:
     `cmp_tactile sensor sensor:=FILE view:=true` shows a live displacement field, and
     `cmp_tactile calibrate gel` refines mirrors and gel.
 

@@ -32,10 +32,11 @@ ASK_FOR_ADDRESS = (
 )
 # Refused at another name: what was found, and what the user can do about it.
 OTHER_NAME = (
-    "Refused: this page has no name {name!r}. If that is this machine, or a proxy before it, start "
-    "the page with --allow-host {name} (nodes: view_allow_host:={name}, the parameter allow_hosts)."
+    "Refused: found the name {name!r}, expected a name of this page. If it is a name of this machine "
+    "or of a proxy, start the page with --allow-host {name} (launch files: view_allow_host:={name}; "
+    "node: the parameter allow_hosts)."
 )
-NO_NAME = "Refused: the request's {header} header {found!r} has no name of a machine."
+NO_NAME = "Refused: found {found!r} in the header {header}, expected the name of a machine."
 # A name as an attacker may send it is not repeated at any length.
 LONGEST_NAME = 253
 # Ports that an address need not state; a proxy may serve https and ask the page by http.
