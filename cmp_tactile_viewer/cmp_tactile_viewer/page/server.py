@@ -32,8 +32,8 @@ ASK_FOR_ADDRESS = (
 )
 # Refused at another name: what was found, and what the user can do about it.
 OTHER_NAME = (
-    "Refused: found the name {name!r}, expected a name of this page. If it is a name of this machine "
-    "or of a proxy, start the page with --allow-host {name} (launch files: view_allow_host:={name}; "
+    "Refused: found the name {name!r}, expected a name of this page. If it names this machine "
+    "or a proxy, start the page with --allow-host {name} (launch files: view_allow_host:={name}; "
     "node: the parameter allow_hosts)."
 )
 NO_NAME = "Refused: found {found!r} in the header {header}, expected the name of a machine."
