@@ -152,7 +152,8 @@ def test_a_stopped_demo_takes_its_container_with_it(tmp_path):
     log = tmp_path / "container.log"
     wait_until(
         lambda: (
-            process.poll() is not None or (log.exists() and "components run" in log.read_text())
+            process.poll() is not None
+            or (log.exists() and "components are running" in log.read_text())
         ),
         "the start of the nodes",
         timeout_s=400,

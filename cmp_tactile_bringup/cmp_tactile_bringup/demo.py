@@ -243,7 +243,9 @@ class ContainerProcess:
                 msg = f"the container ended with code {self._process.returncode}: {self._tail()}"
                 raise ContainerError(msg)
             if time.monotonic() > deadline:
-                msg = f"{what}: not within {timeout_s:g} s; see {self._log}: {self._tail()}"
+                msg = (
+                    f"{what}: found nothing within {timeout_s:g} s; see {self._log}: {self._tail()}"
+                )
                 raise ContainerError(msg)
             time.sleep(POLL_S)
 

@@ -395,14 +395,16 @@ class ForceFlag(IntFlag):
 
     NONE = 0
     FEW_MARKERS = 1  # too few markers were seen: all is NaN
-    AT_BORDER = 2  # contact reaches the edge of the marker area and may go on beyond it
-    BEYOND_MARKERS = 4  # the markers at the edge move as only a force beyond them would move them
-    HIDDEN_CONTACT = 8  # markers under the contact or beside it are missing
+    AT_BORDER = 2  # a contact reaches the edge of the marker area and may extend beyond it
+    BEYOND_MARKERS = 4  # the motion of the markers at the edge shows a force beyond them
+    HIDDEN_CONTACT = 8  # markers under or beside a contact are missing
     NO_DEPTH = 16  # one view: the normal force is inferred, not measured
-    LARGE_PRESS = 32  # pressed so far that the linear model is wrong, and it was not corrected
-    NOT_CONVERGED = 64  # the large-press correction did not settle, or not yet
-    POOR_FIT = 128  # no force explains how the markers moved: wrong sensor, reference or marker
-    IMPLAUSIBLE = 256  # the markers show what no such gel can do or bear: all is NaN
+    LARGE_PRESS = 32  # the press is too deep for the linear model and is not corrected
+    NOT_CONVERGED = 64  # the large-press correction has not settled
+    POOR_FIT = (
+        128  # no force explains how the markers moved: wrong description, reference or marker
+    )
+    IMPLAUSIBLE = 256  # the markers moved as no gel of this description can: all is NaN
     ZERO_DOUBTFUL = 512  # a force without contact, or the reference was taken under load
 
 

@@ -91,7 +91,7 @@ def _install(sensor: str, prefix: Path) -> int:
                 stack.callback(processes[-1].terminate)
             codes = [process.wait() for process in processes]
             if any(codes):
-                msg = f"{prefix}: nothing is installed, as a part could not be compiled"
+                msg = f"{prefix}: nothing is installed, because a part could not be compiled"
                 raise CmpTactileError(msg)
     except OSError as error:
         msg = f"{prefix}: cannot be written: {error}"

@@ -125,7 +125,7 @@ def _only_one(lock: Path) -> Iterator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            steps.say("another set-up of this checkout is running, waiting for it")
+            steps.say("waiting: another set-up of this checkout is running")
             fcntl.flock(handle, fcntl.LOCK_EX)
         yield
 
@@ -142,7 +142,7 @@ def main(script: str) -> int:
         print(f"set-up: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("\nset-up: interrupted; the same command takes it up again", file=sys.stderr)
+        print("\nset-up: interrupted; run the same command again to continue", file=sys.stderr)
         return 130
     except OSError as error:
         print(f"set-up: {error}", file=sys.stderr)

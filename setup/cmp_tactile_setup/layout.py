@@ -23,8 +23,8 @@ def chosen_distribution(value: str) -> str:
     distro = value or DISTRIBUTIONS[0]
     if distro not in DISTRIBUTIONS:
         raise SetupError(
-            f"ROS={value}: there are wheels of {' and '.join(DISTRIBUTIONS)}; unset the variable "
-            "ROS, or give it one of these values"
+            f"ROS={value}: found no wheels for it, expected {' and '.join(DISTRIBUTIONS)}; unset "
+            "the variable ROS, or set it to one of these"
         )
     return distro
 

@@ -164,8 +164,8 @@ def _has(names: tuple[str, ...], variable: str) -> bool:
     chosen = shlex.split(os.environ.get(variable, ""))
     if chosen and not shutil.which(chosen[0]):
         raise SetupError(
-            f"the compiler '{chosen[0]}' that the variable {variable} names does not exist: "
-            f"install it or unset {variable}"
+            f"found no compiler '{chosen[0]}', which the variable {variable} names: install it, "
+            f"or unset {variable}"
         )
     return bool(chosen) or any(shutil.which(name) for name in names)
 

@@ -139,20 +139,20 @@ def explain_pip_failure(output: str, log: Path) -> str:
     if other := _OTHER_FILE.search(output):
         file = other[2].partition("#")[0]
         return (
-            f"{other[1]}: the sha256 of {file} is not the locked one, so nothing of its list was "
-            "installed: run this again, and if that does not help, check the index that pip is "
-            f"set to (log: {log})"
+            f"{other[1]}: found another sha256 of {file} than the locked one; nothing of this "
+            "list was installed. Run this again; if the error remains, check the index that pip "
+            f"uses (log: {log})"
         )
     if _NETWORK.search(output):
         return (
-            "the Python package registry cannot be reached: check the network (or the proxy and "
-            f"index that pip is set to) and run this again (log: {log})"
+            "the Python package registry cannot be reached: check the network, proxy and index "
+            f"of pip, then run this again (log: {log})"
         )
     if missing := _NO_FILE.search(output):
         return (
-            f"{missing[1]}: the registry that pip is set to has no file of it for Python "
-            f"{sys.version.split()[0]}: name another Python, for example 'make build "
-            f"PYTHON=python3.12', or another registry (log: {log})"
+            f"{missing[1]}: found no file of it for Python {sys.version.split()[0]} in the "
+            "registry of pip: use another Python, for example 'make build PYTHON=python3.12', or "
+            f"another registry (log: {log})"
         )
     errors = [line for line in output.splitlines() if line.startswith("ERROR:")]
     reason = errors[0].removeprefix("ERROR:").strip() if errors else "no reason given"

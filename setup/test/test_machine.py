@@ -49,7 +49,7 @@ def test_a_compiler_named_by_a_variable_must_exist(tools, monkeypatch):
     monkeypatch.setenv("CXX", f"{tools / 'c++'} -march=native")
     check_build_tools()
     monkeypatch.setenv("CXX", "icpx -O3")
-    with pytest.raises(SetupError, match="'icpx' that the variable CXX names"):
+    with pytest.raises(SetupError, match="'icpx', which the variable CXX names"):
         check_build_tools()
 
 

@@ -232,7 +232,7 @@ def test_uv_looks_where_pip_is_set_to(settings, variables):
     [
         (
             f" --hash=sha256:{'0' * 64}",
-            r"^probe==1\.0: the sha256 of \S+/probe-1\.0-\S+\.whl is not",
+            r"^probe==1\.0: found another sha256 of \S+/probe-1\.0-\S+\.whl",
         ),
         ("", r"^pip could not install .*Hashes are required"),
     ],
@@ -279,7 +279,7 @@ def test_an_interpreter_that_was_upgraded_or_removed_is_noticed(complete, tmp_pa
         ),
         (
             "ERROR: Could not find a version\nERROR: No matching distribution found for x==1.0",
-            "x==1.0: the registry that pip is set to has no file of it for Python 3.",
+            "x==1.0: found no file of it for Python 3.",
         ),
         ("Killed", "no reason given"),
     ],

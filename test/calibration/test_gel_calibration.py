@@ -115,7 +115,7 @@ def test_the_record_says_what_was_done(gel_rig, outcome):
     assert "camera.distortion[0]" in record.held
     assert not set(record.determined) & set(record.held)
     assert set(outcome.cameras) == {"left", "right"}
-    assert outcome.verdict.startswith("Usable. The pattern's corners fit to 0.0")
+    assert outcome.verdict.startswith("Usable. The RMS error of the corners is 0.0")
     for item in outcome.residuals:
         assert item.residuals.shape == (gel_rig.pattern.rows * gel_rig.pattern.cols, 2)
         assert item.used.mean() > 0.95

@@ -102,7 +102,8 @@ def pairs_by_number(
     if not both:
         msg = (
             f"{left[0].name} to {left[-1].name}, {right[0].name} to {right[-1].name}: found no "
-            "number in names of both, expected the same one in the two images of a pair"
+            "number that is in the names of both, expected the same number in the two names of a "
+            "pair"
         )
         raise RecordingError(msg)
     pairs = [(numbered["left"][number], numbered["right"][number]) for number in both]
@@ -116,7 +117,8 @@ def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
     for file, found in zip(files, numbers, strict=True):
         if not found:
             msg = (
-                f"{file}: found no number in its name, expected that of its pair, as in left04.png"
+                f"{file}: found no number in its name, expected the number of its pair, as in "
+                "left04.png"
             )
             raise RecordingError(msg)
     if len(set(map(len, numbers))) == 1 and len(set(numbers)) > 1:
@@ -127,7 +129,7 @@ def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
     chosen: dict[tuple[int, ...], Path] = {}
     for key, file in zip(keys, files, strict=True):
         if key in chosen:
-            msg = f"{file}: found the number of {chosen[key]}, expected one of its own"
+            msg = f"{file}: found the same number as in {chosen[key]}, expected a different one"
             raise RecordingError(msg)
         chosen[key] = file
     return chosen

@@ -236,7 +236,7 @@ def displaced(
     shape = rest_shape(sensor.pattern.corners(), reference.position)
     touched = why_touched(shape, RestParameters())
     if touched:
-        doubts += (f"{which} are taken for rest, but {touched}",)
+        doubts += (f"{which} are used as the gel at rest, but {touched}",)
     surfaces = [reference.surface(item) for item in markers]
     return _moved(source, stamps, surfaces, rest, doubts)
 
@@ -270,8 +270,8 @@ def _rest_frames(
     chosen = np.flatnonzero((time_s >= rest_s[0]) & (time_s <= rest_s[1]))
     if not chosen.size:
         msg = (
-            f"{source}: rest: found no frame from {rest_s[0]:g} to {rest_s[1]:g} s, expected some "
-            f"within its {time_s[-1]:.2f} s"
+            f"{source}: rest: found no frame from {rest_s[0]:g} to {rest_s[1]:g} s, expected "
+            f"times from 0 to {time_s[-1]:.2f} s"
         )
         raise RecordingError(msg)
     return range(int(chosen[0]), int(chosen[-1]) + 1)

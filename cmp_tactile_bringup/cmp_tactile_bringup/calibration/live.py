@@ -124,7 +124,7 @@ class LiveFrames(Listener):
         """Why nothing came, as far as that can be seen from here."""
         waited = f"{self._topic}: no frame within {self._timeout_s:g} s"
         if self._subscription is not None and self._subscription.get_publisher_count():
-            return f"{waited}, though there is a publisher: is the camera running?"
+            return f"{waited}, although it has a publisher: is the camera running?"
         others = self.node.get_publishers_info_by_topic(self._topic)
         if others:
             kinds = ", ".join(sorted({other.topic_type for other in others}))
@@ -134,8 +134,8 @@ class LiveFrames(Listener):
             for name, types in self.node.get_topic_names_and_types()
             if {*types} & {*IMAGE_TYPES.values()} and name != self._topic
         )
-        there = f"there are {', '.join(images)}" if images else "there is no image topic at all"
-        return f"{waited}: nobody publishes it, {there} (ROS_DOMAIN_ID is the same?)"
+        there = f"image topics: {', '.join(images)}" if images else "no image topic exists"
+        return f"{waited}: it has no publisher ({there}); is ROS_DOMAIN_ID the same?"
 
     def _on_image(self, message: Image | CompressedImage) -> None:
         with self._arrived:
@@ -211,7 +211,7 @@ class Weighing:
         camera = gel_recording.MarkerCamera(self.sensor)
         self._take(camera, "Let nothing touch the gel")
         for mass in masses:
-            self._take(camera, f"Put {mass:g} kg on the gel and let go of it")
+            self._take(camera, f"Put {mass:g} kg on the gel, then let go of it")
         motion = self._motion()
         return [
             self._sample(motion, mass, range(number * self.count, (number + 1) * self.count))
@@ -232,7 +232,7 @@ class Weighing:
                 return
             self.say(
                 f"The gel moves by {moved * 1e6:.0f} um, expected at most {limit * 1e6:.0f} um: "
-                "wait until it is still, and once more."
+                "wait until it is still, then try again."
             )
 
     def _motion(self) -> gel_recording.GelMotion:

@@ -78,7 +78,7 @@ class WrenchSeries:
         force = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 3)
         known = int(np.isfinite(force).all(axis=1).sum())
         if known < 2:
-            nan = f" and {len(rows) - known} without a number" if known < len(rows) else ""
+            nan = f" and {len(rows) - known} with NaN" if known < len(rows) else ""
             msg = f"{source}: found {known} messages{nan}, expected two or more"
             raise RecordingError(msg)
         return cls(source, np.array(stamps, np.int64), force, frame_id)
@@ -137,8 +137,8 @@ def at_frames(
         frames = f"{stamp_ns[0] / NS_PER_S:.3f} to {stamp_ns[-1] / NS_PER_S:.3f} s"
         msg = (
             f"{series.source}: found stamps from {series.stamp_ns[0] / NS_PER_S:.3f} to "
-            f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some at the camera's frames, "
-            f"{frames}; --time-offset says how far the clocks are apart"
+            f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some within those of the camera "
+            f"frames, {frames}; if the clocks differ, give --time-offset"
         )
         raise RecordingError(msg)
     return force
@@ -253,7 +253,9 @@ def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, fl
         raise section.error("loads", [], "a list of known loads")
     for number, load in enumerate(loads):
         if load.recording is None and _overlap(rest, load.time_s):
-            expected = f"no part of rest, {list(rest or ())}, when nothing touches the gel"
+            expected = (
+                f"a time outside `rest`, {list(rest or ())}, in which nothing touches the gel"
+            )
             raise section.error(f"loads[{number}].time", list(load.time_s or ()), expected)
     section.finish()
     return loads, rest
@@ -294,7 +296,7 @@ def _read_weight(
     if "direction" in section:
         direction = section.numbers("direction", 3)
         if not 0 < math.hypot(*direction) <= MOST_DIRECTION:
-            expected = f"a direction, not 0, of a length up to {MOST_DIRECTION:g}"
+            expected = f"a vector other than 0, of length {MOST_DIRECTION:g} at most"
             raise section.error("direction", list(direction), expected)
     return weight_on_gel(mass, std, direction, gravity)
 
@@ -386,7 +388,7 @@ def _timed(load: KnownLoad, motion: GelMotion) -> Sequence[int]:
     if not chosen.size:
         msg = (
             f"{motion.source}: {load.name}: time: found no frame from {begin:g} to {end:g} s, "
-            f"expected some within its {motion.time_s[-1]:.2f} s"
+            f"expected times from 0 to {motion.time_s[-1]:.2f} s"
         )
         raise RecordingError(msg)
     return [int(item) for item in chosen]
@@ -404,9 +406,9 @@ def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -
         f"{motion.time_s[item[0]]:.2f} to {motion.time_s[item[-1]]:.2f} s" for item in found
     )
     msg = (
-        f"{motion.source}: {names}: found the gel pressed and still for {least_frames} frames or "
-        f"more {len(found)} times ({when or 'never'}), expected {len(loads)}; `time` of a load "
-        "says which its frames are"
+        f"{motion.source}: {names}: found {len(found)} times ({when or 'never'}) in which the gel "
+        f"is pressed and still for {least_frames} frames or more, expected {len(loads)}; give "
+        "`time` for each load"
     )
     raise RecordingError(msg)
 

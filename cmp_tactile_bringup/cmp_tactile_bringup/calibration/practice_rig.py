@@ -160,7 +160,8 @@ def board_poses(
             if len(poses) == count:
                 return poses
     msg = (
-        f"{target}: found {len(poses)} of {count} poses within all views, expected smaller squares"
+        f"{target}: found {len(poses)} of {count} poses with the whole board in all views, "
+        "expected all; make the squares smaller"
     )
     raise CalibrationError(msg)
 

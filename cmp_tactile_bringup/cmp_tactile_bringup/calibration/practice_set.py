@@ -93,7 +93,7 @@ def make_practice_set(
 def _make_room(folder: Path, *, overwrite: bool) -> None:
     there = sorted(item.name for item in folder.iterdir()) if folder.is_dir() else []
     if folder.exists() and not folder.is_dir():
-        msg = f"{folder}: found a file, expected a place for a folder"
+        msg = f"{folder}: found a file, expected a folder or a new name"
         raise OutputError(msg)
     strange = [name for name in there if name not in (*FOLDERS, SENSOR_FILE)]
     if strange:

@@ -26,32 +26,32 @@ __all__ = ["parse"]
 PROGRAM = "cmp_tactile"
 # Where each class is, and a line of help.
 SUBCOMMANDS = {
-    "demo": ("demo.Demo", "play a simulated grasp through the nodes and show what was felt"),
-    "live": ("graphs.Live", "simulate a sensor in real time, to be pressed by hand"),
+    "demo": ("demo.Demo", "simulate a grasp, play it through the nodes and show the errors"),
+    "live": ("graphs.Live", "simulate a sensor in real time and press it by hand"),
     "sensor": ("graphs.Sensor", "run a sensor with a camera"),
     "gripper": ("graphs.Gripper", "run the sensors of two fingers"),
     "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
     "process": ("process.Process", "process recordings without ROS"),
-    "zero": ("call.Zero", "count the force of a sensor that runs from now on"),
-    "call": ("call.Call", "call a service of nodes that run, such as a replay's pause"),
-    "record": ("record.Record", "record a sensor that runs"),
+    "zero": ("call.Zero", "set displacement and force of a running sensor to zero"),
+    "call": ("call.Call", "call a service of a running node, such as a replay's pause"),
+    "record": ("record.Record", "record a running sensor"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),
-    "focus": ("focus.Focus", "show what a camera's picture of the pattern is worth, live"),
+    "focus": ("focus.Focus", "show live how sharp and well lit a camera's picture is"),
     "init": ("init.Init", "describe a new sensor from one picture of its pattern"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
-    "info": ("description.Info", "show a sensor and the installation"),
+    "info": ("description.Info", "show a sensor description and the installation"),
 }
 IMPORTS = {
-    "tac3d": ("imported.Tac3d", "recordings of a Tac3D sensor, with its own forces beside ours"),
-    "markers": ("imported.Markers", "a file with positions of markers that any tracker has found"),
+    "tac3d": ("imported.Tac3d", "recordings of a Tac3D sensor, with its forces for comparison"),
+    "markers": ("imported.Markers", "a file with marker positions from any tracker"),
 }
 CALIBRATIONS = {
     "board": ("optics.Board", "camera and mirrors from images of a board"),
     "gel": ("optics.Gel", "mirrors and gel from frames of the gel at rest"),
     "force": ("material.Force", "the gel's material from weights or a reference force sensor"),
-    "relaxation": ("material.Relaxation", "how the gel gives way while it is held"),
-    "check": ("check.Check", "does a description still fit a recording?"),
+    "relaxation": ("material.Relaxation", "how the gel relaxes while a load is held"),
+    "check": ("check.Check", "check whether a description still fits a recording"),
     "practice": ("practice.Practice", "simulated images to practise on, without a sensor"),
 }
 HELP = """\
@@ -60,21 +60,23 @@ Vision-based tactile sensors with a continuous marker pattern.
 \b
 exit codes:
   0    done
-  1    something that you can correct: a wrong file, a limit that was missed
+  1    an error that you can correct: a wrong file, a limit that was missed
   2    a wrong option
-  130  stopped by Ctrl-C, 143 by SIGTERM; commands that these end (focus, live,
-       sensor, gripper, record, replay) have 0 once they have started
+  130  stopped by Ctrl-C
+  143  stopped by SIGTERM
+focus, live, sensor, gripper, record and replay run until you stop them; then
+the exit code is 0.
 """
 CALIBRATE_HELP = """\
-Find where camera, mirrors and gel of a sensor really are, and how stiff the gel is.
+Calibrate the camera, mirrors and gel of a sensor, and the stiffness of the gel.
 
 \b
-docs/tutorials/calibrate.md goes through all of it,
-docs/tutorials/weigh.md through `force`.
+docs/tutorials/calibrate.md shows all steps,
+docs/tutorials/weigh.md shows `force`.
 """
 
 
-IMPORT_HELP = "Take over recordings that other sensors and programs have made."
+IMPORT_HELP = "Import recordings from other sensors and programs."
 
 
 def parse(words: Sequence[str]) -> Command:
@@ -118,7 +120,7 @@ def _app(words: Sequence[str]) -> Typer:
     short_help = "calibrate a sensor, or check its calibration"
     app.add_typer(calibrate, name="calibrate", short_help=short_help)
     imports = typer.Typer(cls=_Group, help=IMPORT_HELP, add_help_option=own_group)
-    app.add_typer(imports, name="import", short_help="take over recordings of other sensors")
+    app.add_typer(imports, name="import", short_help="import recordings of other sensors")
     if own:
         app.callback()(_program)
     for group, room, subcommands in (

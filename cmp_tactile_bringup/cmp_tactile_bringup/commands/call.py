@@ -13,17 +13,21 @@ FORCE_S = 3.0
 
 @dataclass(frozen=True, kw_only=True)
 class Zero(Command):
-    """Count displacement and force of a sensor that runs from now on, with nothing touching the
-    gel. It averages the next frames, half a second or so. This is the service
-    stereo_triangulator/set_reference of its nodes.
+    """Set displacement and force of a running sensor to zero. Nothing may touch the gel. The next
+    frames, for about half a second, are averaged. This calls the service
+    stereo_triangulator/set_reference.
 
-    The exit code is 1 where the zero was refused, as under a load.
+    The exit code is 1 if the zero was refused, for example under a load.
     """
 
     sensor: Annotated[
-        str, argument("[NAMESPACE]", "of the sensor, or one of its topics, where several run")
+        str,
+        argument(
+            "[NAMESPACE]",
+            "namespace of the sensor, or one of its topics; needed if several sensors run",
+        ),
     ] = ""
-    loaded: Annotated[bool, option("also while something presses on the gel")] = False
+    loaded: Annotated[bool, option("zero even if something presses on the gel")] = False
 
     def run(self) -> int:
         """Ask, and print the answer."""
@@ -38,8 +42,8 @@ class Zero(Command):
             space = find_sensor(asking.node, self.sensor).namespace
             load = "" if self.loaded else _load(asking.node, space)
             if load:
-                msg = f"{space}: found {load}, expected a gel that nothing touches"
-                raise RunningSensorError(f"{msg}; --loaded zeroes all the same")
+                msg = f"{space}: found {load}, expected nothing to touch the gel"
+                raise RunningSensorError(f"{msg}; use --loaded to zero under this load")
             service = f"{space.rstrip('/')}/{ZERO}"
             answer = answer_of(asking.node, Trigger, service, Trigger.Request(), service_s=SEARCH_S)
         return _say(space, answer)
@@ -47,20 +51,20 @@ class Zero(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Call(Command):
-    """Call a service of nodes that run, or set parameters of one of them:
+    """Call a service of a running node, or set parameters of a running node:
 
       cmp_tactile call replay/pause data:=true
       cmp_tactile call replay/step
       cmp_tactile call replay start:=4.5 rate:=0.5
       cmp_tactile call recorder/record data:=false
 
-    The exit code is 1 where it was refused. What there is stands in docs/nodes.md; a name that is
-    not found lists it, too.
+    The exit code is 1 if the call was refused. docs/nodes.md lists services and parameters; the
+    error for an unknown name lists them, too.
     """
 
     name: Annotated[
         str,
-        argument("SERVICE|NODE", "its name, or the end of it where no other ends so"),
+        argument("SERVICE|NODE", "full name, or the end of it if only one name ends so"),
     ]
     values: Annotated[
         list[str] | None,

@@ -30,21 +30,21 @@ RATE_HZ = 20.0
 
 @dataclass(frozen=True, kw_only=True)
 class Demo(Command):
-    """Simulate a grasp (the first time only, then it is in the cache), play the recording through
-    the component container over ROS topics, write figures and a page, print the errors against the
-    truth. Where frames are lost and no rate was given, it plays again, slower. The exit code is 1
-    where frames were lost the last time, too, or an error is above its limit.
+    """Simulate a grasp, play it through the nodes over ROS topics, write a page with figures, and
+    print the errors against the truth. The simulated grasp is kept in the cache. If frames are
+    lost and --rate is not given, the grasp is played again, slower. The exit code is 1 if frames
+    are still lost or an error is above its limit.
     """
 
-    output: Annotated[Path, option("folder", metavar="DIR")] = Path("demo_output")
+    output: Annotated[Path, option("folder to write", metavar="DIR")] = Path("demo_output")
     rate: Annotated[
         float | None,
         option(
-            f"frames per second (default: {RATE_HZ:g}, or fewer where the machine loses frames)",
+            f"frames per second (default: {RATE_HZ:g}, lower if the machine loses frames)",
             Number(0.1, 1000, "Hz"),
         ),
     ] = None
-    recording: Annotated[str, option("packaged scene, or recording made by `simulate`")] = "grasp"
+    recording: Annotated[str, option("packaged scene, or a recording from `simulate`")] = "grasp"
 
     def run(self) -> int:
         """Play, report; 1 where a limit is missed."""
@@ -83,14 +83,14 @@ class Demo(Command):
         log = escape(printable(str(self.output / "container.log")))
         for rate, count in lost.items():
             console.print(
-                f"[yellow]{count} frames were lost at {rate:.3g} Hz, as where a machine is slow or "
-                f"busy, so all were played again, slower; see {log}.[/]",
+                f"[yellow]{count} frames were lost at {rate:.3g} Hz: the machine is slow or busy. "
+                f"All frames were played again, slower; see {log}.[/]",
                 soft_wrap=True,
             )
         if not run.rate_hz >= KEPT_SHARE * run.asked_hz:
             console.print(
-                f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on a "
-                "busy machine the replay sends them later rather than lose them.[/]",
+                f"[yellow]Frames came at {run.rate_hz:.1f} Hz instead of {run.asked_hz:g} Hz: on "
+                "a busy machine the replay slows down so that no frame is lost.[/]",
                 soft_wrap=True,
             )
         missed = [row.name for row in rows if row.passed is False]
@@ -98,8 +98,8 @@ class Demo(Command):
             console.print(f"[bold red]Limits missed:[/] {', '.join(missed)}", soft_wrap=True)
         if page:
             console.print(
-                f"Open [bold]{escape(printable(str(page)))}[/] to see what the sensor felt, or "
-                f"go through it in a browser: [bold]cmp_tactile view {escape(self.recording)}[/]",
+                f"Open [bold]{escape(printable(str(page)))}[/] for the figures, or see each frame "
+                f"in a browser: [bold]cmp_tactile view {escape(self.recording)}[/]",
                 soft_wrap=True,
             )
         return int(bool(missed))

@@ -27,14 +27,14 @@ MOST_COPIES = 1000
 
 CORNERS = Number(FEWEST_CORNERS, MOST_CORNERS, kind=int)
 LENGTH = Number(0, 100, "mm")
-CHANGES, PRINT, SHEET = "Pattern, instead of the description's", "Print", "Sheet and files"
+CHANGES, PRINT, SHEET = "Pattern (default: the description's)", "Print", "Sheet and files"
 
 
 def _formats(text: str) -> str:
     """Words with commas between."""
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
     if not set(names) <= set(FORMATS):
-        msg = f"found {text!r}, expected one or more of svg, pdf and dxf, as svg,pdf"
+        msg = f"found {text!r}, expected one or more of svg, pdf and dxf, separated by commas"
         raise typer.BadParameter(msg)
     return ",".join(names)
 
@@ -42,15 +42,15 @@ def _formats(text: str) -> str:
 @dataclass(frozen=True, kw_only=True)
 class Pattern(Command):
     """Write the pattern of a sensor to scale, as SVG, PDF and DXF, with registration marks, the
-    gel's outline and scale bars, and the sensor description that agrees with it.
-    docs/tutorials/print.md shows how to print and mount it.
+    gel's outline and scale bars. The matching sensor description is written, too.
+    docs/tutorials/print.md shows how to print and mount the pattern.
 
     which way round:
-      The sheet shows the print as it is seen from the touching side: x to the right, y up,
-      corner (0, 0) at the bottom left. So it is right where the printed side looks away from
-      the gel. Where the printed side goes onto the gel, as that of a transfer film does, give
-      --mirror: the sheet then shows it as the camera's side sees it, x to the right, y down,
-      corner (0, 0) at the top left.
+      The sheet shows the print as seen from the touching side: x to the right, y up, corner
+      (0, 0) at the bottom left. This is right if the printed side faces away from the gel. If
+      the printed side goes onto the gel, as with a transfer film, give --mirror. The sheet then
+      shows the print as seen from the camera: x to the right, y down, corner (0, 0) at the top
+      left.
 
     examples:
       cmp_tactile pattern my_sensor.yaml
@@ -58,9 +58,7 @@ class Pattern(Command):
       cmp_tactile pattern my_sensor.yaml --rows 24 --cols 24 --pitch 0.55 --ink-gain 15
     """
 
-    sensor: Annotated[
-        str, argument("SENSOR", "file of a sensor description or name of a packaged one")
-    ]
+    sensor: Annotated[str, argument("SENSOR", "sensor description: a file or a packaged name")]
     rows: Annotated[int | None, option("inner corners along y", CORNERS, group=CHANGES)] = None
     cols: Annotated[int | None, option("inner corners along x", CORNERS, group=CHANGES)] = None
     pitch: Annotated[
@@ -78,7 +76,7 @@ class Pattern(Command):
     code: Annotated[
         str | None,
         option(
-            "dots in checkers, by which each part of the pattern shows its place, or none",
+            "dots: a code in the checkers shows the place of each part of the pattern",
             Choice(CODES),
             group=CHANGES,
         ),
@@ -86,7 +84,7 @@ class Pattern(Command):
     code_seed: Annotated[
         int | None,
         option(
-            "which of the sheets with different dots (0)",
+            "number of the sheet; each has different dots (0)",
             Number(0, LARGEST_SEED, kind=int),
             group=CHANGES,
         ),
@@ -94,18 +92,19 @@ class Pattern(Command):
     advised: Annotated[
         bool,
         option(
-            "rows, cols, pitch and virtual markers that are advised for this camera",
+            "use the rows, cols, pitch and virtual markers that are advised for this camera",
             group=CHANGES,
         ),
     ] = False
     type: Annotated[
         str,
-        option("checkers, or dots at the places of the corners", Choice(TYPES), group=PRINT),
+        option("cmp: checkers; dmp: dots at the places of the corners", Choice(TYPES), group=PRINT),
     ] = "cmp"
     dot_diameter: Annotated[
         float | None,
         option(
-            f"of a dot, as a share of the pitch; with --type dmp (default: {DOT_DIAMETER:g})",
+            "diameter of a dot as a share of the pitch; with --type dmp (default: "
+            f"{DOT_DIAMETER:g})",
             Number(0.01, 0.99),
             metavar="SHARE",
             group=PRINT,
@@ -114,9 +113,9 @@ class Pattern(Command):
     process: Annotated[
         str | None,
         option(
-            "along_axis: the print comes along the gel's z axis (pad or transfer printing, "
-            "exposure). unrolled: a film is printed flat and laid around the gel (default: "
-            "unrolled for a cylinder, along_axis otherwise, because a film on a sphere wrinkles)",
+            "along_axis: printed along the gel's z axis (pad or transfer printing, exposure). "
+            "unrolled: a film is printed flat and laid around the gel (default: unrolled for a "
+            "cylinder, else along_axis, because a film on a sphere wrinkles)",
             Choice(PROCESSES),
             group=PRINT,
         ),
@@ -124,48 +123,52 @@ class Pattern(Command):
     mirror: Annotated[
         bool,
         option(
-            "for a print whose printed side goes onto the gel, as that of a transfer film",
+            "mirror the sheet: the printed side goes onto the gel, as with a transfer film",
             group=PRINT,
         ),
     ] = False
     invert: Annotated[
         bool,
         option(
-            "ink is the light part, with the margin: for light ink on a dark skin, or where "
-            "what is drawn is taken away",
+            "print the light parts and the margin instead of the dark ones: for light ink on a "
+            "dark skin, or if the drawn parts are removed",
             group=PRINT,
         ),
     ] = False
     ink_gain: Annotated[
         float,
         option(
-            "spreading of the ink at each edge, which is taken off beforehand",
+            "spread of the ink at each edge; the drawing is made smaller by it",
             Number(0, 10_000, "um"),
             group=PRINT,
         ),
     ] = 0.0
     margin: Annotated[
         float,
-        option("light skin around the checkers, on which nothing is printed", LENGTH, group=PRINT),
+        option("width of the light skin around the checkers, without print", LENGTH, group=PRINT),
     ] = 1.0
     bleed: Annotated[
         float,
         option(
-            "beyond the margin: inverted ink goes so much farther, marks stay so much farther away",
+            "distance beyond the margin that inverted ink covers and that marks keep free",
             LENGTH,
             group=PRINT,
         ),
     ] = 0.0
-    paper: Annotated[str, option("fit: as large as needed", Choice(PAPERS), group=SHEET)] = "A4"
+    paper: Annotated[
+        str, option("size of the sheet; fit: as large as needed", Choice(PAPERS), group=SHEET)
+    ] = "A4"
     copies: Annotated[
         int,
-        option("on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int), group=SHEET),
+        option(
+            "copies on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int), group=SHEET
+        ),
     ] = 1
     output: Annotated[
         Path | None,
         option(
-            "writes NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the name of the "
-            "description's file and _pattern, here)",
+            "write NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the name of the "
+            "description's file with _pattern, in this folder)",
             metavar="NAME",
             short="-o",
             group=SHEET,
@@ -174,13 +177,13 @@ class Pattern(Command):
     format: Annotated[
         str | None,
         option(
-            "of svg, pdf and dxf, with commas between (default: all)",
+            "svg, pdf and dxf, separated by commas (default: all)",
             _formats,
             metavar="LIST",
             group=SHEET,
         ),
     ] = None
-    overwrite: Annotated[bool, option("replace files that are there", group=SHEET)] = False
+    overwrite: Annotated[bool, option("replace existing files", group=SHEET)] = False
 
     def run(self) -> int:
         """Write the files and print what is on them."""
@@ -191,7 +194,7 @@ class Pattern(Command):
         from cmp_tactile_processing.sensor.description import find_sensor_description
 
         if self.dot_diameter is not None and self.type != "dmp":
-            misuse("--dot-diameter goes with --type dmp")
+            misuse("--dot-diameter needs --type dmp")
         formats = tuple(self.format.split(",")) if self.format else None
         source = find_sensor_description(self.sensor)
         sensor = _sensor(source, self)
@@ -214,15 +217,15 @@ class Pattern(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Info(Command):
-    """Show a sensor's description, the geometry that follows from it, the sensors that come with
-    the package, and the versions of what is installed.
+    """Show a sensor description, the geometry that follows from it, the packaged descriptions, and
+    the installed versions.
     """
 
     sensor: Annotated[
         str | None,
         argument(
             "SENSOR",
-            "file of a sensor description or name of a packaged one (default: prototype)",
+            "sensor description: a file or a packaged name (default: prototype)",
         ),
     ] = None
 
@@ -248,7 +251,7 @@ class Info(Command):
         console = output_console()
         console.print(facts_table(f"Sensor {sensor.name}", facts))
         if sensor.views:
-            console.print(facts_table("What follows from it", geometry_facts(sensor)))
+            console.print(facts_table("Derived geometry", geometry_facts(sensor)))
         packaged = {key: str(path) for key, path in packaged_sensors().items()}
         console.print(facts_table("Packaged sensors", packaged))
         console.print(facts_table("Installation", {**machine_facts(), **ros_facts()}))
@@ -271,7 +274,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     options = ("rows", "cols", "pitch", "corner_checker", *of_the_code)
     asked = {key: getattr(arguments, key) for key in options if getattr(arguments, key) is not None}
     if arguments.advised and set(asked) - {"corner_checker", *of_the_code}:
-        misuse("--advised stands in the place of --rows, --cols and --pitch")
+        misuse("--advised replaces --rows, --cols and --pitch: give one or the other")
     sensor = SensorDescription.load(source)
     changes = asked | ({"pitch": asked["pitch"] / 1e3} if "pitch" in asked else {})
     if asked.get("code") == "none":

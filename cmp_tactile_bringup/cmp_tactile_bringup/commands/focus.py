@@ -26,10 +26,10 @@ LINE_S = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class Focus(Looking):
-    """Show while you turn a camera's focus and set its light what the picture of the pattern is
-    worth: size of the checkers, blur, contrast, noise, and to how many um they make a marker known.
-    Behind each value stands, in brackets, to how many um that would be if this alone were good:
-    the value with the smallest number in brackets is the one to work at. Ctrl-C ends it.
+    """Show live how good a camera's picture of the pattern is, while you set focus and light: size
+    of the checkers, blur, contrast, noise, and the resulting error of a marker in um. The number
+    in brackets after a value is the error that would remain if only this value were improved:
+    improve the value with the smallest number first. Ctrl-C ends it.
 
     examples:
       cmp_tactile focus /dev/video0 --pitch 0.69
@@ -40,8 +40,8 @@ class Focus(Looking):
         str,
         argument(
             "SOURCE",
-            "camera, as /dev/video0 (two with a comma between), or to try it: a video, an image, a "
-            "folder of images, a bag, the name of a scene",
+            "camera, as /dev/video0 (two with a comma between). To try it without a camera: a "
+            "video, an image, a folder of images, a bag, or a scene",
         ),
     ]
 
@@ -87,7 +87,7 @@ class _Meter:
         rows = self._rows(image)
         if isinstance(rows, str):
             return rows
-        table = Table("", *rows, caption="(um): a marker, if this alone were good")
+        table = Table("", *rows, caption="(um): error of a marker if only this were improved")
         for heading in next(iter(rows.values())):
             table.add_row(heading, *(cells[heading] for cells in rows.values()))
         return table

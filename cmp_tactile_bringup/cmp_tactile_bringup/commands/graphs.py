@@ -10,7 +10,9 @@ from typing import Annotated, Any
 
 from cmp_tactile_bringup.commands.options import Command, Number, argument, misuse, option
 
-ASSIGNMENTS = "NAME:=VALUE: as of the launch file, such as record:=my_bag; see --show-args"
+ASSIGNMENTS = (
+    "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,8 +65,8 @@ class Sensor(_Graph):
 
 @dataclass(frozen=True, kw_only=True)
 class Gripper(Sensor):
-    """Start the sensors of a left and a right finger, each in a process and with a source of its
-    own: simulated (the default), replay or v4l2 (a camera):
+    """Start the sensors of a left and a right finger, each in a separate process. The source of
+    each is simulated (the default), replay or v4l2 (a camera):
 
       cmp_tactile gripper left_source:=v4l2 left_device:=/dev/video0 left_sensor:=left.yaml
                           right_source:=v4l2 right_device:=/dev/video2 right_sensor:=right.yaml
@@ -83,16 +85,16 @@ class Gripper(Sensor):
 
 @dataclass(frozen=True, kw_only=True)
 class Live(_Graph):
-    """Start the nodes of one sensor in a component container with a simulated sensor in place of a
-    camera. Its indenter plays the scene until it is moved by hand:
+    """Start the nodes of one sensor in a component container, with a simulated sensor instead of a
+    camera. Its indenter plays the scene until a target or a load comes:
 
       topic   NAMESPACE/indenter/target   geometry_msgs/PoseStamped, gel frame
       topic   NAMESPACE/indenter/load     geometry_msgs/WrenchStamped, gel frame, force.z < 0
       service NAMESPACE/indenter/reset    std_srvs/Trigger, back to the beginning
 
-    What is true of each frame comes on NAMESPACE/truth/... . On a terminal, keys zero the sensor
-    (z), play the scene from its beginning (r) and end it (q); so does Ctrl-C. The same as `ros2
-    launch cmp_tactile_bringup simulate.launch.py`, without needing launch.
+    The truth of each frame is published on NAMESPACE/truth/... . Keys on a terminal: z zeroes the
+    sensor, r plays the scene from its beginning, q or Ctrl-C ends. The same as `ros2 launch
+    cmp_tactile_bringup simulate.launch.py`, without needing launch.
     """
 
     words: Annotated[
@@ -104,20 +106,22 @@ class Live(_Graph):
     ] = None
     sensor: Annotated[
         str | None,
-        option("sensor description, file or packaged name, instead of the scene's own"),
+        option("sensor description, a file or a packaged name, instead of the scene's"),
     ] = None
     frame_rate: Annotated[
         float | None,
         option(
-            "frames per second that are aimed at (20, or the scene's own if that is lower)",
+            "frames per second to reach (default: 20, or the scene's if that is lower)",
             Number(0.1, 1000, "Hz"),
         ),
     ] = None
     max_speed: Annotated[
-        float, option("of the indenter towards a target", Number(1e-5, 1.0, "m/s"))
+        float, option("highest speed of the indenter towards a target", Number(1e-5, 1.0, "m/s"))
     ] = 0.01
-    no_autoplay: Annotated[bool, option("hold still until a target or load comes")] = False
-    namespace: Annotated[str, option("instead of the sensor's name")] = ""
+    no_autoplay: Annotated[
+        bool, option("do not play the scene: hold still until a target or load comes")
+    ] = False
+    namespace: Annotated[str, option("namespace, instead of the sensor's name")] = ""
 
     def run(self) -> int:
         """Run the graph "simulate" in this process."""
@@ -141,11 +145,10 @@ SECONDS = Number(0, 1e6, "s")
 @dataclass(frozen=True, kw_only=True)
 class Replay(_Graph):
     """Start the nodes of one sensor in a component container and play bags, videos or folders of
-    images into them. On a terminal, keys pause (space), show the next frame (.), go a second back
-    or on (left, right), zero the sensor (z) and end it (q); so does Ctrl-C. The same as `ros2
-    launch cmp_tactile_bringup replay.launch.py`, without needing launch. Two fingers are replayed
-    by `cmp_tactile gripper left_source:=replay right_source:=replay ...`, which begins both at
-    once.
+    images into them. Keys on a terminal: space pauses, . shows the next frame, left and right go
+    one second back or on, z zeroes the sensor, q or Ctrl-C ends. The same as `ros2 launch
+    cmp_tactile_bringup replay.launch.py`, without needing launch. To replay two fingers together,
+    use `cmp_tactile gripper left_source:=replay right_source:=replay ...`.
     """
 
     words: Annotated[
@@ -158,16 +161,24 @@ class Replay(_Graph):
     ]
     sensor: Annotated[
         str | None,
-        option("sensor description, file or packaged name; simulated recordings know their own"),
+        option(
+            "sensor description, a file or a packaged name; not needed for simulated recordings"
+        ),
     ] = None
-    rate: Annotated[float, option("1 is as recorded", Number(0.01, 100), metavar="SPEED")] = 1.0
-    start: Annotated[float, option("begin there", SECONDS)] = 0.0
-    end: Annotated[float, option("end there; 0: with the last", SECONDS)] = 0.0
+    rate: Annotated[
+        float, option("speed; 1 is as recorded", Number(0.01, 100), metavar="SPEED")
+    ] = 1.0
+    start: Annotated[float, option("time in the recording to begin at", SECONDS)] = 0.0
+    end: Annotated[float, option("time in the recording to end at; 0: the last frame", SECONDS)] = (
+        0.0
+    )
     loop: Annotated[bool, option("begin again at the end")] = False
     paused: Annotated[bool, option("begin paused, until replay/pause is called")] = False
-    topic: Annotated[str, option("image topic of a bag that has several", metavar="NAME")] = ""
-    namespace: Annotated[str, option("instead of the sensor's name", metavar="NAME")] = ""
-    no_clock: Annotated[bool, option("leave /clock to the replay of another sensor")] = False
+    topic: Annotated[str, option("image topic, if the bag has several", metavar="NAME")] = ""
+    namespace: Annotated[str, option("namespace, instead of the sensor's name", metavar="NAME")] = (
+        ""
+    )
+    no_clock: Annotated[bool, option("do not publish /clock, because another replay does")] = False
 
     def run(self) -> int:
         """Run the graph "replay" in this process."""
@@ -179,11 +190,11 @@ class Replay(_Graph):
 
         sources = [Path(word) for word in self._inputs()]
         if not sources:
-            misuse("found no INPUT")
+            misuse("INPUT: found nothing, expected a recording")
         for source in sources:
             check_source(source)
             if os.pathsep in str(source):
-                msg = f"{source}: found {os.pathsep!r} in it, expected a path without"
+                msg = f"{source}: found {os.pathsep!r} in the path, expected a path without it"
                 raise RecordingError(msg)
         values = {
             "input": os.pathsep.join(str(source.expanduser()) for source in sources),

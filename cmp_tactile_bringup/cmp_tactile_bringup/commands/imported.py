@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from cmp_tactile_driver.sources.markers import MarkerRecording
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-SENSOR = "file of a sensor description or name of a packaged one: what the gel is"
+SENSOR = "sensor description with the gel: a file or a packaged name"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Import(Command):
     """Options of where results are written."""
 
-    output: Annotated[Path, option("where to write", metavar="DIR")]
-    overwrite: Annotated[bool, option("replace files that are there already")] = False
+    output: Annotated[Path, option("folder to write", metavar="DIR")]
+    overwrite: Annotated[bool, option("replace existing files")] = False
 
     def write(self, imports: Sequence[tuple[MarkerRecording, SensorDescription]]) -> int:
         """Write the files of each recording of a sensor, and print what they are."""
@@ -48,15 +48,22 @@ class _Import(Command):
 
 @dataclass(frozen=True, kw_only=True)
 class Tac3d(_Import):
-    """Take over recordings of Tac3D sensors: folders with 3D_Positions.npy, 3D_Displacements.npy
-    and what else its recorder writes. Force and slip are worked out from the displacements.
-    Written are SERIAL.mcap (surface, force field and wrench as the nodes publish them, and the
-    sensor's own as tac3d/wrench and tac3d/force_points), SERIAL_wrench.csv, and SERIAL.yaml, the
-    description with grid, pitch and surface of this very sensor. `cmp_tactile view SERIAL.mcap`
-    shows the result, `process`, `calibrate force` and `replay` go on from its surfaces.
+    """Import recordings of Tac3D sensors: folders with 3D_Positions.npy, 3D_Displacements.npy and
+    the other files of its recorder. Force and slip are computed from the displacements. The
+    command writes:
+
+      SERIAL.mcap        surface, force field and wrench as the nodes publish them; the sensor's
+                         own forces as tac3d/wrench and tac3d/force_points
+      SERIAL_wrench.csv  forces over time
+      SERIAL.yaml        the description with grid, pitch and surface of this sensor
+
+    `cmp_tactile view SERIAL.mcap` shows the result. `process`, `calibrate force` and `replay` take
+    SERIAL.mcap as input.
     """
 
-    folder: Annotated[Path, argument("FOLDER", "of one sensor, or with folders of several")]
+    folder: Annotated[
+        Path, argument("FOLDER", "folder of one sensor, or with the folders of several")
+    ]
     sensor: Annotated[str, option(SENSOR)] = "tac3d_ad2"
 
     def run(self) -> int:
@@ -71,11 +78,15 @@ class Tac3d(_Import):
 
 @dataclass(frozen=True, kw_only=True)
 class Markers(_Import):
-    """Take over positions of markers that any tracker has found, in the plane or in 3-D: an .npy
-    array (frames, rows, cols, 2 or 3), an .npz file with such an array as position (and reference,
-    time_s or stamp_ns), or a .csv table with a row for each marker of each frame. x grows with the
-    column, y with the row; NaN is a marker that was not seen. Force and slip are worked out.
-    Written are NAME.mcap, NAME_wrench.csv and NAME.yaml, as `import tac3d` writes them.
+    """Import marker positions from any tracker, in the plane or in 3-D, and compute force and slip.
+    FILE is one of:
+
+      .npy  an array (frames, rows, cols, 2 or 3)
+      .npz  such an array as position; optional: reference, time_s or stamp_ns
+      .csv  a table with a row for each marker of each frame
+
+    x grows with the column, y with the row. NaN is a marker that was not seen. The command writes
+    NAME.mcap, NAME_wrench.csv and NAME.yaml, as `import tac3d` does.
     """
 
     file: Annotated[Path, argument("FILE", "an .npy, .npz or .csv file")]
@@ -83,19 +94,19 @@ class Markers(_Import):
     unit: Annotated[
         str,
         option(
-            "of lengths in the file; px: of an image that shows the gel from inside, to which the "
-            "pitch of the description gives the scale",
+            "unit of lengths in the file; px: pixels of an image of the gel from inside; the "
+            "description's pitch gives the scale",
             Choice(("m", "mm", "px")),
         ),
     ] = "m"
     frame_rate: Annotated[
-        float, option("where the file has no times", Number(0.01, 10_000, "Hz"))
+        float, option("frames per second, if the file has no times", Number(0.01, 10_000, "Hz"))
     ] = 30.0
     rest_frames: Annotated[
         int,
         option(
-            "of the beginning, in which nothing touches the gel, to count displacement from where "
-            "the file has no reference",
+            "without a reference in the file: displacement is relative to the first N frames, in "
+            "which nothing touches the gel",
             Number(1, 1000, kind=int),
         ),
     ] = 1
@@ -136,5 +147,7 @@ def _report_agreement(name: str, found: Agreement, console: Console) -> None:
         f"{axis} {correlation:.3f} ({left:.2f} N)"
         for axis, correlation, left in zip("xyz", found.correlation, found.left, strict=True)
     )
-    print_line(console, f"{name}: correlation with its own force, and what is left of it: {along}")
-    print_line(console, f"{name}: its own force is {found.scale:.2f} times ours")
+    print_line(
+        console, f"{name}: correlation with the sensor's own force (remaining difference): {along}"
+    )
+    print_line(console, f"{name}: the sensor's own force is {found.scale:.2f} times ours")

@@ -30,12 +30,12 @@ LEAST_GAIN = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class Init(Looking):
-    """Write a first description of a sensor, from a picture of its pattern at rest: views, rows,
-    columns and colours are counted, size and direction of the checkers measured. Two views of the
-    whole pattern, in mirrors or by two cameras, show where camera, mirrors and gel are, too. What a
-    picture does not show (moduli, thickness, of one view the camera's focal length) is asked for on
-    a terminal, else assumed, and marked so in the file.
-    `cmp_tactile sensor sensor:=FILE view:=true` then shows a live displacement field, and
+    """Write a first description of a sensor from a picture of its pattern at rest. The picture
+    shows the views, rows, columns and colours, and the size and direction of the checkers. Two
+    views of the whole pattern, in mirrors or by two cameras, also show where camera, mirrors and
+    gel are. On a terminal you are asked for modulus and thickness of the gel. Values that nobody
+    gave and no picture shows are assumed, and marked in the file. Next:
+    `cmp_tactile sensor sensor:=FILE view:=true` shows a live displacement field, and
     `cmp_tactile calibrate gel` refines mirrors and gel.
 
     examples:
@@ -47,22 +47,25 @@ class Init(Looking):
         str | None,
         argument(
             "PICTURE",
-            "of the whole pattern, sharp, or a camera, as /dev/video0 (two with a comma between)",
+            "a sharp picture of the whole pattern; or a camera, as /dev/video0 (two with a comma "
+            "between)",
         ),
     ] = None
     output: Annotated[
-        Path, option("file to write, which must not be there yet", metavar="FILE", short="-o")
+        Path, option("file to write; it must not exist yet", metavar="FILE", short="-o")
     ] = Path("my_sensor.yaml")
     angle_of_view: Annotated[
         float | None,
         option(
-            "of the camera, from left to right (default: what fits the picture, or 60)",
+            "horizontal angle of view of the camera (default: what fits the picture, or 60)",
             Number(5, 150, "degrees"),
         ),
     ] = None
-    young: Annotated[float | None, option("Young's modulus of the gel (500)", YOUNG)] = None
+    young: Annotated[float | None, option("Young's modulus of the gel (default: 500)", YOUNG)] = (
+        None
+    )
     thickness: Annotated[
-        float | None, option("of the gel, to the outer surface (5)", THICKNESS)
+        float | None, option("thickness of the gel, to the outer surface (default: 5)", THICKNESS)
     ] = None
 
     def run(self) -> int:
@@ -74,7 +77,7 @@ class Init(Looking):
 
         output = self.output.expanduser()
         if output.exists():
-            msg = f"{output}: found a file, expected none; --output names another"
+            msg = f"{output}: found a file, expected a new name; give another one with --output"
             raise OutputError(msg)
         if self.picture is None and not self.asks:
             misuse("PICTURE: found nothing, expected a picture or a camera")
@@ -106,7 +109,9 @@ class Init(Looking):
         print("counting the corners ...", file=sys.stderr)
         found = propose(image, pitch, self.output.stem, self.views or "", self.angle_of_view)
         if self.views is None and found.layout != "one":
-            question = "Two views are seen: in mirrors, or of two cameras (mirrors, cameras)?"
+            question = (
+                "Two views are seen. Are they in two mirrors or of two cameras (mirrors, cameras)?"
+            )
             layout = self.ask(question, found.layout, Choice(LAYOUTS[1:]).parse)
             if layout != found.layout:
                 found = propose(image, pitch, self.output.stem, layout, self.angle_of_view)
@@ -143,23 +148,27 @@ class Init(Looking):
 
 def _report(found: Proposal, output: Path) -> None:
     pattern, two = found.sensor.pattern, found.layout != "one"
-    end = {"in_view": "ends in sight on all sides", "beyond_view": "goes on beyond the picture"}
-    how = {"one": "", "mirrors": " in two mirrors", "cameras": " by two cameras"}[found.layout]
+    end = {
+        "in_view": "ends within the picture on all sides",
+        "beyond_view": "continues beyond the picture",
+    }
+    how = {"one": "", "mirrors": " in two mirrors", "cameras": " in the pictures of two cameras"}[
+        found.layout
+    ]
     seen = f"{pattern.rows} x {pattern.cols} corners{how}"
     print(f"{seen}, and the pattern {end[pattern.border]}")
     for name, view in found.views.items():
         worth = view.seen.worth
         print(
-            f"{f'{name} view: ' if two else ''}checkers of {worth.side_px:.1f} px; light and dark "
-            f"differ by {worth.contrast:.0f} grey levels at a noise of {worth.noise:.1f}; edges "
-            f"are blurred by {worth.blur_px:.2f} px; each marker is known to "
-            f"{1e6 * pattern.pitch * worth.std_pitch:.1f} um in the plane"
+            f"{f'{name} view: ' if two else ''}checkers of {worth.side_px:.1f} px; contrast "
+            f"{worth.contrast:.0f} grey levels; noise {worth.noise:.1f}; blur {worth.blur_px:.2f} "
+            f"px; standard deviation of a marker {1e6 * pattern.pitch * worth.std_pitch:.1f} um"
         )
         for advice in worth.advice(LEAST_GAIN):
             print(f"to do: {advice}")
     if two:
-        print(f"corners are where the description has them to {found.misfit_px:.2g} px")
-    print(f"written: {output}; what is assumed is marked in it")
+        print(f"corners agree with the description to {found.misfit_px:.2g} px")
+    print(f"written: {output}; assumed values are marked in it")
     print(f"next: cmp_tactile sensor sensor:={output} view:=true")
     if two:
         print(f"then: cmp_tactile calibrate gel FRAMES --sensor {output} --output calibrated.yaml")

@@ -34,7 +34,7 @@ def _frame_size(text: str) -> str:
     width, _, height = text.lower().partition("x")
     if width.isdigit() and height.isdigit() and min(int(width), int(height)) >= 16:
         return text.lower()
-    msg = f"found {text!r}, expected px as 1280x720"
+    msg = f"found {text!r}, expected a size in px, as 1280x720"
     raise typer.BadParameter(msg)
 
 
@@ -44,20 +44,20 @@ class Looking(Command):
 
     pitch: Annotated[
         float | None,
-        option("side of a checker; asked for where it is not given", PITCH),
+        option("side of a checker; if not given, you are asked", PITCH),
     ] = None
     views: Annotated[
         str | None,
         option(
-            "what a frame holds: one view, two that mirrors show, or two of cameras side by side "
-            "(default: what is seen)",
+            "views in a frame: one, two in mirrors, or two cameras side by side (default: what "
+            "is detected)",
             Choice(LAYOUTS),
         ),
     ] = None
-    size: Annotated[str, option("of a camera's frames", _frame_size, metavar="WIDTHxHEIGHT")] = (
-        "640x480"
-    )
-    yes: Annotated[bool, option("ask nothing: take what is proposed")] = False
+    size: Annotated[
+        str, option("size of a camera's frames", _frame_size, metavar="WIDTHxHEIGHT")
+    ] = "640x480"
+    yes: Annotated[bool, option("ask nothing; use the proposed values")] = False
 
     @property
     def asks(self) -> bool:

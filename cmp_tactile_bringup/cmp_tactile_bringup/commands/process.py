@@ -23,7 +23,7 @@ MOST_JOBS = 256
 # What a process needs, twice over.
 BYTES_PER_JOB = 1 << 30
 SECONDS = Number(0, 1e6, "s")
-READING, RESULTS, WORK = "What is read", "Results", "Work"
+READING, RESULTS, WORK = "Input", "Results", "Work"
 
 
 def _reference(text: str) -> str:
@@ -47,46 +47,48 @@ def _default_jobs() -> int:
 @dataclass(frozen=True, kw_only=True)
 class Process(Command):
     """Process every frame of each recording and write NAME.mcap (grids, surface, force field and
-    wrench as the nodes publish them) and NAME_wrench.csv (force and moment over time). Needs no
-    running ROS. The same input gives the same bytes. An interrupted run continues when the same
-    command is given again: finished recordings are kept as they are, others begin again.
+    wrench as the nodes publish them) and NAME_wrench.csv (force and moment over time). No
+    running ROS is needed. The same input gives the same bytes. To continue an interrupted run, give
+    the same command again: finished recordings are kept, the others begin again.
     """
 
     inputs: Annotated[
         list[Path],
         argument(
             "INPUT",
-            "a ROS 2 bag, a folder of images, one image, a video, or a packaged scene, as grasp",
+            "a ROS 2 bag, a folder of images, one image, a video, or a packaged scene, such as "
+            "grasp",
         ),
     ]
-    output: Annotated[Path, option("where to write", metavar="DIR")]
+    output: Annotated[Path, option("folder to write", metavar="DIR")]
     sensor: Annotated[
         str | None,
         option(
-            "file of a sensor description or name of a packaged one; simulated recordings know "
-            "their own"
+            "sensor description: a file or a packaged name; not needed for simulated recordings"
         ),
     ] = None
-    topic: Annotated[str, option("image topic of a bag that has several", group=READING)] = ""
+    topic: Annotated[str, option("image topic, if the bag has several", group=READING)] = ""
     frame_rate: Annotated[
         float,
         option(
-            "of a folder of images, which has no stamps", Number(0.01, 1000, "Hz"), group=READING
+            "frames per second of a folder of images, which has no stamps",
+            Number(0.01, 1000, "Hz"),
+            group=READING,
         ),
     ] = 30.0
     start: Annotated[
-        float, option("begin so many seconds after the first frame", SECONDS, group=READING)
+        float, option("begin this long after the first frame", SECONDS, group=READING)
     ] = 0.0
-    end: Annotated[
-        float, option("end so many seconds after the first frame", SECONDS, group=READING)
-    ] = math.inf
+    end: Annotated[float, option("end this long after the first frame", SECONDS, group=READING)] = (
+        math.inf
+    )
     reference: Annotated[
         str,
         option(
-            "what displacement, and so force, counts from: nominal (the sensor description's "
-            "surface), when_still or at_start (taken by itself, as the stereo_triangulator node "
-            "does with its parameter auto_reference), first-N (mean of the first N frames, in "
-            "which the gel must be at rest, as zero takes it)",
+            "reference of displacement and force. nominal: the description's surface; when_still "
+            "or at_start: taken automatically, as by the parameter auto_reference of "
+            "stereo_triangulator; first-N: mean of the first N frames, in which the gel must be "
+            "at rest",
             _reference,
             metavar="WHAT",
             group=RESULTS,
@@ -95,7 +97,7 @@ class Process(Command):
     views: Annotated[
         str,
         option(
-            "grids of these are written; both views are always processed",
+            "views with grids in the results; both views are always processed",
             Choice(("both", "left", "right", "none")),
             group=RESULTS,
         ),
@@ -107,15 +109,15 @@ class Process(Command):
     overwrite: Annotated[
         bool,
         option(
-            "replace results that are there already and were made from something else",
+            "replace existing results that were made with other input or options",
             group=RESULTS,
         ),
     ] = False
     jobs: Annotated[
         int | None,
         option(
-            "recordings that are processed at once, each in a process of its own (default: half "
-            f"the cores, here {_default_jobs()})",
+            "recordings that are processed at the same time, each in its own process (default: "
+            f"half the cores, here {_default_jobs()})",
             Number(1, MOST_JOBS, kind=int),
             group=WORK,
         ),
@@ -123,8 +125,8 @@ class Process(Command):
     scheduler: Annotated[
         str | None,
         option(
-            "of a running dask cluster that is to do the work, as tcp://host:8786; its machines "
-            "must see the same files (needs dask.distributed)",
+            "address of a running dask cluster, as tcp://host:8786; its machines must see the "
+            "same files (needs dask.distributed)",
             metavar="ADDRESS",
             group=WORK,
         ),
@@ -145,11 +147,12 @@ class Process(Command):
         console = output_console(stderr=True)
         if len(jobs) < len(self.inputs):
             console.print(
-                "warning: recordings that are named twice are processed once", style="yellow"
+                "warning: found recordings that are named twice; each is processed once",
+                style="yellow",
             )
         complete = _process(jobs, self, console)
         if len(jobs) > 1:
-            console.print(f"{len(jobs)} recordings, {complete.count(True)} without a problem")
+            console.print(f"{len(jobs)} recordings, {complete.count(True)} without problems")
         return int(not all(complete))
 
 
@@ -230,9 +233,9 @@ def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
         return False
     before = ", finished before" if result.finished_before else ""
     print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}{before}")
-    print_line(console, f"{job.label}: displacement counts from: {result.reference}")
+    print_line(console, f"{job.label}: displacement is relative to: {result.reference}")
     for doubt in result.doubts:
         print_line(console, f"warning: {job.label}: {doubt}", "yellow")
     if result.problem:
-        print_line(console, f"{job.label}: not all of it could be used: {result.problem}", "red")
+        print_line(console, f"{job.label}: some of it could not be used: {result.problem}", "red")
     return not result.problem

@@ -27,40 +27,40 @@ _setting = partial(parameter_option, RecorderParameters)
 
 @dataclass(frozen=True, kw_only=True)
 class Record(Command):
-    """Record topics of a running sensor, in this or another process on the network, until
-    Ctrl-C. The bag is a folder of MCAP files with metadata.yaml, which `cmp_tactile replay`,
-    `cmp_tactile process`, `ros2 bag` and others read; the sensor description lies in it as
-    sensor.yaml. To have no frame go over the network, record within the sensor's own container:
-    record:=FOLDER, an argument of every launch file and of the commands that start nodes.
+    """Record topics of a running sensor, on this or another machine, until Ctrl-C. The bag is a
+    folder of MCAP files with metadata.yaml and sensor.yaml, the sensor description. `cmp_tactile
+    replay`, `cmp_tactile process`, `ros2 bag` and others read it. To keep frames off the network,
+    record in the sensor's own container: give record:=FOLDER to a launch file or to a command
+    that starts nodes.
     """
 
     topics: Annotated[
         list[str] | None,
         argument(
             "TOPIC",
-            "below the sensor's namespace, or from / on; * stands for anything (default: "
+            "topics below the sensor's namespace, or from / on; * stands for any text (default: "
             f"{RecorderParameters.topics})",
         ),
     ] = None
     output: Annotated[
         str,
         option(
-            "bag, which must not be there yet (default: the sensor's name and the time)",
+            "folder of the bag; it must not exist yet (default: the sensor's name and the time)",
             metavar="FOLDER",
             short="-o",
         ),
     ] = ""
-    namespace: Annotated[str, option("of the sensor, where several run")] = ""
+    namespace: Annotated[str, option("namespace of the sensor; needed if several sensors run")] = ""
     sensor: Annotated[
         str | None,
-        option("sensor description, instead of the one that the sensor's nodes name"),
+        option("sensor description, instead of the one that the sensor's nodes report"),
     ] = None
-    duration: Annotated[float | None, option("end after that time", Number(0.1, 1e6, "s"))] = None
+    duration: Annotated[float | None, option("end after this time", Number(0.1, 1e6, "s"))] = None
     compression: Annotated[str, _setting("compression")] = RecorderParameters.compression
     jpeg_quality: Annotated[int, _setting("jpeg_quality")] = RecorderParameters.jpeg_quality
     split_size: Annotated[float, _setting("split_size")] = RecorderParameters.split_size
     split_duration: Annotated[float, _setting("split_duration")] = RecorderParameters.split_duration
-    use_sim_time: Annotated[bool, option("log times by /clock, such as a replay's")] = False
+    use_sim_time: Annotated[bool, option("log the time of /clock, for example of a replay")] = False
 
     def run(self) -> int:
         """Record until a signal comes; 0 where all is in the bag."""
@@ -107,7 +107,7 @@ def _recorder(arguments: Record, context: Any) -> Any:
         sensor = find_sensor(search.node, arguments.namespace)
     description = arguments.sensor or sensor.description
     if not description:
-        msg = f"{sensor.namespace}: the nodes do not report their description, expected --sensor"
+        msg = f"{sensor.namespace}: found no description reported by the nodes, expected --sensor"
         raise RunningSensorError(msg)
     values = {
         "output": arguments.output,
@@ -161,7 +161,7 @@ def _summary(bag: Path, progress: RecordingProgress, missing: list[str]) -> int:
     for topic, count in sorted(progress.messages.items()):
         print(f"{count:8d}  {topic}")
     for topic in missing:
-        print(f"       0  {topic}: nobody published it")
+        print(f"       0  {topic}: no node published it")
     for topic, count in sorted(progress.dropped.items()):
         print(f"warning: {count} messages of {topic} dropped: {progress.problem}", file=sys.stderr)
     size = f"{progress.duration_s:.1f} s, {progress.size / MEGABYTE:.1f} MB"

@@ -37,11 +37,11 @@ def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
     spaces = settled(lambda: _namespaces(node, wanted), SEARCH_TIME_S)
     if not spaces:
         where = f"in {wanted}" if wanted else "in any namespace"
-        there = ", ".join(_namespaces(node, "")) or "a sensor that runs (ROS_DOMAIN_ID?)"
+        there = ", ".join(_namespaces(node, "")) or "a running sensor; is ROS_DOMAIN_ID the same?"
         msg = f"found no {SPLITTER} {where}, expected {there}"
         raise RunningSensorError(msg)
     if len(spaces) > 1:
-        msg = f"found several sensors, name the namespace of one: {', '.join(spaces)}"
+        msg = f"found several sensors, expected the namespace of one of: {', '.join(spaces)}"
         raise RunningSensorError(msg)
     return _described(node, spaces[0])
 

@@ -18,14 +18,16 @@ MAX_FRAMES = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class Simulate(Command):
-    """Simulate a scene: contact of an indenter with the gel, what the camera sees of it, and what
-    is true of it. An interrupted run leaves a readable recording, and the same command continues
-    where it stopped. docs/scenes.md describes how scenes are written.
+    """Simulate a scene: the contact of an indenter with the gel, the camera frames, and the truth.
+    An interrupted run leaves a readable recording; the same command continues it. docs/scenes.md
+    describes the files of scenes.
     """
 
     scene: Annotated[
         str | None,
-        argument("SCENE", "packaged scene or file of a scene; NAME:VARIANT where it has variants"),
+        argument(
+            "SCENE", "packaged scene or file of a scene; NAME:VARIANT if the scene has variants"
+        ),
     ] = None
     output: Annotated[
         Path | None, option("folder to write (default: the scene's name)", metavar="DIR")
@@ -37,13 +39,15 @@ class Simulate(Command):
             Choice(("bag", "png")),
         ),
     ] = "bag"
-    video: Annotated[bool, option("draw video.mp4, frames with the truth beside them")] = False
+    video: Annotated[bool, option("write video.mp4: frames beside their truth")] = False
     seed: Annotated[
         int | None,
-        option("of noise and print defects, not the scene's", Number(0, MAX_SEED, kind=int)),
+        option(
+            "seed of noise and print defects, instead of the scene's", Number(0, MAX_SEED, kind=int)
+        ),
     ] = None
     frames: Annotated[
-        int | None, option("only the first N frames", Number(1, MAX_FRAMES, kind=int))
+        int | None, option("simulate only the first N frames", Number(1, MAX_FRAMES, kind=int))
     ] = None
     overwrite: Annotated[bool, option("replace an earlier output, finished or not")] = False
     list_: Annotated[bool, option("show the packaged scenes and end")] = False

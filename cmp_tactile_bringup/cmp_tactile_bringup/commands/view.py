@@ -20,13 +20,11 @@ PAGE = "Page"
 @dataclass(frozen=True, kw_only=True)
 class View(Command):
     """Show a recording in a browser: the gel's surface with forces and contacts in 3-D, the camera
-    image with gridlines, plots of forces and slip, and what is the matter. A slider goes through
-    it. Camera frames are processed when they are shown; results of `cmp_tactile process` and of a
-    recorded sensor are shown as they were stored. Ctrl-C ends it. Needs no running ROS and no
-    internet.
+    image with gridlines, plots of forces and slip, and warnings. A slider selects the frame.
+    Camera frames are processed when they are shown; stored results of `cmp_tactile process` or of
+    a recorded sensor are shown as they are. Ctrl-C ends it. Needs no running ROS and no internet.
 
-    A sensor that runs is shown by view:=true, an argument of every launch file and of the commands
-    that start nodes.
+    To show a running sensor, give view:=true to a launch file or to a command that starts nodes.
     """
 
     source: Annotated[
@@ -34,17 +32,17 @@ class View(Command):
         argument(
             "SOURCE",
             "a ROS 2 bag, results of `cmp_tactile process`, a folder of images, one image, a "
-            "video, or a packaged scene, as grasp",
+            "video, or a packaged scene, such as grasp",
         ),
     ]
     sensor: Annotated[
         str | None,
         option(
-            "file of a sensor description or name of a packaged one; simulated recordings and "
-            "results know their own"
+            "sensor description: a file or a packaged name; not needed for simulated recordings "
+            "and results"
         ),
     ] = None
-    topic: Annotated[str, option("image topic of a bag that has several")] = ""
+    topic: Annotated[str, option("image topic, if the bag has several")] = ""
     paused: Annotated[bool, option("begin paused, at the first frame")] = False
     host: Annotated[
         str,
@@ -53,25 +51,25 @@ class View(Command):
     port: Annotated[
         int | None,
         option(
-            "to listen on (default: the first that is free from 8080 on)",
+            "port to listen on (default: the first free one from 8080)",
             Number(1, 65535, kind=int),
             group=PAGE,
         ),
     ] = None
     token: Annotated[
-        str, option("that the address must have, against others on the network", group=PAGE)
+        str, option("secret word in the address; keeps others on the network out", group=PAGE)
     ] = ""
-    read_only: Annotated[bool, option("no buttons and no parameters", group=PAGE)] = False
+    read_only: Annotated[bool, option("page without buttons and parameters", group=PAGE)] = False
     allow_host: Annotated[
         list[str] | None,
         option(
-            "further name by which browsers reach this machine, as robot.lab.example, or the name "
-            "of a proxy; may be repeated",
+            "another name of this machine or of a proxy in browsers, as robot.lab.example; may "
+            "be repeated",
             group=PAGE,
             metavar="NAME",
         ),
     ] = None
-    open: Annotated[bool, option("open it in this machine's browser", group=PAGE)] = False
+    open: Annotated[bool, option("open the page in this machine's browser", group=PAGE)] = False
 
     def run(self) -> int:
         """Serve the page until a signal comes."""
@@ -124,6 +122,6 @@ def _say_where(page: Page, access: Access) -> None:
         who = "anyone who has this address" if access.token else "anyone on that network"
         print(
             f"warning: listening on {access.host}, port {page.port}: {who} can press the buttons; "
-            "--read-only takes them off" + ("" if access.token else ", --token asks for a word"),
+            "--read-only removes them" + ("" if access.token else ", --token sets a secret word"),
             file=sys.stderr,
         )

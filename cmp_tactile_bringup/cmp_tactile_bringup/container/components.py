@@ -38,7 +38,7 @@ def find_component(package: str, plugin: str) -> ComponentClass:
     Raises ComponentLoadError, which lists the known plugins, or names why the import failed.
     """
     if plugin.partition("::")[0] != package:
-        msg = f"found package {package!r}, expected the one in the plugin's name {plugin!r}"
+        msg = f"found package {package!r}, expected the package in the plugin's name {plugin!r}"
         raise ComponentLoadError(msg)
     known = entry_points(group=ENTRY_POINT_GROUP)
     matches = [point for point in known if point.name == plugin]
@@ -162,7 +162,7 @@ class ComponentContainer:
             raise UnknownComponentError(msg)
         life.request_stop()
         if not life.join(timeout):
-            msg = f"{life.full_name}: a callback still runs after {timeout} s"
+            msg = f"{life.full_name}: found a callback that still runs after {timeout} s"
             raise ComponentError(msg)
         _free_memory()
 
@@ -194,7 +194,7 @@ class ComponentContainer:
             # Else it would end beside the ROS context.
             spinner.join(max(0.0, deadline - time.monotonic()))
         if late:
-            message = f"still busy after {timeout} s and left behind: {', '.join(late)}"
+            message = f"still busy after {timeout} s; not waited for any longer: {', '.join(late)}"
             get_logger("component_container").warning(message)
 
     def _find(self, component: Component) -> ComponentClass:
@@ -209,8 +209,8 @@ class ComponentContainer:
             process = self.namesakes.awaited_process_of(name, lambda: self._closed)
             if process:
                 msg = (
-                    f"{name} runs already, in process {process}: end that, or give this sensor "
-                    "another namespace (namespace:=NAME)"
+                    f"{name} runs already, in process {process}: end that process, or use another "
+                    "namespace (namespace:=NAME)"
                 )
                 raise ComponentLoadError(msg)
         if self._closed:
@@ -259,8 +259,8 @@ class ComponentContainer:
             for other in self._components.values():
                 if other.full_name == name:
                     msg = (
-                        f"id {life.unique_id}: the name {name} is that of id {other.unique_id} "
-                        "already"
+                        f"id {life.unique_id}: found the name {name}, which id {other.unique_id} "
+                        "has already; expected a different name"
                     )
                     raise ComponentLoadError(msg)
             life.full_name = name

@@ -187,7 +187,7 @@ def _run(
         try:
             for component in graph.components:
                 container.load(component)
-            get_logger("standalone").info(f"{len(graph.components)} components run")
+            get_logger("standalone").info(f"{len(graph.components)} components are running")
             loaded.set()
         except CmpTactileError as error:
             failures.append(str(error))
@@ -202,7 +202,7 @@ def _run(
         while not (failures or stop.wait(CHECK_PERIOD)):
             failures += [item.failure for item in container.list() if item.failure]
             failures += [
-                f"{name}: its process has ended with code {process.returncode}"
+                f"{name}: its process ended with code {process.returncode}"
                 for name, process in others.items()
                 if process.poll() is not None
             ]
@@ -217,7 +217,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="standalone", description="Run the components of a graph, a process for each sensor."
     )
     parser.add_argument(
-        "config", help="name of a packaged graph, such as replay, or a Python file with a graph"
+        "config", help="a packaged graph, such as replay, or a Python file with a graph"
     )
     parser.add_argument(
         "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the graph"
@@ -230,7 +230,9 @@ def _parser() -> argparse.ArgumentParser:
         help="set a parameter of a component; may be repeated",
     )
     parser.add_argument(
-        "--watch", action="store_true", help="write what the first sensor feels while it runs"
+        "--watch",
+        action="store_true",
+        help="show force, contacts and flags of the first sensor while it runs",
     )
     parser.add_argument(
         "--show-args", action="store_true", help="list the arguments of the graph and end"

@@ -80,7 +80,7 @@ def running_container(
 
 
 def _leave_stuck() -> None:
-    sys.stderr.write(f"the end took more than {END_TIMEOUT:g} s; what still runs:\n")
+    sys.stderr.write(f"The end took more than {END_TIMEOUT:g} s; what is still running:\n")
     faulthandler.dump_traceback(file=sys.stderr)
     leave_at_once(0)
 

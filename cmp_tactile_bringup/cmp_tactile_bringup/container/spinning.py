@@ -77,7 +77,7 @@ class LoadedComponent:
         """Spin the node from now on; ComponentLoadError where it was ended meanwhile."""
         spinner.do(partial(spinner.add, self)).result()
         if self.node is None:
-            raise ComponentLoadError(self.ending or "it was ended before it ran")
+            raise ComponentLoadError(self.ending or "the node ended before it ran")
 
     def request_stop(self) -> None:
         """End after the running callback; returns at once."""
@@ -110,7 +110,10 @@ class LoadedComponent:
         self.callback_errors += 1
         is_known, self._last_traceback = text == self._last_traceback, text
         self.last_error = text.strip().rpartition("\n")[2]
-        message = f"a callback raised (number {self.callback_errors}); the node goes on\n{text}"
+        message = (
+            f"a callback raised an exception (number {self.callback_errors}); the node "
+            f"continues\n{text}"
+        )
         if is_known:
             self.node.get_logger().error(message, throttle_duration_sec=5.0)
         else:
@@ -195,7 +198,7 @@ class Spinner:
             if self._context.ok():
                 get_logger("component_container").error(traceback.format_exc())
                 for component in self._components:
-                    component.ending = f"runs no more: {type(error).__name__}: {error}"
+                    component.ending = f"has stopped: {type(error).__name__}: {error}"
         finally:
             self._ends = True
             self.wiring.close()

@@ -111,7 +111,9 @@ def argument_values(
     for argument in declared:
         value = given.get(argument.name, argument.default)
         if value is None:
-            msg = f"{label}argument {argument.name!r} is missing ({argument.description})"
+            msg = (
+                f"{label}argument {argument.name!r}: found nothing, expected {argument.description}"
+            )
             raise GraphError(msg)
         values[argument.name] = _convert(argument, value, label)
     return values
@@ -129,8 +131,8 @@ def check_use(
             found = values[condition.argument]
             if not condition.holds(found):
                 msg = (
-                    f"{label}argument {argument.name}: found {_shown(given[argument.name])}, which "
-                    f"has no effect with {condition.argument}:={_shown(found)}, expected it with "
+                    f"{label}argument {argument.name}: found {_shown(given[argument.name])}, "
+                    f"which has no effect with {condition.argument}:={_shown(found)}, expected "
                     f"{condition}"
                 )
                 raise GraphError(msg)
@@ -234,7 +236,7 @@ RUN_ARGUMENTS = (
     Argument(
         "params_file",
         "path",
-        "ROS parameter file; its values take precedence; empty for none",
+        "ROS parameter file, which takes precedence; empty for none",
         default="",
     ),
     Argument("view", "boolean", "show the sensors in a browser (docs/viewer.md)", default=False),
@@ -265,7 +267,7 @@ LAUNCH_ARGUMENTS = (
     Argument(
         "container",
         "text",
-        "full name of a running container to load into; empty to start one",
+        "full name of a running container to load the nodes into; empty to start one",
         default="",
     ),
     Argument("rviz", "boolean", "show the sensors in RViz", default=False),

@@ -238,8 +238,8 @@ class GraphFunction:
         ):
             twice = [name for number, name in enumerate(names) if name in names[:number]]
             if twice:
-                msg = f"{self.label}found {twice[0]!r} twice, expected every {kind} with a name "
-                raise GraphError(msg + "of its own")
+                msg = f"{self.label}found {twice[0]!r} twice, expected another name for each {kind}"
+                raise GraphError(msg)
 
 
 def _viewer(found: Graph, values: Mapping[str, Any]) -> dict[str, Value]:
@@ -296,8 +296,8 @@ def load_graph_file(path: Path) -> GraphFunction:
         defined = [item for item in vars(module).values() if isinstance(item, GraphFunction)]
         found = [item for item in defined if item.function.__module__ == name]
     if len(found) != 1:
-        expected = "a Python file with one function that `graph` decorates (docs/launch.md)"
-        msg = f"{path}: found {len(found) or 'no'} graphs in it, expected {expected}"
+        expected = "one: a Python file with one function that `graph` decorates (docs/launch.md)"
+        msg = f"{path}: found {len(found) or 'no'} graphs, expected {expected}"
         raise GraphError(msg)
     return replace(found[0], label=f"{path}: ")
 
@@ -326,7 +326,7 @@ def parameters_of_nodes(path: Path, full_names: Sequence[str]) -> dict[str, dict
         nodes = [name for name in full_names if re.fullmatch(expression, name)]
         if not nodes:
             names = ", ".join(full_names)
-            msg = f"{path}: found parameters of {pattern}, expected those of one of {names}"
+            msg = f"{path}: found parameters of {pattern}, expected a node of {names}"
             raise GraphError(msg)
         for name in nodes:
             found.setdefault(name, {}).update(parameters)

@@ -109,7 +109,9 @@ def _web_viewer(parameters: Mapping[str, Value]) -> Node:
 def _rviz(graph: Graph) -> Node:
     settings = rviz_settings_file(graph)
     if is_saved_by_rviz(settings):
-        get_logger(PACKAGE).info(f"RViz opens as saved: delete {settings} to undo that")
+        get_logger(PACKAGE).info(
+            f"RViz opens with its saved settings: delete {settings} for the packaged ones"
+        )
     # Markers would vanish by the clock of the machine while a replay is paused.
     replayed = all(item.parameters.get("use_sim_time", False) for item in graph.components)
     return Node(

@@ -72,7 +72,7 @@ class SensorSettings:
         "", "sensor description, file or packaged name; empty: that of the scene or recording"
     )
     name: str = _setting(
-        "", "name of this sensor, with which its tf frames begin; empty for the description's"
+        "", "name of this sensor, the beginning of its tf frames; empty for the description's name"
     )
     namespace: str = _setting("", "namespace of all nodes and topics; empty for the sensor's name")
     frame_rate: float = _setting(
@@ -92,9 +92,11 @@ class SensorSettings:
         "grasp", "scene file, or name of a packaged scene", SIMULATED, kind="scene"
     )
     autoplay: bool = _setting(
-        True, "play the scene's motion again and again until a target or load comes", SIMULATED
+        True, "repeat the scene's motion until a target or load comes", SIMULATED
     )
-    max_speed: float = _setting(0.01, "speed of the indenter towards a target, m/s", SIMULATED)
+    max_speed: float = _setting(
+        0.01, "highest speed of the indenter towards a target, m/s", SIMULATED
+    )
     input: str = _setting(
         "grasp",
         "bag, images, video, or name of a packaged scene; separate several by colons, they "
@@ -102,10 +104,12 @@ class SensorSettings:
         REPLAY,
         kind="recording",
     )
-    topic: str = _setting("", "image topic of the bag; empty for the only one", REPLAY)
+    topic: str = _setting("", "image topic of the bag; may be empty if there is only one", REPLAY)
     rate: float = _setting(1.0, "speed of the replay, 1 as recorded", REPLAY)
     start: float = _setting(0.0, "time in the recording to begin at, s", REPLAY)
-    end: float = _setting(0.0, "time in the recording to end at, s; 0 for its end", REPLAY)
+    end: float = _setting(
+        0.0, "time in the recording to end at, s; 0 for the end of the recording", REPLAY
+    )
     loop: bool = _setting(False, "begin again at the end, with the same stamps", REPLAY)
     paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
     wait_for_subscribers: int = _setting(
@@ -143,7 +147,7 @@ class SensorSettings:
         "newest for a camera or simulation without record, else every",
         choices=("auto", "every", "newest"),
     )
-    parent_frame: str = _setting("", "tf frame that the sensor is mounted on; empty for none")
+    parent_frame: str = _setting("", "tf frame on which the sensor is mounted; empty for none")
     mount: tuple[float, ...] = _setting(
         (0.0,) * 6,
         'pose of the gel frame in parent_frame, "x y z roll pitch yaw" in m and rad',
@@ -277,7 +281,7 @@ def _sensor_of_source(settings: SensorSettings, prefix: str) -> str:
         raise GraphError(msg) from None
     sensor = library.sensor_of_recordings(inputs)
     if not sensor:
-        expected = f"the file of a description or one of {', '.join(packaged_sensors())}"
+        expected = f"the file of a description, or one of {', '.join(packaged_sensors())}"
         msg = f"argument {prefix}sensor: found nothing, expected {expected}"
         raise GraphError(msg)
     return sensor

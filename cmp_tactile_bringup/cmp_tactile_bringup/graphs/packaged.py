@@ -45,7 +45,7 @@ def _one_sensor(given: Mapping[str, Any], **more: Any) -> list[Component]:
 
 
 @graph(
-    Argument("sensor", "text", "sensor description, file or name of a packaged one"),
+    Argument("sensor", "text", "sensor description: a file or a packaged name"),
     Argument(
         "source",
         "text",
@@ -62,7 +62,7 @@ def sensor(given: Mapping[str, Any]) -> list[Component]:
 
 @graph(*sensor_arguments(("simulated",)))
 def simulate(given: Mapping[str, Any]) -> list[Component]:
-    """A simulated sensor in place of a camera, and its processing."""
+    """A simulated sensor instead of a camera, and its processing."""
     return _one_sensor(given, source="simulated")
 
 
@@ -98,7 +98,9 @@ def _finger_arguments(
     Argument("namespace", "text", "namespace of container and fingers; empty for none", ""),
     Argument("rate", "number", "speed of replays, 1 as recorded", 1.0),
     Argument("start", "number", "time in the recordings to begin at, s", 0.0),
-    Argument("end", "number", "time in the recordings to end at, s; 0 for their end", 0.0),
+    Argument(
+        "end", "number", "time in the recordings to end at, s; 0 for the end of the recordings", 0.0
+    ),
     Argument("loop", "boolean", "begin recordings again at their end, with the same stamps", False),
     Argument(
         "paused",
@@ -109,7 +111,7 @@ def _finger_arguments(
     Argument(
         "record",
         "path",
-        "folder to record into, a bag for each finger below it; empty for none",
+        "folder to record into, with a bag for each finger; it must not exist yet; empty for none",
         "",
     ),
     *(item for item in sensor_arguments() if item.name in OF_BOTH and RECORDING in item.only_with),

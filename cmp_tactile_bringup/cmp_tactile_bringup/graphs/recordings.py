@@ -51,8 +51,8 @@ def check_recordings(graph: Graph) -> None:
     for component in graph.components:
         output = component.parameters.get("output") if component.plugin == RECORDER else None
         if output and Path(str(output)).expanduser().exists():
-            msg = f"{component.full_name} ({RECORDER}): {output}: found a recording already"
-            raise ComponentLoadError(f"{msg}, expected a folder that is not there yet")
+            msg = f"{component.full_name} ({RECORDER}): {output}: found an existing folder or file"
+            raise ComponentLoadError(f"{msg}, expected a new name")
         try:
             for path in _inputs(component):
                 open_recording(

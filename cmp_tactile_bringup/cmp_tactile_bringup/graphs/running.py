@@ -141,9 +141,9 @@ def key_calls(graph: Graph) -> dict[str, KeyCall]:
             calls[PAUSE] = KeyCall("pause", f"{name}/pause")
             calls["."] = KeyCall("next frame", f"{name}/step")
             calls[LEFT] = KeyCall("1 s back", f"{name}/back")
-            calls[RIGHT] = KeyCall("1 s on", f"{name}/forward")
+            calls[RIGHT] = KeyCall("1 s forward", f"{name}/forward")
         elif item.parameters.get("source") == "simulated":
-            calls["r"] = KeyCall("scene from its beginning", f"{namespace}/indenter/reset")
+            calls["r"] = KeyCall("restart the scene", f"{namespace}/indenter/reset")
     return calls
 
 
@@ -159,13 +159,13 @@ def next_steps(graph: Graph) -> str:
     simulated = any(item.parameters.get("source") == "simulated" for item in graph.components)
     steps = [
         *([(f"python3 docs/examples/move_indenter.py {sensor}", "press it")] if simulated else []),
-        (f"python3 docs/examples/listen.py {sensor}", "act on the force in a node of your own"),
+        (f"python3 docs/examples/listen.py {sensor}", "use the force in your own node"),
         ("cmp_tactile record --output my_bag", "record it"),
         (f"ros2 topic echo /{sensor}/wrench", "with a full ROS 2"),
     ]
     lines = [f"  {command:<58}{what}" for command, what in steps]
     heading = "Ctrl-C ends it. Next, in another terminal (docs/tutorials/first_look.md):"
-    ending = "Force on the gel along x, y, z, +- one standard deviation:"
+    ending = "Force on the gel (x, y, z), +- one standard deviation:"
     return "\n".join([heading, *lines, ending, ""])
 
 

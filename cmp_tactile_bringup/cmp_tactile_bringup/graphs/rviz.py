@@ -81,7 +81,7 @@ def rviz_settings_file(graph: Graph) -> Path:
             failed = f"{path}: {error.strerror}"
         else:
             return path
-    msg = f"rviz: settings cannot be written: {failed}"
+    msg = f"rviz: the settings cannot be written: {failed}"
     raise GraphError(msg)
 
 

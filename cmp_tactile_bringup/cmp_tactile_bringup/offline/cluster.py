@@ -54,7 +54,7 @@ def _connected(address: str) -> Any:
 
         return Client(address, timeout=SECONDS_TO_CONNECT)
     except ImportError as error:
-        msg = f"--scheduler: found no dask ({error}), expected it: `pip install distributed`"
+        msg = f"--scheduler: found no dask ({error}), expected the package: pip install distributed"
     except (OSError, ValueError) as error:
         msg = f"{address}: found no dask scheduler, expected one such as tcp://host:8786: {error}"
     raise ClusterError(msg)
@@ -70,17 +70,17 @@ def _check_workers(client: Any, address: str) -> None:
     try:
         client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
     except TimeoutError:
-        msg = f"{address}: found no worker within {SECONDS_FOR_WORKERS} s, expected one or more"
+        msg = f"{address}: found no worker within {SECONDS_FOR_WORKERS} s, expected at least one"
         raise ClusterError(msg) from None
     for worker, found in client.run(version, on_error="return").items():
         if isinstance(found, Exception):
-            expected = "expected cmp_tactile_bringup as it is where the command was given"
-            msg = f"worker {worker}: found no software ({found}), {expected}"
+            expected = "expected the same cmp_tactile_bringup as on this machine"
+            msg = f"worker {worker}: found no cmp_tactile_bringup ({found}), {expected}"
             raise ClusterError(msg)
         theirs, ours = set(found.split(", ")), set(software_version().split(", "))
         if theirs != ours:
             other, wanted = (", ".join(sorted(part)) for part in (theirs - ours, ours - theirs))
-            msg = f"worker {worker}: found {other}, expected {wanted}, as here"
+            msg = f"worker {worker}: found {other}, expected {wanted}, as on this machine"
             raise ClusterError(msg)
 
 

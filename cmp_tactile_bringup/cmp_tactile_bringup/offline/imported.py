@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 NS_PER_S = 10**9
 SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-REFERENCE = "markers at rest, as the sensor has them"
+REFERENCE = "markers at rest, as the sensor reports them"
 
 
 @dataclass(frozen=True)

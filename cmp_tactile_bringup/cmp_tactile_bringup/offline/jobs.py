@@ -126,13 +126,13 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
         if name in jobs:
             if Path(jobs[name].source).resolve() == place.resolve():
                 continue
-            expected = "names that differ, or a run of its own with another --output"
+            expected = "different names, or a separate run with another --output"
             msg = f"{source}: found the same name as {jobs[name].label}, expected {expected}"
             raise OutputError(msg)
         home = folder.expanduser().absolute()
         job = Job(str(source), str(place), str(home), name)
         if place.resolve() in (home.resolve(), job.path(".mcap").resolve()):
-            msg = f"{source}: found --output {folder}, expected a folder apart from the recording"
+            msg = f"{source}: found --output {folder}, expected a folder outside the recording"
             raise OutputError(msg)
         jobs[name] = job
     return list(jobs.values())

@@ -166,8 +166,8 @@ def require_parquet() -> None:
         import pyarrow.parquet  # noqa: F401  only whether it is there
     except ImportError as error:
         msg = (
-            f"--parquet: found no pyarrow ({error}), expected it installed: "
-            "`pip install pyarrow`; the CSV file has the same columns"
+            f"--parquet: found no pyarrow ({error}), expected the package: pip install pyarrow; "
+            "the CSV file has the same columns"
         )
         raise OutputError(msg) from None
 

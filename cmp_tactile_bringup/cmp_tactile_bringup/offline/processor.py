@@ -45,10 +45,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 NOMINAL = "nominal surface of the sensor description"
-AS_RECORDED = "reference of the recorded surfaces; they come without images, so there are no grids"
+AS_RECORDED = "reference of the recorded surfaces; without images there are no grids"
 NS_PER_S = 10**9
 STAMP_FAULTS = {
-    frame_watch.Stamp.BACK: "went back; tracking starts again there",
+    frame_watch.Stamp.BACK: "went back; tracking started again there",
     frame_watch.Stamp.REPEATED: "came twice",
     frame_watch.Stamp.ZERO: "were 0",
 }
@@ -163,7 +163,7 @@ class _Doubts:
     def doubts(self) -> Iterator[str]:
         yield self._calibration
         if self._gaps:
-            yield f"in {self._gaps} frames {self._last_gap}"
+            yield f"in {self._gaps} frames: {self._last_gap}"
         yield from self._faults.doubts
         yield from self._flags.doubts
 
@@ -198,8 +198,8 @@ class _Stamps:
         missing = self._watch.missing
         if missing > DiagnosticsParameters().missing_warn * (self._frames + missing):
             yield (
-                f"{missing} of {self._frames + missing} frames missing in gaps between stamps, the "
-                f"longest of {self._longest_ns / NS_PER_S:.6g} s"
+                f"{missing} of {self._frames + missing} frames are missing in gaps between "
+                f"stamps; the longest gap is {self._longest_ns / NS_PER_S:.6g} s"
             )
 
 

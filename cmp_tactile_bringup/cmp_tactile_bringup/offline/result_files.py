@@ -57,7 +57,7 @@ class ResultFiles:
             try:
                 stack.enter_context(lock)
             except TimeoutError:
-                msg = f"{self._job.path('')}: another process is at work on these results"
+                msg = f"{self._job.path('')}: another process is writing these results"
                 raise OutputError(msg) from None
             if (self._partial / RECORD).exists():
                 self._move()
@@ -77,7 +77,7 @@ class ResultFiles:
         Raises OutputError where there are files of something else, and overwrite does not allow to
         replace them.
         """
-        record, reason = self._read_record(), "made from something unknown"
+        record, reason = self._read_record(), "made from unknown input"
         if record is not None:
             reason = self._mismatch(record)
             if not reason:
@@ -134,7 +134,7 @@ class ResultFiles:
         for suffix, size in record["files"].items():
             path = self._job.path(suffix)
             if not path.is_file() or path.stat().st_size != size:
-                return f"but {path.name} is not as it was made"
+                return f"but {path.name} has changed since"
         self._facts = made_from(self._job, self._options, record)
         found, expected = record["identity"], self._facts["identity"]
         changed = [words for key, words in WORDS.items() if found.get(key) != expected[key]]

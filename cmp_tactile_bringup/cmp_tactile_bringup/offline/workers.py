@@ -57,7 +57,7 @@ def run_in_processes(tasks: Sequence[Task], display: Display, processes: int) ->
         for number in begun:
             alone = {number: left.pop(number)}
             if _run_pool(alone, display, 1):
-                text = "its process ended before it was done, twice; was there enough memory?"
+                text = "its process ended early, twice; was there enough memory?"
                 display.end(number, TaskError(f"{alone[number].job.label}: {text}"))
 
 

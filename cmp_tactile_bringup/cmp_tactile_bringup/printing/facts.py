@@ -32,11 +32,13 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
         "Ink": _ink(options),
         "Size": f"{_mm(size)}, {_mm(with_margin)} with its margin",
         "Process": PROCESSES[printed.process],
-        "Seen from": "the camera's side (mirrored): the print side goes onto the gel"
+        "Seen from": "seen from the camera (mirrored): the printed side goes onto the gel"
         if copy.mirrored
-        else "the touching side: the print side looks away from the gel",
-        "Targets": f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat "
-        f"print, apex at (0, 0); the one of corner (0, 0) is filled in one quarter",
+        else "seen from the touching side: the printed side faces away from the gel",
+        "Targets": (
+            f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat print, with "
+            "the apex at (0, 0); one quarter of the mark at corner (0, 0) is filled"
+        ),
         "Sheet": f"{sheet.width:g} x {sheet.height:g} mm, copies: {len(sheet.origins)}",
         "Apex on the sheet": _places(sheet),
     }
@@ -44,8 +46,9 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
         facts["Curved edges"] = f"polygons within {CHORD_TOLERANCE * 1e6:g} um"
     if printed.rim_strain:
         facts["Stretch of the film"] = (
-            f"{100 * printed.rim_strain:+.2f} % along the rim at the farthest corner of the "
-            f"margin, none along lines from the apex: a film does not unroll from a sphere"
+            f"{100 * printed.rim_strain:+.2f} % along the rim, at the farthest corner of the "
+            "margin; none along lines from the apex. A flat film does not fit a sphere without "
+            "stretch"
         )
     return facts
 
@@ -69,8 +72,8 @@ def advice_of(sensor: SensorDescription) -> PatternAdvice:
     for view, sides in checker_sides_px(sensor).items():
         if not np.isfinite(sides).all():
             raise DescriptionError(
-                f"{sensor.origin}: views.{view}: some corners of the pattern are beyond what "
-                f"the lens shows, so a print of this size gets no advice"
+                f"{sensor.origin}: views.{view}: found corners of the pattern outside the lens's "
+                "field, expected none; there is no advice for a print of this size"
             )
     return advise(sensor)
 
@@ -97,14 +100,16 @@ def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list
     if not printed.fits_gel:
         found = _mm(_size(printed) + 2e3 * printed.options.margin)
         block = _mm(np.array(sensor.elastomer.size[:2]) * 1e3)
-        warnings.append(f"pattern with its margin is {found}, more than the gel's block of {block}")
+        warnings.append(
+            f"pattern with margin: found {found}, expected at most the gel's block, {block}"
+        )
     if printed.gel is None:
         warnings.append(
-            "the gel's block reaches beyond its surface (pattern.surface.radius): it has no "
-            "outline on the flat print"
+            "the gel's block is larger than its surface (pattern.surface.radius), so its outline "
+            "is not drawn on the flat print"
         )
     if printed.options.pattern_type == "dmp":
-        warnings.append("dots are for comparisons: the nodes of cmp_tactile track checkers only")
+        warnings.append("dots are for comparisons only: the nodes of cmp_tactile track checkers")
     return warnings
 
 
@@ -122,8 +127,8 @@ def _kind(printed: PrintedPattern) -> str:
 def _ink(options: PrintOptions) -> str:
     part = "the dark checkers" if options.pattern_type == "cmp" else "the dots"
     if options.invert:
-        part = f"all but {part}, margin and bleed included (inverted)"
-    gain = f"; {options.ink_gain * 1e6:g} um taken off each edge" if options.ink_gain else ""
+        part = f"everything except {part}, margin and bleed included (inverted)"
+    gain = f";  {options.ink_gain * 1e6:g} um removed at each edge" if options.ink_gain else ""
     return f"{part}{gain}"
 
 
@@ -137,7 +142,7 @@ def _sides(values: NDArray[np.float64]) -> str:
     seen = values[np.isfinite(values)]
     if not len(seen):
         return "not seen"
-    hidden = "" if len(seen) == len(values) else "; some corners are beyond what the lens shows"
+    hidden = "" if len(seen) == len(values) else "; some corners are outside the lens's field"
     return f"{seen.min():.1f} px at least, {seen.mean():.1f} px on average{hidden}"
 
 

@@ -39,7 +39,7 @@ class PatternFiles:
         """
         output = output.expanduser()
         if output.is_dir():
-            msg = f"{output}: is a folder, expected a name, as {output / 'my_pattern'}"
+            msg = f"{output}: found a folder, expected a name, as {output / 'my_pattern'}"
             raise OutputError(msg)
         if output.suffix in {".yaml", *(f".{name}" for name in FORMATS)}:
             output = output.with_suffix("")
@@ -51,10 +51,12 @@ class PatternFiles:
         """Raise OutputError where a file is there already, or is the description that is read."""
         for path in (*self.sheets.values(), self.sensor):
             if path.resolve() == source.resolve():
-                msg = f"{path}: is read, so it is not replaced; --output gives another name"
+                msg = (
+                    f"{path}: is the input, so it is not replaced; give another name with --output"
+                )
                 raise OutputError(msg)
             if path.is_dir():
-                msg = f"{path}: is a folder, so it is not replaced; --output gives another name"
+                msg = f"{path}: is a folder, so it is not replaced; give another name with --output"
                 raise OutputError(msg)
             if path.exists() and not overwrite:
                 msg = f"{path}: exists already; --overwrite replaces it"
@@ -72,8 +74,8 @@ class PatternFiles:
             if name not in without
         }
         missing = [
-            f"{self.sheets[name]}: not written: the library {library} is not installed "
-            f"(python3 -m pip install {library})"
+            f"{self.sheets[name]}: not written: found no library {library}; install it: python3 "
+            f"-m pip install {library}"
             for name, library in without.items()
         ]
         if not contents:

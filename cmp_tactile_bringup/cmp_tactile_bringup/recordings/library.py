@@ -78,7 +78,10 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
         return sensor
     _check_folder(source.expanduser())
     packaged = ", ".join(packaged_sensors())
-    msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
+    msg = (
+        f"--sensor: found nothing for {source}, expected the file of a description or one of "
+        f"{packaged}"
+    )
     raise RecordingError(msg)
 
 
@@ -92,7 +95,7 @@ def _check_folder(source: Path) -> None:
         return
     bags = [name for name in names if name.endswith("/") and is_bag(source / name)]
     found = ", ".join([*names[:SHOWN_NAMES], *(["..."] if len(names) > SHOWN_NAMES else [])])
-    hint = f"; bags lie in it, such as {source / bags[0]}" if bags else ""
+    hint = f"; the folder contains bags, such as {source / bags[0]}" if bags else ""
     msg = f"{source}: found {found or 'nothing'}, expected the files of a bag, or images{hint}"
     raise RecordingError(msg)
 
@@ -107,7 +110,7 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
     first = next(iter(found), "")
     for source, sensor in found.items():
         if dict(read_yaml(Path(sensor)).items()) != dict(read_yaml(Path(found[first])).items()):
-            expected = f"that of {first}, or a sensor that is given"
+            expected = f"that of {first}; give one description for all (--sensor or sensor:=)"
             msg = f"{source}: found another sensor description, expected {expected}"
             raise RecordingError(msg)
     return found.get(first, "")

@@ -47,7 +47,7 @@ def find_recording(
     bag = library.recorded_source(Path(name_or_path), progress)
     for name in ("metadata.yaml", SCENE_FILE, SENSOR_FILE):
         if not (bag / name).is_file():
-            msg = f"{bag}: found no {name}, expected a recording that `cmp_tactile simulate` made"
+            msg = f"{bag}: found no {name}, expected a recording from `cmp_tactile simulate`"
             raise library.RecordingError(msg)
     scene = read_scene(bag / SCENE_FILE)
     return Recording(

@@ -23,17 +23,24 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation, MaterialRecord
 
 CAPTIONS = {
-    "residuals.png": "Measured minus modelled place of every point. Arrows that point in all "
-    "directions are noise; arrows that agree with their neighbours are what the model does not "
-    "know.",
-    "histogram.png": "How large the residuals are.",
-    "gel.png": "The same by marker. A single dark marker is a defect of the print or dirt; many "
-    "beside one another are a gel that is touched, or another one than described.",
-    "loads.png": "The force that the sensor shows against the force that is known, before and "
-    "after. On the line both agree; bars reach two standard deviations of noise and material "
-    "either way. Right: what is left.",
-    "relaxation.png": "The force into the gel over time: as the elastic model alone shows it, with "
-    "the relaxation taken out, and as it is known.",
+    "residuals.png": (
+        "Measured minus modelled position of every point. Arrows in random directions are noise. "
+        "Neighbouring arrows in the same direction show an error of the model."
+    ),
+    "histogram.png": "Distribution of the residuals.",
+    "gel.png": (
+        "The same for each marker. A single dark marker is a defect of the print, or dirt. A dark "
+        "area means that the gel is touched or differs from its description."
+    ),
+    "loads.png": (
+        "Force of the sensor over the known force, before and after the calibration. On the line "
+        "both agree. Bars: two standard deviations of noise and material. Right: the remaining "
+        "difference."
+    ),
+    "relaxation.png": (
+        "Force into the gel over time: from the elastic model alone, with the relaxation removed, "
+        "and as known."
+    ),
 }
 HEADINGS = ("Parameter", "Before", "After", "Change", "Std", "Unit", "")
 READABLE_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "Pa": ("kPa", 1e-3)}

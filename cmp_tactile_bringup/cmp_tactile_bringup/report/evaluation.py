@@ -159,7 +159,7 @@ def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
 
 
 def _inside_row(name: str, share: float, known: int) -> TableRow:
-    value = f"in {share:.0%} of {known} frames" if known else "no error bar came with it"
+    value = f"in {share:.0%} of {known} frames" if known else "without error bars"
     return TableRow(f"True {name} within ±{BAND:g} std", value)
 
 
@@ -167,7 +167,7 @@ def _run_rows(results: DemoResults) -> list[TableRow]:
     run = results.run
     rows = [TableRow(topic, f"{count} frames") for topic, count in run.received.items()]
     if np.isfinite(run.rate_hz):
-        rows.append(TableRow("Rate", f"{run.rate_hz:.2f} Hz, asked for {run.asked_hz:g} Hz"))
+        rows.append(TableRow("Rate", f"{run.rate_hz:.2f} Hz, requested {run.asked_hz:g} Hz"))
     latencies = {"grids": run.grid_latency_s, "wrench": run.wrench_latency_s}
     for name, latency_s in latencies.items():
         if latency_s.size:

@@ -81,7 +81,7 @@ class DemoResults:
         for frame in self.frames:
             if frame.index == index:
                 return frame
-        msg = f"frame {index} of the recording did not come through"
+        msg = f"frame {index} of the recording was lost"
         raise LookupError(msg)
 
 
@@ -106,7 +106,7 @@ def find_jump(results: DemoResults) -> Jump:
     indices = np.array([frame.index for frame in results.frames])
     neighbours = np.flatnonzero(np.diff(indices) == 1)
     if neighbours.size == 0:
-        msg = "found no two neighbouring frames"
+        msg = "found no two consecutive frames"
         raise LookupError(msg)
     positions = results.positions
     distances = np.linalg.norm(positions[neighbours + 1] - positions[neighbours], axis=-1)

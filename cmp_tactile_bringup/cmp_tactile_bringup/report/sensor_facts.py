@@ -22,7 +22,7 @@ def description_facts(sensor: SensorDescription) -> dict[str, str]:
     models = {view.camera.model for view in sensor.views.values() if view.camera}
     models |= {sensor.camera.model} if sensor.camera else set()
     size = " x ".join(f"{length * 1e3:g}" for length in elastomer.size)
-    optics = {"Optics": "none: something else measures the markers"}
+    optics = {"Optics": "none: another device measures the markers"}
     if sensor.views:
         optics = {
             "Camera frame": f"{sensor.image.width} x {sensor.image.height} px",
@@ -59,17 +59,21 @@ def geometry_facts(sensor: SensorDescription) -> dict[str, str]:
     if len(rig.views) < 2:
         return {
             **facts,
-            "Depth": "none: one view; height is taken from the known surface",
-            "Normal force": "inferred, not measured: one view sees how the markers spread, not how "
-            "deep they are; every force has the flag NO_DEPTH. Shear is measured",
+            "Depth": "none: with one view, the height is that of the described surface",
+            "Normal force": (
+                "inferred, not measured: one view shows how the markers spread, not their depth. "
+                "Every force has the flag NO_DEPTH. Shear is measured"
+            ),
         }
     errors = position_errors(sensor, CORNER_ERROR_PX)
     middle = np.median(errors, axis=(0, 1)) * 1e6
     return {
         **facts,
         "Baseline": f"{rig.baseline * 1e3:.2f} mm",
-        "Resolution": f"{CORNER_ERROR_PX} px in every corner makes {middle[0]:.2f} um in x, "
-        f"{middle[1]:.2f} um in y, {middle[2]:.2f} um in depth (median over the pattern)",
+        "Resolution": (
+            f"an error of {CORNER_ERROR_PX} px in every corner causes {middle[0]:.2f} um in x, "
+            f"{middle[1]:.2f} um in y, {middle[2]:.2f} um in depth (median over the pattern)"
+        ),
     }
 
 

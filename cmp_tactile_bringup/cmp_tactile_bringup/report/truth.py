@@ -108,7 +108,7 @@ def truth_errors(
         raise library.RecordingError(msg)
     unknown = [stamp for stamp in stamps_ns if stamp not in numbers]
     if unknown:
-        msg = f"truth: found none of the frame with the stamp {unknown[0]} ns"
+        msg = f"truth: found no frame with the stamp {unknown[0]} ns, expected one"
         raise library.RecordingError(msg)
     found = CheckedRecording(sensor, grids, CheckParameters()).positions
     true = truth.corners_m[[numbers[stamp] for stamp in stamps_ns]]

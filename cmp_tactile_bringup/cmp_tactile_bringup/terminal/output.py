@@ -179,7 +179,7 @@ def ros_facts() -> dict[str, str]:
 
         middleware = get_rmw_implementation_identifier()
     except ImportError:
-        return {"ROS 2": "not found: rclpy cannot be imported"}
+        return {"ROS 2": "not found (rclpy cannot be imported)"}
     distribution = os.environ.get("ROS_DISTRO", "from the Python package registry")
     wheels = _first_version(("rclpy", "ros-rclpy"))
     return {"ROS 2": f"{distribution}, rclpy {wheels}, {middleware}"}

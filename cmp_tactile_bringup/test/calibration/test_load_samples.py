@@ -135,7 +135,7 @@ def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
         ("loads:\n  - {mass: 1}\ngravity: 1.6", "gravity: found 1.6"),
         (
             "rest: [0, 3]\nloads:\n  - {mass: 1, time: [2, 4]}",
-            r"loads\[0\].time: found \[2.0, 4.0\], expected no part of rest, \[0.0, 3.0\]",
+            r"loads\[0\].time: found \[2.0, 4.0\], expected .*rest.*, \[0.0, 3.0\]",
         ),
     ],
 )
@@ -198,7 +198,7 @@ def test_a_missing_or_short_wrench_topic_names_those_that_there_are(tmp_path):
     with pytest.raises(RecordingError, match="/ft/wrench: found 1 messages, expected two"):
         read_wrench(bag, "/ft/wrench")
     bag = write_wrench_bag(tmp_path / "nan", [(k, k, np.full(6, np.nan)) for k in range(1, 4)])
-    with pytest.raises(RecordingError, match="found 0 messages and 3 without a number, expected"):
+    with pytest.raises(RecordingError, match=r"found 0 messages and 3 .*NaN, expected"):
         read_wrench(bag, "/ft/wrench")
 
 
@@ -319,7 +319,7 @@ def test_weights_are_asked_for_until_the_gel_is_still(weigh_bag):
     sensor = load_sensor("sample_rig")
     (sample,) = Weighing(sensor, camera(), 4, ask, reported.append).samples([0.2])
     assert asked == ["Let nothing touch the gel, then press Enter. "] + 2 * [
-        "Put 0.2 kg on the gel and let go of it, then press Enter. "
+        "Put 0.2 kg on the gel, then let go of it, then press Enter. "
     ]
     assert len(reported) == 1
     assert "The gel moves by" in reported[0]

@@ -33,7 +33,7 @@ def write(folder, images):
         (("board", "in", *BOARD, "--right", "r.png", "--output", "o"), "--right needs --left"),
         (
             ("board", "in", *BOARD, "--sensor", "s", "--charuco", "D", "--output", "o"),
-            "--charuco and --marker belong together",
+            "--charuco and --marker",
         ),
         (("board", "in", "--board", "9by6", "--square", "1", "--output", "o"), "as 9x6"),
         (("practice", "--output", "o", "--seed", "-1"), "a whole number from 0"),

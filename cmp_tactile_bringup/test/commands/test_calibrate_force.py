@@ -192,7 +192,7 @@ def test_running_sensors_are_recorded_together(ros, weigh_bag):
             ("--wrench-topic", "/f", "--sensor", "s", "--output", "o.yaml"),
             "--wrench-topic needs INPUT, or",
         ),
-        (("--weights", "w", "--output", "o.yaml"), "--sensor is required without INPUT"),
+        (("--weights", "w", "--output", "o.yaml"), "--sensor is required"),
         (("--mass", "1", "--sensor", "s", "--output", "o.yaml"), "needs the --topic of a running"),
         (
             ("--mass", "1", "--topic", "/t", "--sensor", "s", "--output", "o.yaml"),

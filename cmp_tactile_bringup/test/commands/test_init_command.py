@@ -181,7 +181,7 @@ def test_two_cameras_are_told_from_mirrors(tmp_path, capsys):
     (frame,) = frames_of(truth)
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
     assert asked_for(path, tmp_path / "rest.png", truth) == 0
-    assert "20 x 20 corners by two cameras" in capsys.readouterr().out
+    assert "20 x 20 corners in the pictures of two cameras" in capsys.readouterr().out
     found = load_sensor(str(path))
     for name, corners in corners_of(found, frame).items():
         view = build_views(truth)[name]

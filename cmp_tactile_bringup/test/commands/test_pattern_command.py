@@ -80,7 +80,7 @@ def test_a_code_is_laid_into_the_description_and_taken_out_again(folder, capsys)
     assert pattern("my_sensor.yaml", "--code", "dots", "--code-seed", 5, "--format", "svg") == 0
     shown = capsys.readouterr().out
     assert "code: dots, seed 5" in shown
-    assert "checkers of 15.1 px at their smallest dots are read in focus" in shown
+    assert "checkers of 15.1 px (the smallest) dots can be read in focus" in shown
     coded = SensorDescription.load("my_sensor_pattern.yaml").pattern
     assert (coded.code, coded.code_seed) == ("dots", 5)
     assert pattern("my_sensor_pattern.yaml", "--code", "none", "--format", "svg", "-o", "bare") == 0
@@ -144,11 +144,9 @@ def test_without_a_library_the_other_files_are_written(
 ):
     monkeypatch.setitem(sys.modules, library, None)
     assert pattern("my_sensor.yaml") == 0
-    expected = (
-        f"warning: my_sensor_pattern.{suffix}: not written: the library {library} is not "
-        f"installed (python3 -m pip install {library})\n"
-    )
-    assert capsys.readouterr().err == expected
+    (warning,) = capsys.readouterr().err.splitlines()
+    assert warning.startswith(f"warning: my_sensor_pattern.{suffix}: ")
+    assert warning.endswith(f"pip install {library}")
     assert Path("my_sensor_pattern.svg").is_file()
     assert Path("my_sensor_pattern.yaml").is_file()
     assert not Path(f"my_sensor_pattern.{suffix}").exists()
@@ -179,9 +177,9 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         (["--paper", "A3"], 2, "--paper: found 'A3', expected one of A4, letter, fit"),
         (["--code-seed", "5"], 1, "found 5, expected no such key without code: dots (with"),
         (["--code", "dots", "--ink-gain", "120"], 1, "expected 0 to less than 62.14 um"),
-        (["--advised", "--rows", "9"], 2, "--advised stands in the place of --rows, --cols and"),
-        (["--dot-diameter", "0.3"], 2, "--dot-diameter goes with --type dmp"),
-        (["-o", "."], 1, "error: .: is a folder, expected a name, as my_pattern"),
+        (["--advised", "--rows", "9"], 2, "--advised replaces --rows, --cols and --pitch"),
+        (["--dot-diameter", "0.3"], 2, "--dot-diameter needs --type dmp"),
+        (["-o", "."], 1, "error: .: found a folder, expected a name, as my_pattern"),
         (["--copies", "500"], 1, "error: copies: found 500, expected at most 16 of"),
         (["--ink-gain", "400"], 1, "error: ink gain: found 400 um, expected 0 to less than 345.2"),
         (["--pitch", "1.2", "--rows", "19"], 1, "(with --rows 19 --pitch 1.2)"),

@@ -32,7 +32,7 @@ from cmp_tactile_processing.sensor.description import load_sensor
 COMMAND = [sys.executable, "-m", "cmp_tactile_bringup.command", "record"]
 TIMEOUT_S = 90.0
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "record_replay.md"
-NOBODY = ": nobody published it"
+NOBODY = ": no node published it"
 SHOWN_AFTER = "cmp_tactile record --output my_bag --duration 10"
 
 
@@ -72,7 +72,7 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     assert process.returncode == 0, err
     assert f"       5  {ros.namespace}/image_raw/compressed\n" in out
     assert f"       5  {ros.namespace}/wrench\n" in out
-    assert f"       0  {ros.namespace}/force_field: nobody published it\n" in out
+    assert f"       0  {ros.namespace}/force_field: no node published it\n" in out
     assert [item.stamp_ns for item in BagReader(bag).frames()] == [n * 10**9 for n in range(5)]
     assert "/tf_static" in open_storage(bag).topics
     # How many there are, and so their order, depends on who publishes and on the machine.

@@ -49,7 +49,7 @@ def test_failing_component_is_reported_and_leaves_no_node(rig, plugin, message):
 def test_a_second_component_of_one_name_is_refused(rig):
     rig.load("Echo", name="twin")
     with pytest.raises(
-        ComponentLoadError, match=rf"id 2: the name {rig.namespace}/twin is that of id 1 already"
+        ComponentLoadError, match=rf"id 2: found the name {rig.namespace}/twin, which id 1 has"
     ):
         rig.load("Ticker", name="twin")
     assert [item.unique_id for item in rig.container.list()] == [1]
@@ -72,7 +72,9 @@ def test_wrong_names_are_one_line(rig, capfd):
 def test_busy_component_is_reported_and_goes_once_it_can(rig):
     sticks = rig.load("Sticks", parameters={"seconds": 1.0})
     assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)
-    with pytest.raises(ComponentError, match=r"sticks: a callback still runs after 0.05 s"):
+    with pytest.raises(
+        ComponentError, match=r"sticks: found a callback that still runs after 0.05 s"
+    ):
         rig.container.unload(sticks, timeout=0.05)
     assert rig.container.list() == ()
     rig.wait(lambda: rig.names() == [], "the node to be gone")

@@ -148,6 +148,6 @@ def test_a_name_that_another_process_uses_is_refused(client, ros):
     other.destroy_node()
     assert answer.result().error_message == (
         f"echo (sample_components::Echo): {client.namespace}/echo runs already, in process 1 on "
-        "elsewhere: end that, or give this sensor another namespace (namespace:=NAME)"
+        "elsewhere: end that process, or use another namespace (namespace:=NAME)"
     )
     assert client.listed() == {}

@@ -97,7 +97,11 @@ def test_wrong_arguments_are_reported(path, arguments, message):
         ('"first"', '"1st"', r"1st \(pkg::A\): node name: found '1st', expected letters"),
         ("/sub", "/a-b", "namespace: found '/rig_left/a-b', expected names of letters"),
         ('"in": ', '"i n": ', "remap rule: found 'i n:=other', expected FROM:=TO without spaces"),
-        ("/sub", "/other", "found '/rig_left/other/second' twice, expected every component with"),
+        (
+            "/sub",
+            "/other",
+            "found '/rig_left/other/second' twice, expected another name for each component",
+        ),
     ],
 )
 def test_wrong_files_are_reported(path, old, new, message):
@@ -110,15 +114,13 @@ def test_wrong_files_are_reported(path, old, new, message):
 
 def test_a_file_defines_one_graph(path, tmp_path):
     path.write_text("from cmp_tactile_bringup.graphs.packaged import gripper")
-    with pytest.raises(
-        GraphError, match="found no graphs in it, expected a Python file with one f"
-    ):
+    with pytest.raises(GraphError, match="found no graphs, expected one: a Python file with one f"):
         load_graph(str(path))
     path.write_text(GRAPH + GRAPH.replace("def mine", "def another"))
     with pytest.raises(GraphError, match=r"my_graph\.py: found 2 graphs in it"):
         load_graph(str(path))
     (tmp_path / "graph.yaml").write_text("version: 1")
-    with pytest.raises(GraphError, match=r"graph\.yaml: found no graphs in it, expected a Python"):
+    with pytest.raises(GraphError, match=r"graph\.yaml: found no graphs, expected one: a Python"):
         load_graph(str(tmp_path / "graph.yaml"))
 
 

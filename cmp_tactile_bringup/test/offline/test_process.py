@@ -139,10 +139,10 @@ def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table
     later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, T0_NS + 100 * MS, back_ns, 0, T0_NS + year]
     assert process(bag_with_stamps(later), "--output", tmp_path) == 0
     printed = " ".join(capsys.readouterr().err.split())
-    assert "1 of 7 stamps went back; tracking starts again there" in printed
+    assert "1 of 7 stamps went back" in printed
     assert "1 of 7 stamps came twice" in printed
     assert "1 of 7 stamps were 0" in printed
-    assert "frames missing in gaps between stamps, the longest of 3.1536e+07 s" in printed
+    assert "missing in gaps between stamps; the longest gap is 3.1536e+07 s" in printed
     with (tmp_path / "bag_wrench.csv").open() as table:
         faults = [row["stamp_fault"] for row in csv.DictReader(table)]
     assert faults == ["", "", "repeated", "", "back", "zero", "gap"]
@@ -184,7 +184,7 @@ def test_a_wrong_sensor_is_found_by_camera_info_and_by_rays(tmp_path, wrong_sens
     warnings = [line for line in err.splitlines() if line.startswith("warning: grasp: ")]
     assert len(warnings) >= 3
     assert "/sample_rig/camera_info: K: found [733.386, 0, 511.5, 0, 733.386, 3" in warnings[0]
-    assert "in 20 frames left and right rays miss each other by" in warnings[1]
+    assert "in 20 frames: the left and right rays" in warnings[1]
     assert all(line.endswith("the description of this sensor?") for line in warnings[:2])
     # Rays that miss each other make surfaces that no force explains.
     flag = ForceFlag.POOR_FIT
@@ -228,8 +228,8 @@ def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, 
     twice = (image, images / "0.png", images / ".." / images.name / "1.png")
     assert process(*twice, "--output", tmp_path / "out") == 0
     printed = capsys.readouterr().err
-    assert "warning: recordings that are named twice are processed once" in printed
-    assert "2 recordings, 2 without a problem" in printed
+    assert "recordings that are named twice" in printed
+    assert "2 recordings, 2 without problems" in printed
     other = tmp_path / "other"
     other.mkdir()
     shutil.copy(image, other)

@@ -206,7 +206,7 @@ def test_the_reference_is_taken_by_itself_as_the_node_takes_it(images, tmp_path,
         (images / f"{k}.png").write_bytes(first)
     assert process(images, "--output", tmp_path, *wanted) == 0
     err = capsys.readouterr().err
-    assert "counts from: reference 1 is the mean of 20 frames, taken by itself" in err
+    assert "relative to: reference 1 is the mean of 20 frames, taken automatically" in err
     numbers = []
     with AnyReader([tmp_path / "images.mcap"]) as reader:
         for item, _, data in reader.messages():

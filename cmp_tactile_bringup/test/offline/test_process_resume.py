@@ -58,7 +58,7 @@ def test_results_of_something_else_are_replaced_only_if_asked(what, images, tmp_
     elif what == "options":
         words = "made from other options"
     else:
-        words = "but 0_wrench.csv is not as it was made"
+        words = "but 0_wrench.csv has changed since"
         (out / "0_wrench.csv").write_text("half a table")
         before = contents(out)
     again = (images / "0.png", "--output", out, *more)
@@ -148,7 +148,7 @@ def test_two_runs_do_not_write_the_same_results_at_once(images, tmp_path, capsys
     monkeypatch.setattr(result_files, "SECONDS_FOR_LOCK", 0.0)
     with locked(tmp_path / ".images.lock"):
         assert process(images, "--output", tmp_path) == 1
-    assert "images: another process is at work on these results" in capsys.readouterr().err
+    assert "images: another process" in capsys.readouterr().err
 
 
 def test_a_damaged_record_counts_as_none(images, tmp_path, capsys):
@@ -157,7 +157,7 @@ def test_a_damaged_record_counts_as_none(images, tmp_path, capsys):
         (tmp_path / "0_process.json").write_text(text)
         capsys.readouterr()
         assert process(images / "0.png", "--output", tmp_path) == 1
-        assert "exists already, made from something unknown" in capsys.readouterr().err
+        assert "exists already, made from unknown" in capsys.readouterr().err
 
 
 def test_a_bag_that_ends_in_the_middle_gives_what_is_left_of_it(recording, tmp_path, capsys):

@@ -85,7 +85,7 @@ def test_a_folder_without_a_recording_is_said_to_hold_what_it_holds(grasp_bag, t
         required_sensor(tmp_path, None)
     (tmp_path / "notes.txt").touch()
     (tmp_path / "first").symlink_to(grasp_bag)
-    found = r"found first/, notes.txt, expected .*; bags lie in it, such as .*/first/?$"
+    found = r"found first/, notes.txt, expected .*; the folder contains bags, such as .*/first/?$"
     with pytest.raises(RecordingError, match=found):
         required_sensor(tmp_path, None)
     (tmp_path / "0.png").touch()

@@ -156,10 +156,10 @@ def test_forces_that_are_nowhere_known_leave_their_figures(results):
     unknown = replace(results, frames=frames)
     figure = contact_figure(unknown)
     assert [axes.get_ylabel() for axes in figure.axes] == ["contacts", "area, mm²"]
-    assert "came without error bars" in words_of(wrench_figure(unknown))
+    assert "without error bars" in words_of(wrench_figure(unknown))
     assert overview_figure(unknown, frames[2].index).axes
     rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
-    assert rows["True Fz within ±2 std"] == "no error bar came with it"
+    assert rows["True Fz within ±2 std"] == "without error bars"
     assert rows["Flags set, frames"] == f"few_markers in {len(frames)}"
     both = replace(frames[0].force, flags=ForceFlag.AT_BORDER | ForceFlag.FEW_MARKERS)
     flagged = replace(unknown, frames=(replace(frames[0], force=both), *frames[1:]))
@@ -182,7 +182,7 @@ def test_slip_and_friction_are_drawn_beside_their_truth(results):
     friction = [line.get_ydata() for line in panels["tangential / normal"].lines]
     assert any(len(y) > len(frames) and np.allclose(y, 0.6) for y in friction), "the truth"
     assert any(len(y) == len(frames) and np.allclose(y, 0.62) for y in friction)
-    assert any(np.allclose(line.get_ydata(), 0.4) for line in panels["share that slides"].lines)
+    assert any(np.allclose(line.get_ydata(), 0.4) for line in panels["sliding share"].lines)
 
 
 def test_outlines_lie_over_the_pressure_where_the_gel_has_moved_to(results):

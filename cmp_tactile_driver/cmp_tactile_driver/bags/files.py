@@ -48,7 +48,7 @@ def unpacked(data: bytes) -> bytes:
     except zstandard.ZstdError as error:
         raise DamageError(str(error)) from None
     if not unpacking.eof:
-        raise DamageError("a compressed message is cut")
+        raise DamageError("a compressed message is incomplete")
     return content
 
 

@@ -114,7 +114,7 @@ class McapBagFile:
             if record[0] in (Opcode.DATA_END, Opcode.FOOTER):
                 return
             yield record
-        raise DamageError("the file has no end: its recorder did not close it")
+        raise DamageError("the file has no end; its recorder did not close it")
 
     def _places_in_chunk(
         self, file: IO[bytes], begin: int, length: int, topics: Collection[str]
@@ -147,7 +147,7 @@ class McapBagFile:
                 else:
                     self._add_channel(Channel.read(content))
             except Exception as error:  # noqa: BLE001  damaged bytes raise anything
-                msg = f"the record at byte {begin} is no schema or channel: {error}"
+                msg = f"the record at byte {begin} is not a schema or channel: {error}"
                 raise DamageError(msg) from None
         if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
             return
@@ -212,7 +212,7 @@ def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int
         stream.seek(begin)
         head = stream.read(RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
-            msg = f"a record is cut at byte {begin}"
+            msg = f"a record is incomplete at byte {begin}"
             raise DamageError(msg)
         opcode, length = RECORD_HEAD.unpack(head)
         if not opcode:
@@ -222,7 +222,7 @@ def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int
         if begin + length > end:
             if opcode == Opcode.CHUNK:
                 yield opcode, begin, end - begin
-            msg = f"a record of {length} bytes at byte {begin} is cut"
+            msg = f"a record of {length} bytes at byte {begin} is incomplete"
             raise DamageError(msg)
         yield opcode, begin, length
         begin += length
@@ -234,7 +234,7 @@ def _chunk_layout(file: IO[bytes], begin: int) -> tuple[bool, int]:
     file.seek(at)
     head = file.read(TEXT_HEAD.size)
     if len(head) < TEXT_HEAD.size:
-        msg = f"the chunk at byte {begin} is cut"
+        msg = f"the chunk at byte {begin} is incomplete"
         raise DamageError(msg)
     name_length = TEXT_HEAD.unpack(head)[0]
     return name_length > 0, at + TEXT_HEAD.size + name_length + LENGTH.size
@@ -259,7 +259,7 @@ def _chunk_records(file: IO[bytes], begin: int) -> bytes:
         msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
         raise DamageError(msg) from None
     if len(data) != chunk.uncompressed_size:
-        sizes = f"found {len(data)} bytes, it states {chunk.uncompressed_size}"
+        sizes = f"found {len(data)} bytes, expected {chunk.uncompressed_size} as the chunk states"
         msg = f"the chunk at byte {begin}: {sizes}"
         raise DamageError(msg)
     return data
@@ -270,6 +270,6 @@ def _begin_of_records(cut: Chunk) -> bytes:
     if cut.compression == "zstd":
         return zstandard.ZstdDecompressor().decompressobj().decompress(cut.data)
     if cut.compression:
-        msg = f"is cut, and {cut.compression} is not unpacked in part"
+        msg = f"is incomplete; with {cut.compression} its first part cannot be unpacked"
         raise DamageError(msg)
     return cut.data

@@ -271,7 +271,9 @@ class Player:
             # Behind the end there is nothing to play, and nothing wrong.
             if not sent and start == self._options.start:
                 names = ", ".join(item.name for item in self._recordings)
-                msg = f"{names}: found no message after start = {start} s"
+                msg = (
+                    f"{names}: found no message after start = {start} s, expected an earlier start"
+                )
                 raise FrameSourceError(msg)
             yield _Mark.ALL_OVER
             if not self._options.loop:

@@ -307,7 +307,7 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: 
         return images[0]
     if len(outermost) == 1:
         return next(name for name in camera if name.removesuffix(COMPRESSED) == outermost[0])
-    msg = f"{path}: found several image topics, name one of: {', '.join(images)}"
+    msg = f"{path}: found several image topics, expected the name of one of: {', '.join(images)}"
     raise BagError(msg)
 
 

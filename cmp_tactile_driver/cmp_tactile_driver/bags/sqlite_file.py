@@ -37,7 +37,10 @@ class SqliteBagFile:
                 for number, name, kind, encoding in rows:
                     self._topics[number] = name, full_kind(kind, encoding)
         except sqlite3.Error as error:
-            hint = f"; with its {LOG_SUFFIX} file it needs a folder that can be written: copy it"
+            hint = (
+                f"; with its {LOG_SUFFIX} file it can only be read in a folder with write access: "
+                "copy it there"
+            )
             raise DamageError(f"{error}{hint if self._has_log else ''}") from None
         self.topics = dict(self._topics.values())
 

@@ -127,7 +127,9 @@ class BagStorage:
             return
         for topic, stated in stated_counts.items():
             if stated is not None and stated != found[topic]:
-                found_count = f"found {found[topic]} messages, the bag states {stated}"
+                found_count = (
+                    f"found {found[topic]} messages, expected {stated} as metadata.yaml states"
+                )
                 yield f"{self._path}: {topic}: {found_count}"
 
     def _listed_files(self) -> tuple[list[Path], list[str]]:
@@ -140,7 +142,7 @@ class BagStorage:
             return bag_files(self._path), []
         missing = [path.name for path in listed if not path.is_file()]
         text = (
-            f"{self._path}: found no file %s, which metadata.yaml lists: its messages are missing"
+            f"{self._path}: found no file %s, which metadata.yaml lists; its messages are missing"
         )
         return there, [text % name for name in missing]
 
@@ -172,7 +174,7 @@ class BagStorage:
     def _nothing_left(self, paths: Sequence[Path], faults: Sequence[str]) -> str:
         if not paths:
             kinds = " or ".join(STORAGE_SUFFIXES)
-            return f"{self._path}: not a readable ROS 2 bag: found no {kinds} file in it"
+            return f"{self._path}: not a readable ROS 2 bag: found no {kinds} file"
         return "; ".join(faults)
 
 
@@ -216,7 +218,7 @@ def _read_metadata(path: Path) -> _Metadata:
 
 def _damage(path: Path, reason: object, count: int, expected: int | None) -> str:
     if expected is None:
-        left = f"{count} messages can be read, any after them are lost"
+        left = f"{count} messages can be read; any later ones are lost"
     else:
-        left = f"{count} of {expected} messages read, the rest is lost"
+        left = f"{count} of {expected} messages can be read; the others are lost"
     return f"{path}: damaged ({reason}); {left}"

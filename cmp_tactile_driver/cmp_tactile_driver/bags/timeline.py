@@ -148,9 +148,9 @@ def _gaps_text(gaps: Sequence[float], places: Sequence[Place]) -> str:
     """One line on times that are skipped, or on receipts that are no guide to the time."""
     if gaps:
         longest = max(gaps, key=abs)
-        return f"jumps of the stamps skipped: {len(gaps)}, the largest of {longest:.6g} s"
+        return f"skipped jumps of the stamps: {len(gaps)}, the largest {longest:.6g} s"
     receipts = [place.time_ns for place in places]
     longest = max((b - a for a, b in pairwise(receipts)), default=0)
     if longest <= LONGEST_GAP_S * NS_PER_S:
         return ""
-    return f"a gap of {longest / NS_PER_S:.6g} s between the times of receipt skipped"
+    return f"skipped a gap of {longest / NS_PER_S:.6g} s between the times of receipt"

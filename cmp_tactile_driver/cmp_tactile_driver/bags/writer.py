@@ -103,7 +103,7 @@ class BagWriter:
         self.counts: Counter[str] = Counter()
         self._pending: Counter[str] = Counter()
         if folder.exists():
-            msg = f"{folder}: exists already, expected a place for a new bag"
+            msg = f"{folder}: exists already, expected a new name for the bag"
             raise BagWriteError(msg)
         with self._write_errors():
             folder.mkdir(parents=True)

@@ -67,7 +67,10 @@ def camera_info_path(url: str, camera_name: str) -> Path | None:
         try:
             return Path(get_package_share_directory(package)) / path
         except (PackageNotFoundError, ValueError):
-            msg = f"camera_driver.camera_info_url: found no package {package!r} for {url!r}"
+            msg = (
+                f"camera_driver.camera_info_url: found no package {package!r} for {url!r}, "
+                "expected an installed one"
+            )
             raise ParameterError(msg) from None
     msg = f"camera_driver.camera_info_url: found {url!r}, expected {EXPECTED}"
     raise ParameterError(msg)
@@ -103,8 +106,9 @@ class CameraCalibration:
     def _load(self, path: Path) -> None:
         if not path.exists():
             self.problem = (
-                f"camera_info_url: found no file {path}, expected one or that set_camera_info "
-                "makes it; the sensor description's calibration is published"
+                f"camera_info_url: found no file {path}, expected an existing file, or a call of "
+                "set_camera_info, which makes it; until then the calibration of the sensor "
+                "description is published"
             )
             return
         _, info = read_camera_info(path)
@@ -118,8 +122,8 @@ class CameraCalibration:
             found, expected = getattr(info, field), getattr(image, field)
             if found != expected:
                 msg = (
-                    f"{origin}: image_{field}: found {found}, "
-                    f"expected {expected} as {self._sensor.name} has it"
+                    f"{origin}: image_{field}: found {found}, expected {expected} as in the "
+                    f"description of {self._sensor.name}"
                 )
                 raise DescriptionError(msg)
         return self._difference(origin, info)
@@ -135,8 +139,8 @@ class CameraCalibration:
         found = RecordedCalibration(origin, info.width, info.height, info.K, np.asarray(info.D))
         difference = difference or calibration_mismatch(found, self._sensor)
         return difference and (
-            f"{difference} (the processing goes on with the sensor description; "
-            "cmp_tactile calibrate makes a new one)"
+            f"{difference} (the processing uses the sensor description; cmp_tactile calibrate "
+            "makes a new one)"
         )
 
     def _on_set(
@@ -153,7 +157,7 @@ class CameraCalibration:
     def _set(self, message: CameraInfo) -> str:
         if self._path is None:
             msg = (
-                "camera_driver.camera_info_url: found nothing, expected where to keep the "
+                "camera_driver.camera_info_url: found nothing, expected a place to store the "
                 "calibration: file://PATH or package://PACKAGE/PATH"
             )
             raise DescriptionError(msg)
@@ -174,4 +178,4 @@ class CameraCalibration:
             msg = f"{self._path}: cannot be written: {error.strerror}"
             raise DescriptionError(msg) from None
         self._info, self.problem = camera_info_to_msg(info, Header()), problem
-        return f"kept in {self._path}" + (f"; {problem}" if problem else "")
+        return f"stored in {self._path}" + (f"; {problem}" if problem else "")

@@ -135,7 +135,9 @@ class CameraDriver(ReportingNode, LifecycleNode):
         elif not self._settings.input:
             # It cannot be given later: nothing would ever be published.
             name = self.get_fully_qualified_name()
-            msg = f"{name}: parameter input: found nothing, expected what to open"
+            msg = (
+                f"{name}: parameter input: found nothing, expected a folder, file or scene to open"
+            )
             raise ParameterError(msg)
         self._open = frames.find_source(self._settings.source)
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)
@@ -158,7 +160,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         if self._settings.autostart:
             self._attempts.begin()
             if self._attempts.pending:
-                self.get_logger().info("it is looked for until it is there")
+                self.get_logger().info("the node tries again until the camera is there")
 
     def _attempt_start(self) -> bool:
         """Whether no other attempt is of use."""
@@ -195,7 +197,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._attempts.stop()
         self._report_unknown_parameters()
         self._capture = Capture(self._source, self._send)
-        rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "a rate of its own"
+        rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "its own rate"
         self.get_logger().info(f"{self._source.name} at {rate}")
         return super().on_configure(state)
 
@@ -327,7 +329,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     @property
     def _problem_text(self) -> str:
-        more = "; it is looked for until it is there" if self._attempts.pending else ""
+        more = "; the node tries again until the camera is there" if self._attempts.pending else ""
         return self._problem and self._problem + more
 
     def _log_silence(self, health: frames.SourceHealth) -> None:
@@ -335,7 +337,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         if self._silence and not before:
             self.get_logger().error(f"no frames: {self._silence}")
         elif before and not self._silence and self._source is not None:
-            self.get_logger().info(f"frames come again: {self._source.name}")
+            self.get_logger().info(f"frames are received again: {self._source.name}")
 
 
 def main() -> int:

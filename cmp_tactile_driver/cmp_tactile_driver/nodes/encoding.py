@@ -52,7 +52,10 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
             return as_it_is(message)
         done, content = cv2.imencode(suffix, image_from_msg(message), options)
         if not done:
-            msg = f"width, height: {message.width} x {message.height} px cannot be made a {codec}"
+            msg = (
+                f"width, height: found {message.width} x {message.height} px, expected a size that "
+                f"{codec} supports"
+            )
             raise FrameError(msg)
         target = "" if message.encoding == "mono8" else "bgr8"
         compressed = CompressedImage(

@@ -90,7 +90,7 @@ class Recorder(ReportingNode):
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         topics = self._settings.topics.replace(",", " ").split()
         if not topics:
-            msg = f"{self.get_name()}: parameter topics: found none, expected one at least"
+            msg = f"{self.get_name()}: parameter topics: found none, expected at least one"
             raise BagWriteError(msg)
         self._watch = TopicWatch(self, topics)
         # Of the recording.
@@ -168,11 +168,11 @@ class Recorder(ReportingNode):
             kind = message_class(topic.kind)
             check_for_type_support(kind)
         except (ImportError, AttributeError, NoTypeSupportImportedException):
-            text = "found no such message here, expected its package to be built for this Python"
-            self.get_logger().warning(f"{topic.name}: is not recorded: {topic.kind}: {text}")
+            text = "found no such message type, expected its package to be built for this Python"
+            self.get_logger().warning(f"{topic.name}: not recorded: {topic.kind}: {text}")
             return
         if topic.instead_of:
-            text = f"is not published, {topic.name} is recorded in its place"
+            text = f"not published; {topic.name} is recorded instead"
             self.get_logger().warning(f"{topic.instead_of}: {text}")
         tap = self._tap(topic)
         end = Input(lambda given: partial(self._on_message, tap, given))

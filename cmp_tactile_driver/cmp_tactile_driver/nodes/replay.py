@@ -157,7 +157,8 @@ class Replay(ReportingNode):
         self._names = ", ".join(item.name for item in self._recordings)
         if len({item.of_surfaces for item in self._recordings}) > 1:
             msg = (
-                f"{self._names}: found surfaces in some and images in others, expected one of them"
+                f"{self._names}: found surfaces in some recordings and images in others, expected "
+                "the same kind in all"
             )
             raise FrameSourceError(msg)
         for recording in self._recordings:
@@ -228,8 +229,11 @@ class Replay(ReportingNode):
         if count < wanted:
             text = f"found {count} subscribers, expected {wanted}"
             missing.insert(0, f"{publisher.topic_name}: {text}")
-        text = f"begins after {self._settings.wait_timeout:g} s without what it waited for"
-        self.get_logger().warning(f"{text} (a recorder misses frames): {', '.join(missing)}")
+        text = (
+            "the replay begins, but not all subscribers or replays were there within "
+            f"{self._settings.wait_timeout:g} s"
+        )
+        self.get_logger().warning(f"{text} (a recorder will miss frames): {', '.join(missing)}")
 
     def _send(self, message: RecordedMessage) -> None:
         self._publish_clock(message.time_ns)
@@ -284,7 +288,11 @@ class Replay(ReportingNode):
     def _on_step(self, _request: Any, response: Any) -> Any:
         player = self._require_player()
         response.success = player.step()
-        response.message = "" if response.success else f"{player.progress.state.value}, not paused"
+        response.message = (
+            ""
+            if response.success
+            else f"found the state {player.progress.state.value}, expected paused"
+        )
         return response
 
     def _on_jump(self, seconds: float, _request: Any, response: Any) -> Any:
@@ -292,7 +300,11 @@ class Replay(ReportingNode):
         place = player.jump_by(seconds)
         response.success = place is not None
         state = player.progress.state.value
-        response.message = f"{state}, not playing" if place is None else f"{state} at {place:.2f} s"
+        response.message = (
+            f"found the state {state}, expected playing or paused"
+            if place is None
+            else f"{state} at {place:.2f} s"
+        )
         return response
 
     def _use_parameters(self, parameters: list[Parameter[Any]]) -> None:

@@ -29,9 +29,11 @@ class Tac3dSourceParameters(Parameters):
     """Parameters of the node tac3d_source, beside those that say of which sensor it is."""
 
     port: int = parameter(
-        9988, "UDP port to which the sensor's program sends its frames", within=(1, 65535)
+        9988, "UDP port to which the sensor's program sends frames", within=(1, 65535)
     )
-    serial: str = parameter("", "of the sensor, where several send to that port; empty for any")
+    serial: str = parameter(
+        "", "serial number of the sensor, if several send to that port; empty for any"
+    )
 
 
 class Tac3dSource(StageNode):

@@ -143,7 +143,7 @@ class ImageFolder(_Images):
 
     def _none_good(self, count: int) -> FrameSourceError:
         first = "" if count == len(self._files) else f"the first {count} of "
-        which = f"none of {first}{len(self._files)} images is good"
+        which = f"none of {first}{len(self._files)} images can be read"
         return FrameSourceError(f"{self._path}: {which}, last: {self.health.problem}")
 
     def _used_bits(self) -> int:
@@ -207,7 +207,10 @@ class VideoFile(_Images):
             raise FrameSourceError(msg)
         missing = self.declared_frames - count
         if missing > 0:
-            text = f"{self._path}: {count} of {self.declared_frames} frames, the rest is damaged"
+            text = (
+                f"{self._path}: {count} of {self.declared_frames} frames can be read; the others "
+                "are damaged"
+            )
             self.health = frames.SourceHealth(missing, text)
 
     @contextmanager

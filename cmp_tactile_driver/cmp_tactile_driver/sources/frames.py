@@ -190,8 +190,8 @@ def find_source(name: str) -> SourceFactory:
                 factory: SourceFactory = point.load()
             except ModuleNotFoundError as error:
                 msg = (
-                    f"source {name}: found no Python module {error.name}, expected it to be "
-                    f"installed: pip install {str(error.name).partition('.')[0]}"
+                    f"source {name}: found no Python module {error.name}, expected it installed: "
+                    f"pip install {str(error.name).partition('.')[0]}"
                 )
                 raise FrameSourceError(msg) from None
             except Exception as error:

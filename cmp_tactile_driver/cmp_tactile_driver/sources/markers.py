@@ -23,7 +23,7 @@ LEAST_STEP, MOST_STEP, STRAY_SHARE = 0.5, 1.5, 0.05
 LEAST_KNOWN = 0.5
 # Columns of a table, by what else trackers call them: (Ox, Oy) is at rest, (Cx, Cy) now.
 ALIASES = {"frameno": "frame", "cx": "x", "cy": "y"}
-TABLE = "columns frame, row, col, x, y and, if known, z, time_s, Ox, Oy"
+TABLE = "the columns frame, row, col, x, y; optional: z, time_s, Ox, Oy"
 
 
 @dataclass(frozen=True)
@@ -89,11 +89,15 @@ def _read_arrays(path: Path) -> Mapping[str, NDArray[Any]]:
         arrays = {POSITION: loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
         wrong = [name for name, values in arrays.items() if name in _NAMES and _no_number(values)]
     except FileNotFoundError:
-        raise _error(path, "no such file", "one with positions of markers") from None
+        raise _error(path, "no such file", "a file with positions of markers") from None
     except Exception as error:  # noqa: BLE001  a damaged archive raises what its parts raise
-        raise _error(path, f"no arrays ({error})", "those of numpy, or a .csv") from None
+        raise _error(path, f"no arrays ({error})", "arrays of numpy, or a .csv file") from None
     if wrong or POSITION not in arrays:
-        found = f"{wrong[0]} that is no number" if wrong else ", ".join(arrays) or "nothing"
+        found = (
+            f"{wrong[0]} with values that are not numbers"
+            if wrong
+            else ", ".join(arrays) or "nothing"
+        )
         raise _error(path, found, f"an array {POSITION} of numbers")
     return arrays
 
@@ -115,7 +119,7 @@ def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]
         raise _error(path, f"no table ({str(error).splitlines()[0]})", TABLE) from None
     missing = [name for name in ("frame", "row", "col", "x", "y") if name not in columns]
     if missing or not table.size:
-        found = f"no column {missing[0]} among {', '.join(columns)}" if missing else "no row"
+        found = f"no column {missing[0]}; columns: {', '.join(columns)}" if missing else "no row"
         raise _error(path, found, TABLE)
     at = np.stack([columns["row"], columns["col"]])
     inside = (at >= 0) & (at < np.reshape(shape, (2, 1))) & (at == np.rint(at))
@@ -148,7 +152,10 @@ def _on_grid(path: Path, name: str, values: NDArray[Any], shape: tuple[int, int]
     if not fits or values.shape[-1] not in (2, 3) or not len(values):
         frames = values.shape if name == POSITION else values.shape[1:]
         first = "frames, " if name == POSITION else ""
-        expected = f"({first}{rows}, {cols}, 2 or 3), or {rows * cols} markers in one"
+        expected = (
+            f"the shape ({first}{rows}, {cols}, 2 or 3), or one axis of {rows * cols} for rows and "
+            "columns"
+        )
         raise _error(path, f"{name} of shape {frames}", expected)
     grid = np.full((len(values), rows, cols, 3), np.nan)
     grid[..., : values.shape[-1]] = values.reshape(len(values), rows, cols, -1)
@@ -163,8 +170,8 @@ def _stamps(
         return np.rint(np.arange(frames) * 1e9 / rate).astype(np.int64)
     times = arrays[name].ravel()
     if len(times) != frames or not np.isfinite(times).all() or times[0] < 0:
-        found = f"{name} of {len(times)} numbers from {times[0] if len(times) else 'nothing'} on"
-        raise _error(path, found, f"{frames} numbers from 0 on, one for each frame")
+        found = f"{name} of {len(times)} numbers, the first {times[0] if len(times) else 'nothing'}"
+        raise _error(path, found, f"{frames} numbers of at least 0, one for each frame")
     back = np.flatnonzero(np.diff(times) <= 0)
     if back.size:
         k = int(back[0])
@@ -179,16 +186,18 @@ def _scale(path: Path, rest: Array, pattern: Pattern, unit: str) -> float:
     known = np.isfinite(rest[..., :2]).all(axis=-1)
     if known.mean() < LEAST_KNOWN:
         found = f"{known.sum()} of {known.size} markers at rest"
-        raise _error(path, found, "half of them or more, others as NaN")
+        raise _error(path, found, "at least half of them, and NaN for the others")
     steps = np.concatenate([np.diff(rest[..., axis], axis=1 - axis).ravel() for axis in (0, 1)])
     steps = steps[np.isfinite(steps)]
     low, middle, high = np.quantile(steps, (STRAY_SHARE, 0.5, 1 - STRAY_SHARE))
     scale = UNITS[unit] if unit != PIXELS else pattern.pitch / abs(middle or np.nan)
     if not LEAST_STEP * pattern.pitch <= scale * low <= scale * high <= MOST_STEP * pattern.pitch:
-        found = f"neighbours {low:.4g} to {high:.4g} {unit} apart along x and y at rest"
+        found = (
+            f"distances of {low:.4g} to {high:.4g} {unit} between neighbours at rest, along x and y"
+        )
         expected = (
-            f"the pitch of the description, {1e3 * pattern.pitch:.4g} mm, x growing with the "
-            "column and y with the row; --unit says what lengths are in"
+            f"the pitch of the description, {1e3 * pattern.pitch:.4g} mm; x grows with the "
+            "column, y with the row; --unit sets the unit of lengths"
         )
         raise _error(path, found, expected)
     return float(scale)

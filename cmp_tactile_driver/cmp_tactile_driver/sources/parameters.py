@@ -14,11 +14,13 @@ class CameraDriverParameters(Parameters):
 
     source: str = parameter(
         "images",
-        "where the frames come from: v4l2 (a camera), images, video, bag, simulated, or another "
-        "source that is installed",
+        "source of the frames: v4l2 (a camera), images, video, bag, simulated, or another "
+        "installed source",
     )
     input: str = parameter(
-        "", "folder of images, video file, bag, or scene (name or file); a camera has `device`"
+        "",
+        "folder of images, video file, bag, or scene (name or file); not used with a camera, see "
+        "`device`",
     )
     frame_rate: float = parameter(
         0.0,
@@ -56,7 +58,7 @@ class CameraParameters(Parameters):
     colour: bool = parameter(
         False, "publish colours (bgr8) if the camera has them; else grey values (mono8)"
     )
-    buffers: int = parameter(4, "frames that the kernel keeps until they are read", within=(2, 32))
+    buffers: int = parameter(4, "number of buffers for frames in the kernel", within=(2, 32))
     frame_timeout: float = parameter(
         2.0,
         "time without a frame after which the camera is opened again",
@@ -96,14 +98,13 @@ class ReplayParameters(Parameters):
         "bag (folder, .mcap or .db3 file), folder of images, image or video; separate "
         "several by colons, they are played one after the other",
     )
-    topic: str = parameter("", "image topic of the bag; empty for the only one")
+    topic: str = parameter("", "image topic of the bag; may be empty if there is only one")
     sensor_description: str = parameter(
         DEFAULT_SENSOR,
-        "file or packaged name; gives camera_info and frame id to recordings that have none",
+        "sensor description, a file or a packaged name; gives camera_info and frame ids to "
+        "recordings without them",
     )
-    sensor_name: str = parameter(
-        "", f"{SENSOR_NAME_HELP}; one that is given takes the place of recorded frame ids"
-    )
+    sensor_name: str = parameter("", f"{SENSOR_NAME_HELP}; if set, it replaces recorded frame ids")
     frame_rate: float = parameter(
         30.0, "frames per second of an image folder", unit="Hz", within=(0.01, 1000.0)
     )
@@ -115,12 +116,15 @@ class ReplayParameters(Parameters):
         within=(0.0, 1e6),
     )
     end: float = parameter(
-        0.0, "time in the recording to end at; 0 for its end", unit="s", within=(0.0, 1e6)
+        0.0,
+        "time in the recording to end at; 0 for the end of the recording",
+        unit="s",
+        within=(0.0, 1e6),
     )
     loop: bool = parameter(False, "begin again at the end, with the same stamps")
     paused: bool = parameter(False, "begin paused, until the service ~/pause is called with false")
     wait_for_subscribers: int = parameter(
-        0, "subscribers on image_raw before the first frame is sent", within=(0, 100)
+        0, "number of subscribers on image_raw to wait for before the first frame", within=(0, 100)
     )
     wait_timeout: float = parameter(
         30.0,

@@ -86,7 +86,7 @@ def tac3d_folders(folder: Path) -> list[Path]:
     found = sorted(path.parent for path in folder.glob(f"*/{POSITIONS}.npy"))
     if not found:
         there = ", ".join(sorted(path.name for path in folder.glob("*"))[:6]) or "nothing"
-        msg = f"{folder}: found {there}, expected {POSITIONS}.npy, or folders of sensors with it"
+        msg = f"{folder}: found {there}, expected {POSITIONS}.npy, or folders that contain it"
         raise FrameSourceError(msg)
     return found
 
@@ -206,9 +206,9 @@ def _load(folder: Path, name: str) -> Array:
         # What an array of objects holds would be run.
         return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
     except FileNotFoundError:
-        raise _error(folder, name, "no such file", "that of a recording") from None
+        raise _error(folder, name, "no such file", "the file of a recording") from None
     except (OSError, ValueError, EOFError, TypeError) as error:
-        raise _error(folder, name, f"a file that is no array ({error})", "numbers") from None
+        raise _error(folder, name, f"a file without an array ({error})", "numbers") from None
 
 
 def _checked_shapes(folder: Path, arrays: dict[str, Array]) -> tuple[int, int]:
@@ -224,10 +224,12 @@ def _checked_shapes(folder: Path, arrays: dict[str, Array]) -> tuple[int, int]:
         if not values.size:
             arrays[name] = np.full(size, np.nan)
         elif values.size != size or len(values) != frames:
-            expected = f"{frames} frames of {sizes[name]} numbers, as {POSITIONS} has them"
+            expected = f"{frames} frames of {sizes[name]} numbers, as in {POSITIONS}"
             raise _error(folder, name, f"shape {values.shape}", expected)
     if not np.isfinite(arrays[STAMPS]).all() or arrays[STAMPS].min() < 0:
-        raise _error(folder, STAMPS, "times that are negative or no numbers", "s from 0 on")
+        raise _error(
+            folder, STAMPS, "times that are negative or not numbers", "times of at least 0 s"
+        )
     return frames, markers
 
 
@@ -242,13 +244,14 @@ def _wrong_at_rest(rest: Array, least: float = LEAST_KNOWN) -> str:
     if len(known) < least * len(every):
         return (
             f"found {np.isfinite(rest).all(axis=-1).sum()} of {rest[..., 0].size} markers with "
-            f"numbers at rest, expected {least:.0%} of them or more"
+            f"numbers at rest, expected at least {least:.0%}"
         )
     low, high = PITCH_MM
     if not (known.min() >= low and known.max() <= high):
         return (
-            f"found neighbours that are {known.min():.4g} to {known.max():.4g} apart along x and "
-            f"y, expected {low:g} to {high:g} mm, falling from the first marker to the last"
+            f"found steps of {known.min():.4g} to {known.max():.4g} between neighbours along x "
+            f"and y, expected {low:g} to {high:g} mm, with x and y falling from the first marker "
+            "to the last"
         )
     return ""
 
@@ -259,8 +262,8 @@ def _wrong_motion(left: Array) -> str:
     if most <= MOST_LEFT_MM:
         return ""
     return (
-        f"found positions less {DISPLACEMENTS} that move by {most:.2g} mm, expected the markers at "
-        f"rest, to {MOST_LEFT_MM} mm: both must be in mm"
+        f"found positions minus {DISPLACEMENTS} that change by {most:.2g} mm, expected the "
+        f"markers at rest (to {MOST_LEFT_MM} mm): are both in mm?"
     )
 
 

@@ -67,8 +67,8 @@ def choose_mode(device: Any, request: Mode) -> Mode:
     if not fitting:
         offered = "; ".join(f"{item}: {_sizes_text(device, item)}" for item in formats)
         msg = (
-            f"{device.filename}: image size of the sensor description: "
-            f"found {size_text(request.size)}, expected one that the camera can do: {offered}"
+            f"{device.filename}: image size of the sensor description: found "
+            f"{size_text(request.size)}, expected a size that the camera offers: {offered}"
         )
         raise FrameSourceError(msg)
     rates = [_rates(device, item, request.size) for item in fitting]
@@ -79,8 +79,8 @@ def choose_mode(device: Any, request: Mode) -> Mode:
         if item.allow(request.rate):
             return Mode(item.pixel_format, request.size, request.rate)
     msg = (
-        f"{device.filename}: frame_rate: found {request.rate:g} Hz, expected what the camera can "
-        f"do at {size_text(request.size)}: {'; '.join(item.text for item in rates)}"
+        f"{device.filename}: frame_rate: found {request.rate:g} Hz, expected a rate that the "
+        f"camera offers at {size_text(request.size)}: {'; '.join(item.text for item in rates)}"
     )
     raise FrameSourceError(msg)
 
@@ -94,7 +94,10 @@ def _formats(device: Any, wanted: str) -> Sequence[str]:
     if not formats:
         found = ", ".join(PREFERENCE) if wanted == AUTO else wanted
         expected = ", ".join(offered) or "none"
-        msg = f"{device.filename}: pixel_format: found {found}, the camera offers {expected}"
+        msg = (
+            f"{device.filename}: pixel_format: found {found}, expected a format that the camera "
+            f"offers: {expected}"
+        )
         raise FrameSourceError(msg)
     return formats
 
@@ -251,7 +254,7 @@ class V4L2Camera:
         self._device.open()
         wanted = v4l2.Capability.VIDEO_CAPTURE
         if wanted not in self._device.info.device_capabilities:
-            found = ", ".join(str(item.name) for item in self._device.info.buffers) or "none of it"
+            found = ", ".join(str(item.name) for item in self._device.info.buffers) or "nothing"
             msg = f"{self.found.path}: found a video device for {found}, expected VIDEO_CAPTURE"
             raise FrameSourceError(msg)
 
@@ -263,9 +266,9 @@ class V4L2Camera:
         found = v4l2.human_pixel_format(got.pixel_format)
         if (got.width, got.height) != mode.size or found != mode.pixel_format:
             msg = (
-                f"{path}: image size of the sensor description: the camera makes "
-                f"{found} {size_text((got.width, got.height))} of it, "
-                f"expected {mode.pixel_format} {size_text(mode.size)}"
+                f"{path}: image size of the sensor description: found {found} "
+                f"{size_text((got.width, got.height))} set by the camera, expected "
+                f"{mode.pixel_format} {size_text(mode.size)}"
             )
             raise FrameSourceError(msg)
         return got.bytes_per_line, self._apply_rate(capture, mode.rate)
@@ -280,7 +283,10 @@ class V4L2Camera:
                 raise
             return rate
         if rate and abs(found - rate) > RATE_TOLERANCE * rate:
-            msg = f"{self.found.path}: frame_rate: the camera makes {found:g} Hz of {rate:g} Hz"
+            msg = (
+                f"{self.found.path}: frame_rate: found {found:g} Hz set by the camera, expected "
+                f"{rate:g} Hz"
+            )
             raise FrameSourceError(msg)
         return found
 

@@ -53,7 +53,7 @@ class ControlParameters:
         source.when_settled = self._settled.trigger
         for title in source.controls().skipped:
             node.get_logger().info(
-                f"{source.name}: control {title!r} has no single value: left out"
+                f"{source.name}: control {title!r} has no single value: it is left out"
             )
 
     @property
@@ -155,7 +155,7 @@ def _descriptor(control: Control, value: ControlValue) -> ParameterDescriptor:
         constraints = f"text of {control.low} to {control.high} characters"
         descriptor.additional_constraints = constraints
     elif control.kind is ControlKind.BUTTON:
-        descriptor.additional_constraints = "true pushes the button"
+        descriptor.additional_constraints = "true presses the button"
     if control.kind is ControlKind.INTEGER and control.low <= int(value) <= control.high:
         limits = IntegerRange(from_value=control.low, to_value=control.high)
         # A camera may start at a value that is on none of its own steps.

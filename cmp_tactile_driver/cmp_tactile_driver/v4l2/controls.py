@@ -129,11 +129,11 @@ class CameraControls:
         control = self.by_name[name]
         flags = self._flags(control)
         if flags & (FLAG.READ_ONLY | FLAG.DISABLED):
-            return "the camera sets it by itself"
+            return "found a read-only control: the camera sets it"
         if flags & FLAG.GRABBED:
-            return "in use; it can be set while the node is inactive"
+            return "found it in use: set it while the node is inactive"
         if flags & FLAG.INACTIVE:
-            return f"without effect {self._ruled_by(control)}"
+            return f"found it without effect {self._ruled_by(control)}"
         return ""
 
     def set(self, values: Mapping[str, ControlValue]) -> None:
@@ -190,7 +190,7 @@ class CameraControls:
             else:
                 is_kept = found == wanted
             if not is_kept:
-                texts.append(f"{name}: asked for {wanted}, the camera keeps {found}")
+                texts.append(f"{name}: set to {wanted}, the camera uses {found}")
         return texts
 
     def _existing(self, name: str) -> Control:
@@ -241,7 +241,7 @@ class CameraControls:
                 value = self.value(ruler.name)
                 choice = dict(ruler.choices).get(int(value), "") if ruler.choices else ""
                 texts.append(f"{ruler.name} is {value}" + (f" ({choice})" if choice else ""))
-        return f"while {' and '.join(texts)}" if texts else "while an automatic control rules it"
+        return f"while {' and '.join(texts)}" if texts else "while an automatic control is active"
 
     def _read(self) -> Iterator[Control]:
         names: set[str] = set()

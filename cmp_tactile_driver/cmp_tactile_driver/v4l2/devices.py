@@ -49,15 +49,18 @@ def _reason(path: Path | str, error: OSError) -> str:
         )
     if number == errno.EBUSY:
         return (
-            "found it in use by another driver or program, expected it free "
-            f"(fuser -v {path} names who has it)"
+            f"found it in use by another driver or program, expected it free (fuser -v {path} "
+            "shows the program)"
         )
     if number in GONE:
         return "found it unplugged, expected a camera"
     if number in (errno.ENOTTY, errno.EINVAL):
         return f"found a device that cannot do this ({error.strerror}), expected a V4L2 camera"
     if number == errno.ENOSPC:
-        return "found too little USB bandwidth, expected a bus for this camera alone or less data"
+        return (
+            "found too little USB bandwidth, expected a bus without other cameras, or a lower "
+            "frame rate or size"
+        )
     return f"found the error {error.strerror or error}, expected frames"
 
 
@@ -113,7 +116,7 @@ def find_device(chosen: str, serial: str = "") -> VideoDevice:
         msg = f"device: found no {chosen!r}, expected {_listing(devices)}"
         raise SourceNotReadyError(msg)
     if serial and device.serial != serial:
-        msg = f"device: found {device.text} at {chosen}, expected the one with serial {serial}"
+        msg = f"device: found {device.text} at {chosen}, expected the camera with serial {serial}"
         raise FrameSourceError(msg)
     return device
 
@@ -147,7 +150,7 @@ def _of_serial(serial: str, devices: Sequence[VideoDevice]) -> list[VideoDevice]
 
 def _listing(devices: Sequence[VideoDevice]) -> str:
     if not devices:
-        return "a video device; there is none on this machine"
+        return "a video device; this machine has none"
     return "one of: " + "; ".join(item.text for item in devices)
 
 

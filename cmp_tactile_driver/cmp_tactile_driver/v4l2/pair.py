@@ -183,15 +183,15 @@ class CameraPair:
             self._unpaired += 1
             allowed_ms = self._tolerance_ns * 1e-6
             self._apart = (
-                f"{self.name}: found frames {abs(apart_ns) * 1e-6:.1f} ms apart, expected at most "
-                f"{allowed_ms:g} ms (pair_tolerance)"
+                f"{self.name}: found frames that are {abs(apart_ns) * 1e-6:.1f} ms apart, "
+                f"expected at most {allowed_ms:g} ms (pair_tolerance)"
             )
             return None
         self._waiting, self._apart = [None, None], ""
         if left.encoding != right.encoding:
             msg = (
-                f"{self.name}: found {left.encoding} and {right.encoding}, expected two cameras of "
-                "one kind, both grey or both colour"
+                f"{self.name}: found {left.encoding} and {right.encoding}, expected both cameras "
+                "grey or both colour"
             )
             raise FrameSourceError(msg)
         width, height = self._size

@@ -203,7 +203,7 @@ def test_what_is_left_of_a_recording_that_was_killed(tmp_path, bags, compressed)
     reader = BagReader(bag)
     # Six frames of the first file; of the other four in its whole chunk, one in what is left.
     assert [frame.time_ns for frame in reader.frames()] == times[:11]
-    assert "11 messages can be read, any after them are lost" in reader.loss
+    assert "11 messages can be read" in reader.loss
 
 
 @pytest.mark.parametrize("compressed", [False, True])
@@ -215,7 +215,7 @@ def test_of_a_chunk_that_is_cut_what_is_there_is_read(tmp_path, bags, compressed
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 4 // 5])
     reader = BagReader(bag)
     assert [frame.time_ns for frame in reader.frames()] == times[:2]
-    assert "2 of 3 messages read, the rest is lost" in reader.loss
+    assert "2 of 3 messages can be read" in reader.loss
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path):

@@ -72,7 +72,7 @@ class _Reports:
 
 def test_without_an_input_it_does_not_start(ros):
     """It could never be given one: such a node would stay and never publish."""
-    message = r"camera_driver: parameter input: found nothing, expected what to open"
+    message = r"camera_driver: parameter input: found nothing, expected"
     with pytest.raises(ParameterError, match=message):
         ros.start(CameraDriver, source="simulated")
 
@@ -254,5 +254,5 @@ def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
     other.destroy_node()
     ros.wait(lambda: "elsewhere" not in reports.messages[-1], "the only one")
     logged.append(capfd.readouterr().err)
-    line = "runs in process 1 on elsewhere, too, beside process "
+    line = "runs in process 1 on elsewhere and here in process "
     assert "".join(logged).count(line) == 1

@@ -260,9 +260,9 @@ def test_what_a_camera_insists_on_is_shown_with_a_warning(ros, kernel, exposing,
     driver = _Driver(ros, **MANUAL)
     kept = {**MANUAL, "controls.gain": 20, "controls.power_line_frequency": 1}
     ros.wait(lambda: _shown(driver) == kept, "the camera's values")
-    text = "gain: asked for 3, the camera keeps 20"
+    text = "gain: set to 3, the camera uses 20"
     ros.wait(lambda: text in driver.values.get("refused controls", ""), "the diagnostics")
-    assert "power_line_frequency: asked for 2" in driver.values["refused controls"]
+    assert "power_line_frequency: set to 2" in driver.values["refused controls"]
     assert capfd.readouterr().err.count(text) == 1
     # The first wish holds for the next start: by then it may be another firmware.
     kernel.unplug(exposing)
@@ -281,7 +281,7 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     driver = _Driver(ros, **{"controls.gain": 7})
     ros.wait(lambda: driver.report.level == DiagnosticStatus.ERROR, "the diagnostics")
     assert "device: found no 'CAM1', expected a video device" in driver.report.message
-    assert "it is looked for until it is there" in driver.report.message
+    assert "until the camera is there" in driver.report.message
     assert driver.state == "unconfigured"
     assert not driver.change(Transition.TRANSITION_CONFIGURE), "by hand it is not looked for"
     other = fake.FakeCamera("CAM2", modes={"GREY": {SIZE: (30,)}})

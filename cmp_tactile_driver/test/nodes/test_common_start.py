@@ -101,6 +101,6 @@ def test_who_never_comes_is_not_waited_for_without_end_and_named(  # noqa: PLR09
     images = ros.listen(Image, "image_raw")
     ros.start(Replay, input=str(frame_bag), wait_timeout=2.0, rate=10.0, **options)
     ros.wait(lambda: len(images) == len(frames), "the frames")
-    said = [line for line in capfd.readouterr().err.splitlines() if "begins after 2 s" in line]
+    said = [line for line in capfd.readouterr().err.splitlines() if "within 2 s" in line]
     assert len(said) == 1
     assert missing in said[0]

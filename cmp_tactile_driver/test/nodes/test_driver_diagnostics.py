@@ -92,7 +92,7 @@ def test_who_gets_no_frames_is_reported(ros, start, last, name):
     ros.node.create_subscription(Image, "image_raw", print, latched)
     start(name)
     space = ros.namespace
-    text = f"{space}/image_raw: nothing comes from {space}/{name} to {space}/tester: "
+    text = f"{space}/image_raw: no message from {space}/{name} reaches {space}/tester: "
     ros.wait(lambda: text in last(name)[1].get("wrong connections", ""), "it")
     assert text in last(name)[0].message
 

@@ -198,7 +198,7 @@ def test_a_type_that_cannot_be_used_here_is_named_and_the_rest_is_recorded(
     node = ros.start(Recorder, output=str(output), topics="a b")
     recorded(ros, node, publisher, [WrenchStamped()])
     node.stop()
-    assert capfd.readouterr().err.count("/a: is not recorded: geometry_msgs/msg/Transform") == 1
+    assert capfd.readouterr().err.count("/a: not recorded: geometry_msgs/msg/Transform") == 1
 
 
 def test_start_stop_split_and_status(ros, output, bags):
@@ -259,7 +259,7 @@ def test_log_times_are_those_of_a_simulated_clock(ros, output):
 
 def test_what_cannot_be_recorded_stops_the_constructor(ros, output, tmp_path):
     output.mkdir()
-    with pytest.raises(BagWriteError, match="bag: exists already, expected a place for a new bag"):
+    with pytest.raises(BagWriteError, match="bag: exists already"):
         ros.start(Recorder, output=str(output))
     file = tmp_path / "file"
     file.touch()
@@ -292,7 +292,7 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
     back = list(reader.frames())
     assert len(back) >= 28
     assert [frame.stamp_ns for frame in back] == times[: len(back)]
-    assert f"{len(back)} messages can be read, any after them are lost" in reader.loss
+    assert f"{len(back)} messages can be read" in reader.loss
     assert "the file has no end" in reader.loss
 
 
@@ -319,7 +319,7 @@ def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, ba
     assert node.missing_topics == []
     assert [item.get_subscription_count() for item in both] == [1, 0]
     node.stop()
-    assert capfd.readouterr().err.count("image_raw/compressed is recorded in its place") == 1
+    assert capfd.readouterr().err.count("image_raw/compressed is recorded instead") == 1
     back = list(BagReader(output).frames())
     assert [frame.stamp_ns for frame in back] == times
     assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
@@ -329,7 +329,7 @@ def test_a_topic_that_is_missing_in_one_transport_is_named_with_the_other(ros, o
     ros.node.create_publisher(Image, "image_raw", 10)
     statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
     node = ros.start(Recorder, output=str(output), topics="image_raw/compressed other")
-    there = f"(there is {ros.namespace}/image_raw, sensor_msgs/msg/Image)"
+    there = f"(found {ros.namespace}/image_raw, sensor_msgs/msg/Image)"
     expected = [f"{ros.namespace}/image_raw/compressed {there}", f"{ros.namespace}/other"]
     ros.wait(lambda: node.missing_topics == expected, "the topic that is there")
     ros.wait(lambda: there in values(statuses).get("not published yet", ""), "the same as status")

@@ -52,7 +52,7 @@ def test_bad_image_in_the_middle_is_skipped_and_named(image_folder, frames, keep
     source = ImageFolder(image_folder)
     assert len(_read_all(source)) == len(frames) - 1
     assert source.health.bad_frames == 1
-    assert f"{path}: found {keep} bytes that are no readable image" in source.health.problem
+    assert f"{path}: found {keep} bytes that are not a readable image" in source.health.problem
 
 
 @pytest.mark.parametrize("number", [0, 5])
@@ -67,7 +67,7 @@ def test_nothing_of_the_expected_size(image_folder):
     source = ImageFolder(image_folder, expected_size=(1024, 768))
     with pytest.raises(
         FrameSourceError,
-        match=r"none of the first 2 of 12 images is good.*found 64 x 48 px, expected 1024 x 768",
+        match=r"none of the first 2 of 12 images .*found 64 x 48 px, expected 1024 x 768",
     ):
         _read_all(source)
 
@@ -126,7 +126,7 @@ def test_truncated_end_is_counted(tmp_path):
     count = len(_read_all(source))
     assert 0 < count < FRAMES
     assert source.health.bad_frames == FRAMES - count
-    assert f"{count} of {FRAMES} frames, the rest is damaged" in source.health.problem
+    assert f"{count} of {FRAMES} frames can be read" in source.health.problem
 
 
 def test_wrong_size_is_named(video):

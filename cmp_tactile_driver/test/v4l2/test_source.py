@@ -80,12 +80,12 @@ def test_mjpg_is_decoded_and_a_broken_frame_is_counted_and_reported(open_source,
     other_size = cv2.imencode(".jpg", smooth[:40])[1].tobytes()
     for data, flags, reason in (
         (jpeg[: len(jpeg) // 2], 0, "damaged JPEG .*premature end"),
-        (b"", 0, "found 0 bytes that are no readable image"),
-        (b"\xff\xd8 nothing \xff\xd9", 0, "no readable image"),
+        (b"", 0, "found 0 bytes that are not a readable image"),
+        (b"\xff\xd8 nothing \xff\xd9", 0, "not a readable image"),
         (_jpeg_of_size(jpeg, 65500, 65500), 0, "found 65500 x 65500 px, expected 64 x 48 px"),
-        (jpeg[: jpeg.index(b"\xff\xc0")] + b"\xff\xd9", 0, "no readable image"),
+        (jpeg[: jpeg.index(b"\xff\xc0")] + b"\xff\xd9", 0, "not a readable image"),
         (jpeg[:-200] + jpeg[-100:], 0, "damaged JPEG"),
-        (b"\xff" * 5000 + b"\xff\xd9", 0, "no readable image"),
+        (b"\xff" * 5000 + b"\xff\xd9", 0, "not a readable image"),
         (other_size, 0, "found 64 x 40 px, expected 64 x 48 px"),
         (jpeg, raw.BufferFlag.ERROR, "marks as damaged"),
     ):
@@ -141,12 +141,12 @@ def test_auto_takes_the_rate_first_and_then_pixels_without_loss(open_source, plu
         (
             {"MJPG": {(WIDTH, HEIGHT): (30,)}, "YUYV": {(WIDTH, HEIGHT): (30,)}},
             {"pixel_format": "GREY"},
-            r"video0: pixel_format: found GREY, the camera offers MJPG, YUYV",
+            r"video0: pixel_format: found GREY, expected .*: MJPG, YUYV",
         ),
         (
             {"H264": {(WIDTH, HEIGHT): (30,)}},
             {},
-            "pixel_format: found GREY, YUYV, BGR3, RGB3, MJPG, JPEG, the camera offers H264",
+            "pixel_format: found GREY, YUYV, BGR3, RGB3, MJPG, JPEG, expected .*: H264",
         ),
         (
             {"GREY": {(640, 480): (30,), (1280, 800): (30,)}, "MJPG": {(32, 24): (5,)}},
@@ -171,7 +171,7 @@ def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
     plug(fault=silent)
     assert open_source(frame_rate=25.0).frame_rate == 25.0
     plug("CAM2", {"GREY": {(640, 480): (30,)}}, fault=silent, number=2, port="1-3")
-    with pytest.raises(FrameSourceError, match="makes GREY 640 x 480 px of it, expected GREY 64 x"):
+    with pytest.raises(FrameSourceError, match=r"found GREY 640 x 480 px .*, expected GREY 64 x"):
         open_source("CAM2")
     plug("CAM3", fault=silent, made_rate=15, number=4, port="1-4")
     with pytest.raises(FrameSourceError, match="frame_rate: the camera makes 15 Hz of 25 Hz"):

@@ -44,7 +44,7 @@ def cached_arrays(
     path = folder / f"{name}-{files.digest(text)[:32]}.npz"
     try:
         if reason := files.own_folder(folder):
-            LOGGER.warning("%s: %s: closed to others", folder, reason)
+            LOGGER.warning("%s: %s: removed the access of other users", folder, reason)
     except OSError as error:
         LOGGER.warning("%s: not cached, will be built again next time: %s", folder, error)
         return build()
@@ -53,7 +53,7 @@ def cached_arrays(
     except (FileNotFoundError, PermissionError):
         pass  # where it cannot be written either, that is reported below
     except UNUSABLE as error:
-        LOGGER.warning("%s: cannot be used, is built again: %s", path, error)
+        LOGGER.warning("%s: cannot be used and is built again: %s", path, error)
     with ExitStack() as until_written:
         with suppress(OSError):
             until_written.enter_context(files.locked(path.with_suffix(".lock")))

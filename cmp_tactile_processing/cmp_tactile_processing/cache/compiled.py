@@ -176,7 +176,8 @@ def when_compiling(report: Callable[[], None]) -> Iterator[None]:
 def compiling_is_logged() -> AbstractContextManager[None]:
     """Within it one line in the log says that numba compiles something, and how long that takes."""
     line = (
-        "compiling numerical code for this user, once per version: about a minute (make build does)"
+        "compiling numerical code for this user, once per version: about a minute (`make build` "
+        "does it for all users)"
     )
     return when_compiling(lambda: LOGGER.warning(line))
 

@@ -136,7 +136,7 @@ def _locked_file(path: Path, last_s: float) -> IO[str]:
         except BlockingIOError:
             file.close()
             if time.monotonic() >= last_s:
-                msg = f"{path}: is locked by another process"
+                msg = f"{path}: locked by another process"
                 raise TimeoutError(msg) from None
             time.sleep(SECONDS_BETWEEN_TRIES)
         except BaseException:
@@ -183,7 +183,7 @@ def own_folder(folder: Path) -> str:
     status = folder.stat()
     reason = why_foreign(status)
     if reason and status.st_uid != os.geteuid():
-        msg = f"{reason}, is not used as a cache"
+        msg = f"{reason}: not used as a cache"
         raise PermissionError(msg)
     if reason:
         folder.chmod(status.st_mode & 0o700)
@@ -197,7 +197,7 @@ def own_contents(folder: Path) -> None:
     if not reason and folder.stat().st_mode & 0o011:
         reason = next(filter(None, map(_why_foreign_file, folder.rglob("*"))), "")
     if reason:
-        LOGGER.warning("%s: %s: closed to others, begins empty", folder, reason)
+        LOGGER.warning("%s: %s: removed the access of other users and emptied it", folder, reason)
         shutil.rmtree(folder)
         folder.mkdir(mode=0o700)
     elif folder.stat().st_uid == os.geteuid():

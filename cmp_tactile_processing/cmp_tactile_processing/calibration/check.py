@@ -45,47 +45,47 @@ class CheckParameters(Parameters, section="check"):
     )
     epipolar: float = parameter(
         0.6,
-        "distance of a corner of the right view from the curve on which the left view's ray is "
-        "seen",
+        "distance of a corner of the right view from the epipolar curve of the left view's ray",
         unit="px",
         within=(1e-3, 100.0),
     )
     ray_gap: float = parameter(
-        25e-6, "distance of the rays of both views at a marker", unit="m", within=(1e-7, 1e-2)
+        25e-6, "distance between the rays of both views at a marker", unit="m", within=(1e-7, 1e-2)
     )
     tracked: float = parameter(
-        0.8, "share of the markers that both views measured, all frames together", within=(0.0, 1.0)
+        0.8, "share of the markers that both views measured in all frames", within=(0.0, 1.0)
     )
     still: float = parameter(
         0.15,
-        "change from one frame to the next up to which the gel is still",
+        "change between frames up to which the gel is still",
         unit="px",
         within=(1e-3, 10.0),
     )
     rest_shape: float = parameter(
         60e-6,
-        "deviation from the rest shape, moved and scaled as a whole, up to which nothing touches",
+        "deviation from the shape at rest, apart from a common shift and scale, up to which "
+        "nothing touches the gel",
         unit="m",
         within=(1e-6, 1e-2),
     )
     turn: float = parameter(
-        5e-3, "turn of the gel at rest since calibration", unit="rad", within=(1e-5, 1.0)
+        5e-3, "rotation of the gel at rest since the calibration", unit="rad", within=(1e-5, 1.0)
     )
     shift: float = parameter(
-        50e-6, "shift of the gel at rest since calibration", unit="m", within=(1e-7, 1e-2)
+        50e-6, "shift of the gel at rest since the calibration", unit="m", within=(1e-7, 1e-2)
     )
     scale: float = parameter(
-        5e-3, "relative growth of the gel at rest since calibration", within=(1e-5, 1.0)
+        5e-3, "relative growth of the gel at rest since the calibration", within=(1e-5, 1.0)
     )
     shape: float = parameter(
         30e-6,
-        "deviation of the gel at rest from its known shape, when that is moved as a whole",
+        "deviation of the gel at rest from its known shape, apart from a rigid motion",
         unit="m",
         within=(1e-6, 1e-2),
     )
     rest_reprojection: float = parameter(
         1.0,
-        "root mean square distance of the corners at rest from where the description has them",
+        "RMS distance of the corners at rest from the description",
         unit="px",
         within=(1e-3, 100.0),
     )
@@ -365,15 +365,15 @@ def _agreement_figures(
         unit="",
         value=seen.tracked,
         limit=limits.tracked,
-        advice="Look at light, focus and dirt, and at what hides the pattern.",
+        advice="Check light and focus, and whether dirt or an object hides the pattern.",
         at_least=True,
     )
     if not seen.two_views:
         return [tracked]
     lengths = [np.linalg.norm(item.residuals, axis=-1) for item in residuals]
     recalibrate = (
-        "A mirror or the camera has moved, or this is another sensor's description: calibrate "
-        "again from frames of the gel at rest."
+        "A mirror or the camera has moved, or this is the description of another sensor: "
+        "calibrate again from frames of the gel at rest."
     )
     return [
         _spread("reprojection", "px", np.concatenate(lengths), limits.reprojection, recalibrate),
@@ -400,12 +400,12 @@ def _rest_figures(
     if drift is None:
         return []
     moved = (
-        "The gel or a mirror has moved since calibration, as after remounting: calibrate again "
-        "from frames of the gel at rest."
+        "The gel or a mirror has moved since the calibration, for example at remounting: "
+        "calibrate again from frames of the gel at rest."
     )
     bent = (
-        "Is the gel really at rest? Else it is worn or another one: check pattern and surface in "
-        "the description, and calibrate again."
+        "Check that the gel is at rest. If it is, the gel is worn or was replaced: check pattern "
+        "and surface in the description, and calibrate again."
     )
     record = seen.sensor.calibration
     promised = record.reprojection if record is not None else 0.0
@@ -438,10 +438,10 @@ def _findings(
         text = f"{name}: found {value}{whom}, expected {wanted} {limit}."
         findings.append(outcome.Finding(outcome.Severity.ERROR, text, figure.advice))
     if not len(rest):
-        text = "No two frames in a row show the gel at rest: whether it has drifted is not known."
+        text = "No two consecutive frames show the gel at rest, so its drift is not known."
         advice = (
-            "Record some frames while nothing touches the gel; if these are, its pattern is seen "
-            "so far from where it should be that the sensor must be calibrated again."
+            "Record some frames while nothing touches the gel. If nothing touched it in these "
+            "frames, the pattern is too far from its described place: calibrate again."
         )
         findings.append(outcome.Finding.graded(text, advice, error=len(sensor.views) != 2))
     return tuple(findings)
@@ -457,4 +457,4 @@ def _verdict(figures: Sequence[CheckFigure], findings: Sequence[outcome.Finding]
         for figure in figures
     )
     unknown = " Drift is not known: no frame shows the gel at rest." if findings else ""
-    return f"The calibration holds: {listed}.{unknown}"
+    return f"The calibration is good: {listed}.{unknown}"

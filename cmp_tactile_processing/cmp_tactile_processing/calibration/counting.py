@@ -97,7 +97,7 @@ class Worth:
         texts = [ADVICE[name] for name in costly if gains[name] >= least_gain]
         if self.saturated > MOST_SATURATED:
             return [
-                f"{self.saturated:.0%} of the light checkers are overexposed: less light",
+                f"{self.saturated:.0%} of the light checkers are overexposed: reduce the light",
                 *texts,
             ]
         return texts
@@ -107,10 +107,10 @@ class Worth:
 GOOD = Worth(side_px=16.0, blur_px=0.6, contrast=180.0, saturated=0.0, noise=1.5, std_px=FLOOR_PX)
 MOST_SATURATED = 0.02
 ADVICE = {
-    "blur_px": "out of focus or smeared: turn the focus, or expose shorter",
-    "contrast": "little contrast: more light, or a blacker print",
-    "noise": "noisy: more light and less gain",
-    "side_px": "small checkers: go nearer, or print them larger",
+    "blur_px": "out of focus or motion blur: adjust the focus, or shorten the exposure",
+    "contrast": "low contrast: add light, or print with more black",
+    "noise": "noise: add light and reduce the gain",
+    "side_px": "small checkers: move the camera closer, or print larger checkers",
 }
 
 
@@ -157,7 +157,10 @@ def count_corners(image: Image, name: str = "picture") -> Sighting:
     step = lattice_step(image, name)
     side, largest = float(np.linalg.norm(step)), LARGEST_SHARE * min(image.shape)
     if side > largest:
-        msg = f"{name}: found checkers of {side:.0f} px, expected at most {largest:.0f}: go farther"
+        msg = (
+            f"{name}: found checkers of {side:.0f} px, expected at most {largest:.0f}: move the "
+            "camera away"
+        )
         raise FrameError(msg)
     wide = _wide_description(image, step)
     grid = GridTracker(wide).track(image)
@@ -165,8 +168,8 @@ def count_corners(image: Image, name: str = "picture") -> Sighting:
     if np.count_nonzero(known) < FEWEST_CORNERS:
         msg = (
             f"{name}: found {np.count_nonzero(known)} corners of checkers of {side:.0f} px "
-            f"({grid.reason}), expected at least {FEWEST_CORNERS}: sharp, evenly lit, the pattern "
-            "nearly upright and as large as possible in the picture"
+            f"({grid.reason}), expected at least {FEWEST_CORNERS}: make the pattern sharp, evenly "
+            "lit, nearly upright and as large as possible in the picture"
         )
         raise FrameError(msg)
     part = _part_with_corners(known)
@@ -208,7 +211,7 @@ def lattice_step(image: Image, name: str = "picture") -> Float:
     first = strongest(np.ones_like(power, dtype=bool))
     size = float(np.hypot(*first))
     if not size:
-        msg = f"{name}: found no pattern that repeats, expected checkers"
+        msg = f"{name}: found no repeating pattern, expected checkers"
         raise FrameError(msg)
     along = (fx * first[0] + fy * first[1]) / np.maximum(length * size, 1e-12)
     across = np.abs(along) < np.sin(np.radians(ACROSS_DEG))

@@ -68,7 +68,7 @@ def track_frames(
     DescriptionError for a sensor with its pattern in none of the views.
     """
     if not len(frames):
-        msg = f"{sensor.name}: found no frames, expected some of the gel"
+        msg = f"{sensor.name}: found no frames, expected at least one of the gel"
         raise CalibrationError(msg)
     for number, frame in enumerate(frames):
         name = f"frame {number + 1} of {len(frames)}"
@@ -97,7 +97,10 @@ def require_grids(sensor: SensorDescription, grids: Mapping[str, Sequence[Grid]]
     ):
         found = ", ".join(f"{count} of {name}" for name, count in counts.items()) or "none"
         wanted = " and ".join(sensor.views)
-        msg = f"{sensor.name}: grids: found {found}, expected some, as many of {wanted}"
+        msg = (
+            f"{sensor.name}: grids: found {found}, expected at least one, and the same number of "
+            f"{wanted}"
+        )
         raise CalibrationError(msg)
     shape = sensor.pattern.shape
     for grid in (grid for view in grids.values() for grid in view if grid.shape != shape):

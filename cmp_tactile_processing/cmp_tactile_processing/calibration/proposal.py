@@ -125,12 +125,12 @@ def _check_alike(views: Sequence[View]) -> None:
         return
     texts = [
         f"{view.seen.size_text} in the {name} view"
-        + ("" if all(view.seen.ends) else ", which go on beyond it")
+        + ("" if all(view.seen.ends) else ", and more beyond its edge")
         for name, view in zip(VIEW_NAMES, views, strict=True)
     ]
     msg = (
-        f"picture: found {' and '.join(texts)}, expected the same number in both, the whole "
-        "pattern with a margin around it; --views one describes a part of a pattern"
+        f"picture: found {' and '.join(texts)}, expected the same number in both views, and the "
+        "whole pattern with a margin around it; for a part of a pattern use --views one"
     )
     raise FrameError(msg)
 
@@ -161,8 +161,8 @@ def propose(
     rig = rigs[0] if rigs[0].misfit_px * CLEARLY <= rigs[-1].misfit_px else rigs[-1]
     if not FOCAL[0] < rig.focal / size.width < FOCAL[1]:
         msg = (
-            f"picture: found no camera that shows it so ({rig.layout}; corners are off by "
-            f"{rig.misfit_px:.1f} px), expected another --views, or --angle-of-view"
+            f"picture: found no pose of {rig.layout} that fits (corners are off by "
+            f"{rig.misfit_px:.1f} px), expected another --views or --angle-of-view"
         )
         raise FrameError(msg)
     sensor = _described(size, rig, name)
@@ -172,9 +172,9 @@ def propose(
         if grid.found_fraction < FOUND_AGAIN:
             rows, cols = grid.shape.corners
             msg = (
-                f"picture: found {rows} x {cols} corners, of which a sensor that is described so "
-                f"finds {grid.found_fraction:.0%} again in the {view_name} view ({grid.reason}), "
-                f"expected {FOUND_AGAIN:.0%}"
+                f"picture: found {rows} x {cols} corners, of which the tracker finds "
+                f"{grid.found_fraction:.0%} with the proposed description in the {view_name} view "
+                f"({grid.reason}), expected {FOUND_AGAIN:.0%}"
             )
             raise FrameError(msg)
         grids[view_name] = grid
@@ -186,8 +186,7 @@ def _check_lines(seen: Sighting) -> None:
     # Two more: a pattern that goes on beyond the picture loses a line at each side.
     if min(seen.corners.shape[:2]) < LEAST_LINES + 2:
         msg = (
-            f"picture: found {seen.size_text}, expected at least {LEAST_LINES + 2} along either "
-            "side"
+            f"picture: found {seen.size_text}, expected at least {LEAST_LINES + 2} along each side"
         )
         raise FrameError(msg)
 
@@ -361,8 +360,8 @@ def mirrors_of(left: Float, right: Float) -> tuple[Float, tuple[parts.Mirror, pa
     angle = float(np.linalg.norm(turn))
     if angle < LEAST_TURN_RAD:
         msg = (
-            f"picture: found views that are turned against one another by {np.degrees(angle):.1f} "
-            "degrees, expected more of two mirrors; two cameras need --views cameras"
+            f"picture: found a rotation of {np.degrees(angle):.1f} degrees between the views, "
+            "expected more for two mirrors; for two cameras use --views cameras"
         )
         raise FrameError(msg)
     axis = turn / angle

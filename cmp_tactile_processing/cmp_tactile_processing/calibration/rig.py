@@ -38,7 +38,7 @@ class RigPrior(Parameters, section="rig"):
 
     turn: float = parameter(
         0.035,
-        "standard deviation of each turn of the gel, a mirror or a view's camera",
+        "standard deviation of each rotation of the gel, a mirror or a view's camera",
         unit="rad",
         within=(0.0, 0.5),
     )
@@ -49,10 +49,10 @@ class RigPrior(Parameters, section="rig"):
         within=(0.0, 0.1),
     )
     focal: float = parameter(
-        0.02, "standard deviation of the focal length, relative to it", within=(0.0, 0.5)
+        0.02, "relative standard deviation of the focal length", within=(0.0, 0.5)
     )
     aspect: float = parameter(
-        0.0, "standard deviation of the ratio fy / fx, relative to it", within=(0.0, 0.1)
+        0.0, "relative standard deviation of the ratio fy / fx", within=(0.0, 0.1)
     )
     principal_point: float = parameter(
         5.0,

@@ -218,8 +218,8 @@ class NewtonEquilibrium(_Block):
         )
         stretch = self._elements.greatest_stretch(self.displacement)
         return (
-            f"the neo-Hookean gel cannot follow the load ({asked}) N; the last one that it "
-            f"follows is ({held}) N, where the greatest stretch is {stretch:.3g}"
+            f"the neo-Hookean gel has no solution for the load ({asked}) N; the last solved load "
+            f"is ({held}) N, with a greatest stretch of {stretch:.3g}"
         )
 
 

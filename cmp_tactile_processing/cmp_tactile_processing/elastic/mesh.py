@@ -75,7 +75,9 @@ class BlockGeometry:
         needed = MIN_THICKNESS_RATIO * self.size[2]
         # Written so that NaN, a block wider than its sphere or cylinder, fails as well.
         if not lowest >= needed:
-            found = "wider than the surface's radius" if np.isnan(lowest) else f"{lowest:.3g} m"
+            found = (
+                "a block wider than the surface's radius" if np.isnan(lowest) else f"{lowest:.3g} m"
+            )
             msg = (
                 f"{name}: elastomer.size and pattern.surface: thickness under the marker surface "
                 f"at the block's corner: found {found}, expected at least {needed:.3g} m"

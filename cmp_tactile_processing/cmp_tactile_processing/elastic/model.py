@@ -119,7 +119,7 @@ class ElasticProblem:
         if pattern.rows * pattern.cols > MAX_MARKERS:
             msg = (
                 f"{sensor.origin}: pattern.rows, pattern.cols: found {pattern.rows} x "
-                f"{pattern.cols}, expected at most {MAX_MARKERS} corners where forces are wanted"
+                f"{pattern.cols}, expected at most {MAX_MARKERS} corners for forces"
             )
             raise GeometryError(msg)
         extent = (pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch

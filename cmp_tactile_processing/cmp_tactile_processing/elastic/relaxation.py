@@ -64,13 +64,15 @@ class RelaxationFilter:
         self._check(moved, states)
         if stamp_ns is None:
             if not self._warned:
-                LOGGER.warning("frames without a stamp: the relaxation of the gel is left in")
+                LOGGER.warning(
+                    "found frames without a stamp: the relaxation of the gel is not corrected"
+                )
             self._warned = True
             return moved
         seen = np.isfinite(moved) & (states != 0)[..., None]
         if self._stamp_ns is not None and stamp_ns < self._stamp_ns:
             LOGGER.info(
-                "time goes back by %.3f s: the gel's past is forgotten",
+                "time went back by %.3f s: the correction of the relaxation starts again",
                 (self._stamp_ns - stamp_ns) * 1e-9,
             )
             self.reset()

@@ -8,45 +8,44 @@ from cmp_tactile_processing.measured import ForceFlag, SlipState
 
 ADVICE: dict[ForceFlag, str] = {
     ForceFlag.FEW_MARKERS: (
-        "too few markers are seen to determine a force: the trackers' diagnostics say why"
+        "too few markers are seen to determine a force: see the diagnostics of the trackers"
     ),
     ForceFlag.AT_BORDER: (
-        "a load reaches the edge of the marker area: of what acts beyond it a part is counted, at "
-        "the edge, and the rest is not; move the contact onto the markers before you measure"
+        "a load reaches the edge of the marker area: the part beyond the edge is measured only "
+        "partly; move the contact onto the markers before you measure"
     ),
     ForceFlag.BEYOND_MARKERS: (
-        "something acts outside the marker area: force and moment are neither those of the whole "
-        "load nor those of its part on the markers; move the contact onto the markers"
+        "a load acts outside the marker area: force and moment are wrong, for the whole load and "
+        "for its part on the markers; move the contact onto the markers"
     ),
     ForceFlag.HIDDEN_CONTACT: (
-        "markers under a contact or beside it are not seen: the force there is inferred from those "
-        "around it"
+        "markers under or beside a contact are not seen: the force there is inferred from the "
+        "markers around it; remove what hides them"
     ),
     ForceFlag.NO_DEPTH: (
-        "running without depth: the normal force is inferred from how the markers spread; seen "
-        "aslant it may be wrong altogether"
+        "one view measures no depth: the normal force is inferred from how the markers spread; "
+        "if the camera looks at the gel from the side, it can be completely wrong"
     ),
     ForceFlag.LARGE_PRESS: (
-        "pressed so far that the linear model is wrong: switch the large-press correction on, or "
+        "the press is too deep for the linear model: set force.large_press to auto or on, or "
         "press less"
     ),
     ForceFlag.NOT_CONVERGED: (
-        "the large-press correction has not settled: it does within a second where the press "
-        "stands still, unless that is beyond what the described gel can follow; then check "
-        "thickness and modulus, or press less"
+        "the large-press correction has not settled: if the flag stays for more than a second "
+        "while the press is still, check thickness and modulus, or press less"
     ),
     ForceFlag.POOR_FIT: (
-        "no force explains how the markers moved: zero again with nothing touching the gel, and "
-        "check that the sensor description is this sensor's"
+        "no force explains how the markers moved: zero again while nothing touches the gel, and "
+        "check that this is the description of the sensor"
     ),
     ForceFlag.IMPLAUSIBLE: (
-        "the markers show what no such gel can do or bear, so no force is given: check focus, "
-        "exposure and what covers the pattern, zero again with nothing touching the gel, "
-        "and check the sensor description's pitch, size and modulus"
+        "the markers moved as no gel of this description can, so no force is given: check focus, "
+        "exposure and what covers the pattern; zero again while nothing touches the gel; check "
+        "pitch, size and modulus in the sensor description"
     ),
     ForceFlag.ZERO_DOUBTFUL: (
-        "zero again with nothing touching the gel: there is a force without any "
-        "contact, or the reference was taken under load"
+        "there is a force without a contact, or the reference was taken under load: zero again "
+        "while nothing touches the gel"
     ),
 }
 

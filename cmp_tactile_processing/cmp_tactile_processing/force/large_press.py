@@ -198,7 +198,8 @@ def _complaint(force: Array) -> str:
     total = ", ".join(f"{part:.4g}" for part in np.sum(force, axis=0))
     greatest = float(np.max(np.linalg.norm(force, axis=1)))
     return (
-        f"the neo-Hookean gel cannot follow the force ({total}) N, up to {greatest:.3g} N on a node"
+        f"the neo-Hookean gel has no solution for the force ({total}) N, with up to "
+        f"{greatest:.3g} N on a node"
     )
 
 

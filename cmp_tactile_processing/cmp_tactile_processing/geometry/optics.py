@@ -168,7 +168,7 @@ def _build_view(sensor: SensorDescription, name: str, corners: NDArray[np.float6
     msg = (
         f"{sensor.origin}: views.{name}: found {found}, {shown[best]:.0%} of its corners inside "
         f"roi {[roi.x, roi.y, roi.width, roi.height]}, expected at least {LEAST_SHOWN:.0%}; check "
-        f"the camera, the pose and the mirror of this view"
+        "the camera, the pose and the mirror of this view"
     )
     raise DescriptionError(msg)
 

@@ -104,7 +104,7 @@ def rectified_pair(
         if not p[:, 2].min() > 0:
             msg = (
                 f"views: found the {name} camera beside or behind the pattern in the rectified "
-                "pair, expected cameras that look at it from both sides: check their poses"
+                "pair, expected both cameras in front of it: check their poses"
             )
             raise GeometryError(msg)
         seen[name] = p[:, :2] / p[:, 2:]
@@ -410,7 +410,7 @@ def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
     )
     for key, matrix in (("camera_matrix", info.K), ("projection_matrix", info.P[:, :3])):
         if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
-            expected = "focal lengths above 0 and the last row 0 0 1: a calibrated camera"
+            expected = "a calibrated camera: focal lengths above 0 and the last row 0 0 1"
             raise top.error(key, matrix.tolist(), expected)
     # Nothing in a rotation is above 1; numpy would warn of what overflows.
     R = np.clip(info.R, -2.0, 2.0)

@@ -230,7 +230,7 @@ class RayModel:
         q = np.ascontiguousarray(q, dtype=np.float64).reshape(-1, 2)
         out = RayBundle.empty(len(q)) if out is None else out
         if len(out.origin) != len(q):
-            msg = f"rays: found room for {len(out.origin)}, expected {len(q)}"
+            msg = f"rays: found an output for {len(out.origin)}, expected {len(q)}"
             raise GeometryError(msg)
         pose = (self._R_gel_view, self._centre)
         arrays = (out.origin, out.direction, out.origin_by_pixel, out.direction_by_pixel)

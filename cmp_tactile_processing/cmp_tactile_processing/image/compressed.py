@@ -48,7 +48,7 @@ def decode_image(
     except cv2.error:  # a size beyond OpenCV's limit
         image = None
     if image is None:
-        msg = f"{origin}: found {content.size} bytes that are no readable image"
+        msg = f"{origin}: found {content.size} bytes that are not a readable image"
         raise FrameError(msg)
     if image.dtype == np.uint16:
         image = (depth or BitDepth(origin)).to_8_bits(np.asarray(image, np.uint16))

@@ -49,7 +49,7 @@ def decode_jpeg(
     try:
         height, width, space, _ = simplejpeg.decode_jpeg_header(content, strict=False)
     except (ValueError, KeyError) as error:  # KeyError: a sampling of colours that is none
-        msg = f"{origin}: found {len(content)} bytes that are no readable image: {error}"
+        msg = f"{origin}: found {len(content)} bytes that are not a readable image: {error}"
         raise FrameError(msg) from None
     expected = size or (min(width, MAX_SIDE), min(height, MAX_SIDE))
     if (width, height) != expected:

@@ -44,9 +44,7 @@ class _Abandoned(Exception):  # noqa: N818  not an error
 class ForceReconstructorParameters(Parameters):
     """What is fixed while the node runs."""
 
-    wait_for_model: bool = parameter(
-        False, "return from the start only when the force model is built"
-    )
+    wait_for_model: bool = parameter(False, "wait at the start until the force model is built")
     large_press_steps: int = parameter(
         0,
         "steps of the large-press correction in each frame; until it has converged, the "

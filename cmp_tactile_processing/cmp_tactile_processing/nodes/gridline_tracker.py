@@ -101,7 +101,7 @@ class GridlineTracker(base_nodes.StageNode):
         self._inspection = FrameService[NDArray[np.uint8]](
             self,
             "~/inspect_print",
-            "the print is being inspected already",
+            "an inspection of the print is already running",
             self._wanted_for_print,
         )
 

@@ -79,7 +79,7 @@ class StereoTriangulator(base_nodes.StageNode):
         self._averaging = FrameService[Markers3D](
             self,
             "~/set_reference",
-            "a reference is being taken already",
+            "a reference is already being taken",
             self._wanted_for_reference,
         )
 

@@ -54,7 +54,7 @@ class DenseParameters(Parameters, section="dense surface"):
     )
     dense_margin: float = parameter(
         0.0,
-        "how far dense_points is extrapolated beyond the known markers",
+        "how far dense_points extends beyond the known markers",
         unit="m",
         within=(0.0, 1e-2),
     )

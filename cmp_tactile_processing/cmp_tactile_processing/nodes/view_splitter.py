@@ -67,7 +67,8 @@ class Mounting(Parameters):
         if parent.startswith("/") or parent in own or parent != "".join(parent.split()):
             msg = (
                 f"{node.get_fully_qualified_name()}: parameter parent_frame: found {parent!r}, "
-                f"expected no blank, no / at its beginning, none of {', '.join(own)}"
+                "expected a name without blanks, not beginning with /, and none of "
+                f"{', '.join(own)}"
             )
             raise ParameterError(msg)
         return mounting
@@ -113,15 +114,15 @@ class FrameNameWatch:
             if parents[0] != parents[1]:
                 where = f"two parents, {parents[0]} and {parents[1]}"
             elif not _is_same_pose(known.transform, found.transform):
-                where = f"two places in {parents[0]}"
+                where = f"two poses in {parents[0]}"
             else:
                 continue
             self._warned.add(child)
             ends = self._node.get_publishers_info_by_topic(TF_STATIC)
             names = sorted({f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends})
             self._node.get_logger().warning(
-                f"frame {child} has {where}; {TF_STATIC} is published by {', '.join(names)}: "
-                "give each sensor a sensor_name of its own"
+                f"frame {child} has {where}; {TF_STATIC} is published by {', '.join(names)}: give "
+                "each sensor a different sensor_name"
             )
 
 
@@ -143,13 +144,13 @@ class ViewSplitterParameters(ImageInputParameters):
 
     input_transport: str = parameter(
         "raw",
-        "what the frames come on: raw (image_raw) or compressed (image_raw/compressed)",
+        "transport of the frames: raw (image_raw) or compressed (image_raw/compressed)",
         choices=("raw", "compressed"),
     )
     frame_queue: str = parameter(
         "every",
-        "which frames are processed where they come quicker than the wrenches: every one, in a "
-        "queue, or the newest, and those between are passed over",
+        "frames to process if they come faster than wrenches: every (all, in a queue) or newest "
+        "(older ones are passed over)",
         choices=("every", "newest"),
     )
 

@@ -58,7 +58,7 @@ def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]
 
 def _views_of(sensor: SensorDescription) -> dict[str, ViewGeometry]:
     if not sensor.views:
-        msg = f"{sensor.origin}: views: found none, expected those in which the pattern is seen"
+        msg = f"{sensor.origin}: views: found none, expected at least one that shows the pattern"
         raise DescriptionError(msg)
     return build_views(sensor)
 
@@ -69,15 +69,15 @@ def code_advice(sensor: SensorDescription) -> str:
     Raises DescriptionError where a view does not show the pattern.
     """
     side = _least(sensor.pattern, _views_of(sensor))
-    checkers = f"in checkers of {side:.1f} px at their smallest dots"
+    checkers = f"in checkers of {side:.1f} px (the smallest) dots"
     if side < LEAST_CODED_SIDE_PX:
-        return f"{checkers} cannot be read: {LEAST_CODED_SIDE_PX:g} px are needed"
+        return f"{checkers} cannot be read: at least {LEAST_CODED_SIDE_PX:g} px are needed"
     if side < EXACT_CODED_SIDE_PX:
         return (
-            f"{checkers} are read in focus, and make gridlines less exact: from "
+            f"{checkers} can be read in focus, but make gridlines less exact; from "
             f"{EXACT_CODED_SIDE_PX:g} px on they do not"
         )
-    return f"{checkers} are read, and gridlines are as exact as without them"
+    return f"{checkers} can be read, and gridlines are as exact as without dots"
 
 
 def advise(sensor: SensorDescription) -> PatternAdvice:
@@ -114,28 +114,28 @@ def _reason(pattern: Pattern, side: float, *, by_skin: bool) -> str:
     if side < LEAST_SIDE_PX:
         return (
             f"even with {pattern.rows} x {pattern.cols} corners the smallest checker is only "
-            f"{side:.1f} px wide, and below {LEAST_SIDE_PX:g} px markers are lost: the camera is "
-            f"too coarse, or too far from the gel"
+            f"{side:.1f} px wide, and below {LEAST_SIDE_PX:g} px markers are lost: the camera has "
+            "too few pixels, or is too far from the gel"
         )
     if side < RECOMMENDED_SIDE_PX:
         return (
-            f"the fewest corners that a pattern may have give checkers of {side:.1f} px at their "
-            f"smallest, where {RECOMMENDED_SIDE_PX:g} px would be better"
+            f"the smallest allowed number of corners gives checkers of {side:.1f} px (the "
+            f"smallest); {RECOMMENDED_SIDE_PX:g} px would be better"
         )
     if by_skin:
         return (
-            f"the camera would see smaller checkers than these of {side:.1f} px, but the skin over "
-            f"the pattern blurs what is finer than {pattern.pitch * 1e3:.2f} mm"
+            f"the camera could see smaller checkers than these of {side:.1f} px, but the skin "
+            f"over the pattern blurs details below {pattern.pitch * 1e3:.2f} mm"
         )
     if max(pattern.rows, pattern.cols) == MAX_CORNERS:
         return (
-            f"the most corners that a pattern may have still give checkers of {side:.1f} px at "
-            f"their smallest, {RECOMMENDED_SIDE_PX:g} px being enough"
+            f"the largest allowed number of corners still gives checkers of {side:.1f} px (the "
+            f"smallest); {RECOMMENDED_SIDE_PX:g} px are enough"
         )
     return (
         f"the smallest checker of both views is then {side:.1f} px wide: below "
-        f"{RECOMMENDED_SIDE_PX:g} px markers are placed worse, and of larger checkers there are "
-        f"fewer to interpolate between"
+        f"{RECOMMENDED_SIDE_PX:g} px, markers are less exact; with larger checkers there are "
+        "fewer markers"
     )
 
 

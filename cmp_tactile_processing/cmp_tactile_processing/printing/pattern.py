@@ -329,7 +329,7 @@ def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
         share = 1 - options.dot_diameter if options.invert else options.dot_diameter
     most = share * pattern.pitch / 2
     if not 0 <= options.ink_gain < most:
-        expected = f"expected 0 to less than {most * 1e6:.4g} um, where nothing is left"
+        expected = f"expected 0 to less than {most * 1e6:.4g} um, at which nothing would be left"
         raise ParameterError(f"ink gain: found {options.ink_gain * 1e6:g} um, {expected}")
     # Light ink outside the checkers is a frame of margin and bleed, narrowed from both sides.
     frame = options.margin + options.bleed
@@ -352,6 +352,6 @@ def _check_surface(sensor: SensorDescription, around: float) -> None:
     if not needed < surface.radius:
         raise DescriptionError(
             f"{sensor.origin}: pattern.surface.radius: found {surface.radius * 1e3:.6g} mm, "
-            f"expected more than {needed * 1e3:.6g} mm, as far as the print of "
-            f"{size[0] * 1e3:.6g} x {size[1] * 1e3:.6g} mm reaches, margin and bleed included"
+            f"expected more than {needed * 1e3:.6g} mm: the print, with margin and bleed, is "
+            f"{size[0] * 1e3:.6g} x {size[1] * 1e3:.6g} mm"
         )

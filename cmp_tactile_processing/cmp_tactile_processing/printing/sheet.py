@@ -227,11 +227,11 @@ def _facts(
     yield "MIRRORED: seen from the camera" if mirrored else "seen from the touching side"
     yield "print side onto the gel" if mirrored else "print side away from the gel"
     if printed.rim_strain:
-        yield f"film's rim is pushed together by {-printed.rim_strain:.1%}"
+        yield f"the film's rim is compressed by {-printed.rim_strain:.1%}"
     if options.invert:
-        yield "inverted: the ink is the light part"
+        yield "inverted: the light parts are printed"
     if options.ink_gain:
-        yield f"{options.ink_gain * 1e6:g} um of ink gain taken off each edge"
+        yield f"edges moved by {options.ink_gain * 1e6:g} um for ink gain"
     yield f"targets at x = ±{targets[0]:g}, y = ±{targets[1]:g} mm"
     yield "print at 100 %"
 
@@ -316,13 +316,13 @@ def _grid(tile: NDArray[np.float64], paper: str, copies: int) -> tuple[tuple[flo
     size = f"{tile[0]:.1f} x {tile[1]:.1f} mm"
     if columns * rows == 0:
         raise ParameterError(
-            f"paper: found {paper} with room for {room[0]:.1f} x {room[1]:.1f} mm, expected "
-            f"room for {size}; paper fit is as large as it must be"
+            f"paper: found {paper} with room for {room[0]:.1f} x {room[1]:.1f} mm, expected room "
+            f"for {size}; use paper fit"
         )
     if copies > columns * rows:
         raise ParameterError(
             f"copies: found {copies}, expected at most {columns * rows} of {size} on {paper}; "
-            f"paper fit takes any number"
+            "paper fit takes any number"
         )
     return first, columns
 

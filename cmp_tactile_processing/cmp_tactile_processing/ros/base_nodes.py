@@ -103,7 +103,7 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
         """Of those given at the start that the node has not, by now; but: beginnings of names."""
         for text in unknown_overrides(self):
             if not text.startswith(but):
-                self.get_logger().warning(f"{text} (given at the start, without effect)")
+                self.get_logger().warning(f"{text} (given at the start; it has no effect)")
 
     def name_finding(self) -> Finding:
         """Another process with a node of this name.
@@ -114,8 +114,9 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
         process, before = self._namesakes.process_of(name), self._reported_namesake
         self._reported_namesake = process
         text = (
-            f"{name} runs in process {process}, too, beside process {this_process()} here: "
-            "two sensors of one name mix their frames; end one or give it another namespace"
+            f"{name} runs in process {process} and here in process {this_process()}: the frames "
+            "of two sensors with one name are mixed; end one of them, or give it another "
+            "namespace"
         )
         if process and process != before:
             self.get_logger().error(text)
@@ -302,7 +303,7 @@ class StageNode(ReportingNode):
 
     def _on_time_back(self, topic: str) -> None:
         if not self.diagnostics.started_again:
-            text = "time went back: starts again, and will each time; the diagnostics count"
+            text = "time went back: the node starts again; the diagnostics count later jumps"
             self.get_logger().info(f"{self.resolve_topic_name(topic)}: {text}")
         self.diagnostics.started_again += 1
         self._start_again(topic)

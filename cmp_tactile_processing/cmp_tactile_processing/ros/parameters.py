@@ -102,7 +102,7 @@ def why_refused(node: Node, parameter: Parameter[Any]) -> str:
         return _unknown(node, name)
     descriptor = node.describe_parameter(name)
     if descriptor.read_only:
-        return f"{name}: found {found!r}, expected nothing: it is fixed at the start"
+        return f"{name}: found {found!r}, expected no change: it is fixed at the start"
     same_type = descriptor.dynamic_typing or parameter.type_.value == descriptor.type
     if same_type and _within(descriptor, found):
         return ""
@@ -187,7 +187,7 @@ class StageParameters(Generic[T]):
         try:
             self._on_change(value)
         except CmpTactileError as error:
-            self._node.get_logger().error(f"new parameters cannot be used: {error}")
+            self._node.get_logger().error(f"the new parameters cannot be used: {error}")
         except Exception:  # noqa: BLE001  it must not end the node
             text = f"unexpected error by new parameters\n{traceback.format_exc()}"
             self._node.get_logger().error(text)
@@ -251,7 +251,7 @@ class SensorParameters(Parameters):
     """Which sensor a node is of."""
 
     sensor_description: str = parameter(
-        DEFAULT_SENSOR, "file of the sensor description, or name of a packaged one"
+        DEFAULT_SENSOR, "sensor description: a file or a packaged name"
     )
     sensor_name: str = parameter("", SENSOR_NAME_HELP)
 
@@ -261,5 +261,5 @@ class ImageInputParameters(Parameters):
     """How a node subscribes to images."""
 
     reliable_input: bool = parameter(
-        True, "subscribe to images reliably, which a best-effort publisher does not match"
+        True, "subscribe to images reliably; a best-effort publisher does not match"
     )

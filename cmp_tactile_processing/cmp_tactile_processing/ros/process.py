@@ -57,8 +57,8 @@ def joining_ros() -> Iterator[None]:
             msg = f"{what}: found '{text}', expected {EXPECTED.get(what, 'a ROS argument')}"
         elif os.environ.get("ROS_SECURITY_ENABLE") == "true":
             msg = (
-                "ROS_SECURITY_ENABLE=true: the ROS graph cannot be joined securely; the Fast DDS "
-                "of the Python wheels is built without security, a ROS 2 of the system has it: "
+                "ROS_SECURITY_ENABLE=true: found no secure connection to the ROS graph; the Fast "
+                "DDS of the Python wheels has no security, use a ROS 2 of the system: "
                 f"{' '.join(str(error).split())}"
             )
         else:

@@ -97,11 +97,13 @@ def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str
     found = settled(called_so, search_s)
     if len(found) > 1:
         named = ", ".join(full.removesuffix(SET_PARAMETERS) for full in sorted(found))
-        msg = f"{name}: found several, name one: {named}"
+        msg = f"{name}: found several, expected the name of one of: {named}"
         raise ServiceError(msg)
     if not found:
         there = sorted(k for k, kind in _offered(node).items() if not kind.startswith(OF_ROS))
-        expected = f"one of {', '.join(there)}" if there else "nodes that run (ROS_DOMAIN_ID?)"
+        expected = (
+            f"one of {', '.join(there)}" if there else "running nodes; is ROS_DOMAIN_ID the same?"
+        )
         msg = f"{name}: found no such service, expected {expected}{_meant(ends, there)}"
         raise ServiceError(msg)
     return next(iter(found.items()))
@@ -137,7 +139,7 @@ def call(node: Node, service: str, kind: str, words: Iterable[str]) -> Any:
     try:
         loaded = getattr(import_module(package.replace("/", ".")), name)
     except (ImportError, AttributeError):
-        msg = f"{service}: its type {kind} is not installed here"
+        msg = f"{service}: found the type {kind}, which is not installed here"
         raise ServiceError(msg) from None
     request = loaded.Request(check_fields=True)
     for field, text in _values(words).items():

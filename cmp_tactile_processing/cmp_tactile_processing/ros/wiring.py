@@ -302,7 +302,7 @@ class Wiring:
                 try:
                     entrance.pass_on()
                 except BaseException as error:  # noqa: BLE001  the next frame may be better
-                    get_logger("wiring").error(f"a frame is lost: {error!r}")
+                    get_logger("wiring").error(f"a frame was lost: {error!r}")
 
 
 def _fit(output: Output, end: Input) -> bool:

@@ -98,7 +98,7 @@ class SensorDescription:
     def frame_size(self) -> tuple[int, int]:
         """Width and height of the camera frame, px; DescriptionError where there is no camera."""
         if self.optics.type == parts.NO_OPTICS:
-            msg = f"{self.origin}: optics.type: found none, expected a camera where frames are used"
+            msg = f"{self.origin}: optics.type: found none, expected a camera for the use of frames"
             raise DescriptionError(msg)
         return self.image.width, self.image.height
 
@@ -158,7 +158,7 @@ def _read_camera(section: YamlSection, image: parts.ImageSize) -> parts.Camera:
     for key, focal in (("fx", camera.fx), ("fy", camera.fy)):
         if focal < least:
             expected = (
-                f"px, at least {least:.3g} for an image {image.width} px wide: did you mean "
+                f"px, at least {least:.3g} for an image {image.width} px wide; did you mean "
                 f"{focal:g} mm divided by the size of a pixel in mm?"
             )
             raise section.error(key, focal, expected)
@@ -177,7 +177,7 @@ def _read_views(
     names = [name for name in VIEW_NAMES if name in section]
     if optics_type == "monocular":
         if len(names) != 1:
-            raise section.error("", names, "one view for a monocular sensor: left or right")
+            raise section.error("", names, "one view, left or right, for a monocular sensor")
     else:
         names = list(VIEW_NAMES)
     views = {}
@@ -215,12 +215,12 @@ def _check_gel(top: YamlSection, pattern: parts.Pattern, elastomer: parts.Elasto
     for key, count in (("rows", pattern.rows), ("cols", pattern.cols)):
         if pattern.border == "in_view" and count > parts.MAX_CORNERS:
             expected = (
-                f"a whole number from {parts.MIN_CORNERS} to {parts.MAX_CORNERS}; of a pattern "
-                f"with border: beyond_view up to {parts.MAX_BEYOND_VIEW} can be numbered"
+                f"a whole number from {parts.MIN_CORNERS} to {parts.MAX_CORNERS}; with border: "
+                f"beyond_view up to {parts.MAX_BEYOND_VIEW}"
             )
             raise top.error(f"pattern.{key}", count, expected)
     if not np.isfinite(pattern.corners()).all():
-        expected = "a radius that spans the pattern"
+        expected = "a radius large enough for the pattern"
         raise top.error("pattern.surface", pattern.surface.radius, expected)
     size, layer = elastomer.size, elastomer.shading_layer
     extent = ((pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch)
@@ -364,7 +364,8 @@ def _flow(part: Any) -> str:
 
 DEFAULT_SENSOR = "prototype"
 SENSOR_NAME_HELP = (
-    "name of this sensor, with which its tf frames begin; empty for the sensor description's"
+    "name of this sensor, the beginning of its tf frames; empty for the name in the sensor "
+    "description"
 )
 PACKAGE = "cmp_tactile_processing"
 

@@ -135,12 +135,12 @@ class ForceParameters(Parameters, section="force"):
     )
     smoothing_length: float = parameter(
         1.5e-3,
-        "length over which the traction is expected to be smooth",
+        "length over which the traction is assumed smooth",
         unit="m",
         within=(1e-5, 0.1),
     )
     two_pass: bool = parameter(
-        True, "solve a second time on the nodes that the first pass finds in contact"
+        True, "solve a second time on the nodes that were in contact in the first pass"
     )
     large_press: str = parameter(
         "auto",

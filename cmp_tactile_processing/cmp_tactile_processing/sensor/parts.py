@@ -222,14 +222,14 @@ def _read_code(section: YamlSection, key: str) -> str:
     rows, cols = (section.integer(side, MIN_CORNERS, MAX_BEYOND_VIEW) for side in ("rows", "cols"))
     if code == "dots" and max(rows, cols) > MAX_CORNERS:
         expected = (
-            f"none, or at most {MAX_CORNERS} rows and cols: with {LARGEST_SHEET} checkers along a "
-            f"side {rows} x {cols} corners are more than the largest sheet has"
+            f"none, or at most {MAX_CORNERS} rows and cols: the largest sheet has {LARGEST_SHEET} "
+            f"checkers along a side, too few for {rows} x {cols} corners"
         )
         raise section.error(key, code, expected)
     if code == "dots" and (rows + 1) * (cols + 1) < FEWEST_CODED:
         expected = (
-            f"none, or at least {FEWEST_CODED} checkers: the dots of {rows + 1} x {cols + 1} are "
-            "too few to show for certain which ones they are"
+            f"none, or at least {FEWEST_CODED} checkers: with {rows + 1} x {cols + 1}, the dots "
+            "cannot be identified with certainty"
         )
         raise section.error(key, code, expected)
     return code

@@ -107,7 +107,9 @@ class _Loader(Composer, _Parser, Resolver):  # type: ignore[misc]
         size = 1
         if isinstance(event, yaml.AliasEvent) and event.anchor in self.anchors:
             if event.anchor not in self._sizes:
-                raise self._refused(f"an alias of what it lies in, *{event.anchor}", "none")
+                raise self._refused(
+                    f"an alias of a value that contains it, *{event.anchor}", "none"
+                )
             size = self._sizes[event.anchor]
         if getattr(event, "tag", None) is not None:
             raise self._refused(f"the tag {event.tag.replace(_TAG, '!!')}", "a value without a tag")
@@ -170,7 +172,7 @@ class _Loader(Composer, _Parser, Resolver):  # type: ignore[misc]
 
     def _check_depth(self, depth: int) -> None:
         if depth > MAX_DEPTH:
-            raise self._refused("one more level", f"at most {MAX_DEPTH} levels in each other")
+            raise self._refused("more nested levels", f"at most {MAX_DEPTH} nested levels")
 
     def _refused(self, found: str, expected: str) -> DescriptionError:
         where = self.key_path or "top level"

@@ -46,7 +46,7 @@ class StereoRig:
 
     def __init__(self, sensor: SensorDescription) -> None:
         if not sensor.views:
-            msg = f"{sensor.origin}: views: found none, expected those in which markers are seen"
+            msg = f"{sensor.origin}: views: found none, expected at least one that shows markers"
             raise GeometryError(msg)
         self._sensor = sensor
         self._options = sensor.triangulation
@@ -253,7 +253,7 @@ def implausible_ray_gap(
     if median <= PLAUSIBLE_RAY_GAP_M:
         return ""
     return (
-        f"left and right rays miss each other by {median * 1e6:.0f} um, expected at most "
+        f"the left and right rays of a marker are {median * 1e6:.0f} um apart, expected at most "
         f"{PLAUSIBLE_RAY_GAP_M * 1e6:.0f} um: is {sensor_name} the description of this sensor?"
     )
 

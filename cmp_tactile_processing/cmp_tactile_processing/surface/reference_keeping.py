@@ -31,12 +31,12 @@ class DriftParameters(Parameters, section="drift"):
     """What drift of the gel at rest is followed and reported."""
 
     drift_time: float = parameter(
-        10.0, "time constant over which drift at rest is averaged", unit="s", within=(0.0, 3600.0)
+        10.0, "time constant of the average of the drift at rest", unit="s", within=(0.0, 3600.0)
     )
     drift_limit: float = parameter(
         15e-6,
-        "drift of the gel at rest since the reference, as a whole or of neighbouring markers, "
-        "above which it is warned of",
+        "drift of the gel at rest since the reference, of the whole gel or of neighbouring "
+        "markers, above which a warning is given",
         unit="m",
         within=(1e-7, 1e-2),
     )
@@ -94,9 +94,8 @@ class DriftMonitor:
             return ""
         return (
             f"the gel at rest has drifted by {self.drift.largest * 1e6:.0f} um since the "
-            f"reference, expected at most {limit * 1e6:.0f} um: zero again while nothing "
-            "touches the gel; where it drifts again, check how gel and camera are held and "
-            "calibrate"
+            f"reference, expected at most {limit * 1e6:.0f} um: zero again while nothing touches "
+            "the gel; if it drifts again, check the mounting of gel and camera, and calibrate"
         )
 
     def _like(self, judged: FramesJudged, reference: Reference) -> bool:
@@ -130,13 +129,13 @@ class ZeroParameters(Parameters, section="reference"):
 
     auto_reference: str = parameter(
         "when_still",
-        "when a reference is taken by itself: as soon as the gel is still and untouched, only if "
-        "it is so in the first frames, or never",
+        "when the node takes a reference: as soon as the gel is still and untouched "
+        "(when_still), only if it is so in the first frames (at_start), or never",
         choices=("when_still", "at_start", "never"),
     )
     auto_rezero: bool = parameter(
         False,
-        "take a new reference by itself where the gel, still and untouched, has drifted beyond "
+        "take a new reference automatically if the gel, still and untouched, has drifted beyond "
         "drift_limit",
     )
 
@@ -211,12 +210,12 @@ class ReferenceKeeper:
     def warning(self) -> str:
         """What is wrong with the reference and what to do; empty where nothing is."""
         if self._zero.auto_reference != "never" and self.reason:
-            later = "it is taken once that is over" if self.waiting else "none was taken at start"
+            later = "it is taken when this has ended" if self.waiting else "none was taken at start"
             number = self.reference.id
-            kept = f"new reference yet, displacement is against reference {number}"
+            kept = f"new reference yet, displacement is relative to reference {number}"
             if not number:
-                kept = "reference yet, displacement is against the nominal surface"
-            return f"no {kept}: {self.reason}; {later}, or by zero"
+                kept = "reference yet, displacement is relative to the nominal surface"
+            return f"no {kept}: {self.reason}; {later}, or when you zero"
         if self._doubt:
             return (
                 f"reference {self.reference.id} is doubtful: {self._doubt}; zero again "
@@ -229,7 +228,7 @@ class ReferenceKeeper:
         doubt = self._why_touched(reference)
         if doubt:
             raise ReferenceFramesError(doubt)
-        return self._use(reference, "", len(judged.frames)) + ", taken by itself"
+        return self._use(reference, "", len(judged.frames)) + ", taken automatically"
 
     def _awaited(self, judged: FramesJudged, stamp_ns: int) -> str:
         self.reason = judged.reason

@@ -236,7 +236,7 @@ def _moving(shake: float, creep: float, limits: tuple[float, float]) -> str:
     for what, found, limit in (("shakes", shake, limits[0]), ("moves", creep, limits[1])):
         if math.isnan(found):
             return (
-                "found the markers in too few frames in a row to determine whether the gel is still"
+                "found the markers in too few consecutive frames to decide whether the gel is still"
             )
         if not found <= limit:
             return f"the gel {what} by {found * 1e6:.1f} um, expected at most {limit * 1e6:.1f} um"
@@ -251,17 +251,17 @@ def why_touched(shape: RestShape | None, parameters: RestParameters) -> str:
         return (
             f"markers around {shape.place} are {shape.bump * 1e6:.0f} um off the shape at rest, "
             f"expected at most {parameters.rest_tolerance * 1e6:.0f} um: something touches the "
-            "gel, or the sensor description does not fit"
+            "gel, or the sensor description is wrong"
         )
     if shape.shift > parameters.rest_shift:
         return (
-            f"the pattern is {shape.shift * 1e6:.0f} um off its place, expected at most "
+            f"the pattern is shifted by {shape.shift * 1e6:.0f} um, expected at most "
             f"{parameters.rest_shift * 1e6:.0f} um: something drags the gel, or the sensor "
-            "description does not fit"
+            "description is wrong"
         )
     if abs(shape.scale - 1) > LARGEST_SCALE:
         return (
-            f"the pattern is {shape.scale:.3f} times its size, expected 1 to within "
-            f"{LARGEST_SCALE:g}: does the sensor description fit?"
+            f"the pattern is {shape.scale:.3f} times its described size, expected 1 +- "
+            f"{LARGEST_SCALE:g}: check the sensor description"
         )
     return ""

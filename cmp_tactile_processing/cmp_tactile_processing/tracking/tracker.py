@@ -230,7 +230,7 @@ class GridTracker:
         """The corners less those of another pattern; none where further ones lie beyond them."""
         corners, strays = self._markers.without_strays(corners)
         if not self._markers.is_bounded(image, corners.position):
-            reason = "beyond a border of the pattern that was seen there are further checkers"
+            reason = "there are further checkers beyond a border of the pattern"
             numbering = Numbering.nothing(corners.std.shape, GridFault.AMBIGUOUS, reason)
             corners = corners.none()
         return corners, without_strays(numbering, strays, corners.missing)

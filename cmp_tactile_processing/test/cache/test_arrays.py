@@ -142,7 +142,7 @@ def test_a_folder_of_another_user_is_not_used(tmp_path, caplog, monkeypatch):
         with pytest.raises(PermissionError, match="belongs to user"):
             own_contents(tmp_path)
     (record,) = caplog.records
-    assert f"belongs to user {os.getuid() + 1}, is not used as a cache" in record.getMessage()
+    assert f"belongs to user {os.getuid() + 1}: not used as a cache" in record.getMessage()
     assert build.calls == 2
 
 

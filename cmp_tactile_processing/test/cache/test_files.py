@@ -61,7 +61,7 @@ def test_a_lock_is_held_by_one_waited_for_and_removed(tmp_path):
     thread = threading.Thread(target=hold)
     thread.start()
     held.wait()
-    with pytest.raises(TimeoutError, match="lock: is locked by another process"), locked(path, 0.0):
+    with pytest.raises(TimeoutError, match="lock: locked by another process"), locked(path, 0.0):
         pass
     began = time.monotonic()
     with locked(path):

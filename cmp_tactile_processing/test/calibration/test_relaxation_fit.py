@@ -168,7 +168,7 @@ def test_a_weight_on_a_gel_of_two_time_constants_gives_one_between():
         (lambda t, g: (t[:20], g[:20], 5.0), r"reading: found 20 samples, expected at least 30"),
         (lambda t, g: (t[::-1], g, 5.0), r"time_s: found .* s after a later time"),
         (lambda t, g: (t, 0 * g, 5.0), r"reading: found 0 throughout"),
-        (lambda t, g: (t, g, 0.0), r"expected at least 30, the load not 0 throughout"),
+        (lambda t, g: (t, g, 0.0), r"found .*expected at least 30"),
     ],
 )
 def test_records_of_another_form_are_named(change, expected):

@@ -55,7 +55,7 @@ def test_compressed_png_is_exact():
     [
         ("mono8; theora compressed", b"abc", "format: found 'mono8; theora compressed'"),
         ("16UC1; compressedDepth png", b"abc", "format: found '16UC1; compressedDepth png'"),
-        ("png", b"abc", "data: found 3 bytes that are no readable image"),
+        ("png", b"abc", "data: found 3 bytes that are not a readable image"),
         ("jpeg", b"", "data: found 0 bytes"),
     ],
 )

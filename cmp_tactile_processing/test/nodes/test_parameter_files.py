@@ -150,7 +150,7 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("contact_evidence", 12, "found 12, expected a number with a decimal point"),
     ("diagnostics.report_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
     ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
-    ("wait_for_model", True, "found True, expected nothing: it is fixed at the start"),
+    ("wait_for_model", True, "found True, expected no change: it is fixed at the start"),
     ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
     ("diagnostics.late_warn", 2.0, "found 2.0, expected 0 to 1"),
 ]

@@ -97,9 +97,9 @@ def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
     assert (values["stamps repeated"], values["stamps zero"]) == ("1", "1")
     assert status.level == DiagnosticStatus.WARN
     assert "stamps came twice (1 in the last second)" in status.message
-    assert "stamps went back, as where a recording begins again" in status.message
+    assert "stamps went back" in status.message
     # Stamps of seconds after 1970: no latency can be reported, and none is called late.
-    assert values["latency median (ms)"].startswith("not known: stamps are -")
+    assert values["latency median (ms)"].startswith("not known: stamps differ from the clock by -")
     assert values["late frames"] == "0"
 
 
@@ -138,7 +138,7 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
     for end in wrong():
         assert end in status.message
         topic = "surface" if f"{name} to " in end else "result"
-        assert end.startswith(f"{ros.namespace}/{topic}: nothing comes from ")
+        assert end.startswith(f"{ros.namespace}/{topic}: no message from ")
     text = " ".join(wrong())
     for reason in ("Best effort", "transient local", "deadline"):
         assert reason.lower() in text.lower()
@@ -163,6 +163,6 @@ def test_a_clock_that_stands_still_silences_nobody(ros):
 def test_nobody_publishing_is_reported(ros):
     node = ros.start(_Slow)
     topic = f"{ros.namespace}/surface"
-    assert node._status().message == f"no frames come in: nobody publishes {topic}"
+    assert node._status().message == f"no frames received: no publisher of {topic}"
     ros.node.create_publisher(Surface, "surface", 1)
-    ros.wait(lambda: node._status().message == "no frames come in", "the publisher")
+    ros.wait(lambda: node._status().message == "no frames received", "the publisher")

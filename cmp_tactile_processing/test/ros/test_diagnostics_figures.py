@@ -134,7 +134,7 @@ def test_latency_is_unknown_where_stamps_are_of_another_clock(age_s):
     watch = LatencyWatch()
     watch.add(age_s, 0.1)
     reported = watch.figures()["latency p99 (ms)"]
-    assert reported.startswith(f"not known: stamps are {-age_s:+.0f} s off the clock")
+    assert reported.startswith(f"not known: stamps differ from the clock by {-age_s:+.0f} s")
     assert watch.late == 0
 
 
@@ -187,8 +187,8 @@ def _stage(**limits: float) -> StageDiagnostics:
         ({"rate_warn": 31.0}, {}, WARN, "30.0 results a second, expected 31"),
         ({"rate_warn": 29.0}, {}, OK, "running"),
         ({"rate_warn": 40.0, "rate_error": 35.0}, {}, ERROR, "30.0 results a second, expected 40"),
-        ({}, {"into": 0, "out": 0}, WARN, "no frames come in"),
-        ({"rate_warn": 1.0, "rate_error": 1.0}, {"into": 0, "out": 0}, ERROR, "no frames come in"),
+        ({}, {"into": 0, "out": 0}, WARN, "no frames received"),
+        ({"rate_warn": 1.0, "rate_error": 1.0}, {"into": 0, "out": 0}, ERROR, "no frames received"),
         ({}, {"late": 2}, WARN, "2 of 30 results older than 100 ms"),
         ({"late_after": 1.0}, {"late": 2}, OK, "running"),
         ({"late_error": 0.05}, {"late": 2}, ERROR, "2 of 30 results older than 100 ms"),
@@ -241,7 +241,7 @@ def test_rate_and_level_are_those_of_the_last_period(clock):
     assert report.values["last error"] == "/rig/image_raw: step: found 3, expected 4"
 
     report = _Report(diagnostics, clock)
-    assert (report.level, report.message) == (WARN, "no frames come in")
+    assert (report.level, report.message) == (WARN, "no frames received")
 
 
 def test_lasting_failure_is_an_error_whatever_comes_in(clock):

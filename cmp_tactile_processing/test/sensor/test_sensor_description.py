@@ -181,7 +181,7 @@ def test_on_and_off_without_quotes_are_words(content, load_text, word):
         ("a: *b\n", r"a: not a YAML file: line 1, column 4: found undefined alias"),
         ("a: 1\nb: c\0d\n", r"line 2: not a YAML file: found the character 0x0"),
         pytest.param("version: " + "9" * 5000, "version: found 5000 digits", id="digits"),
-        pytest.param("a: " + "[" * 9000, r"a\[0\].*: found one more level", id="deep"),
+        pytest.param("a: " + "[" * 9000, r"a\[0\].*: found more nested levels", id="deep"),
         ("", "top level: found None, expected a mapping"),
     ],
 )

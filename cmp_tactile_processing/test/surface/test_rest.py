@@ -36,7 +36,7 @@ UM = 1e-6
 NOISE = np.array([1.5, 1.5, 4.0]) * UM
 FRAMES = 20
 SECOND = 10**9
-TAKEN = "reference {} is the mean of 20 frames, taken by itself"
+TAKEN = "reference {} is the mean of 20 frames, taken automatically"
 
 
 @pytest.fixture(scope="module")
@@ -367,5 +367,5 @@ class TestKeeping:
         keeper.watch(RestParameters(rest_min_tracked=0.95), DriftParameters())
         _feed(keeper, _frames(np.full_like(nominal, np.nan)), 2)
         assert keeper.warning().startswith(
-            "no new reference yet, displacement is against reference 1: found 0% of the markers"
+            "no new reference yet, displacement is relative to reference 1: found 0% of the markers"
         )

@@ -73,8 +73,8 @@ class ContactSimulation:
         if gap[deepest] < -TOUCH_TOLERANCE:
             x, y, z = 1e3 * self.elastomer.node_position[deepest]
             msg = (
-                f"{self.indenter.name}: starts {-1e3 * gap[deepest]:.4g} mm inside the gel, "
-                f"at ({x:.2f}, {y:.2f}, {z:.2f}) mm; expected outside or touching"
+                f"{self.indenter.name}: found a start {-1e3 * gap[deepest]:.4g} mm inside the "
+                f"gel, at ({x:.2f}, {y:.2f}, {z:.2f}) mm, expected outside or touching"
             )
             raise ContactError(msg)
         return state
@@ -153,8 +153,8 @@ class ContactSimulation:
                 break
         x, y = 1e3 * pose.position[:2]
         msg = (
-            f"{self.indenter.name}: let down at ({x:.2f}, {y:.2f}) mm it misses the contact "
-            f"patch of {_size_mm(self.elastomer)} mm"
+            f"{self.indenter.name}: found no contact below ({x:.2f}, {y:.2f}) mm, expected a "
+            f"place above the contact patch of {_size_mm(self.elastomer)} mm"
         )
         raise ContactError(msg)
 
@@ -190,7 +190,7 @@ class ContactSimulation:
                 failures.append(error)
                 continue
             LOGGER.info(
-                "%s: a step was solved to no better than %.1g m",
+                "%s: the residual of a step is %.1g m",
                 self.indenter.name,
                 LAST_RESORT,
             )
@@ -220,9 +220,9 @@ class ContactSimulation:
             return error.__cause__
         x, y, z = 1e3 * pose.position
         return ContactError(
-            f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm is not solved: "
-            f"residual {error.residual:.3g} m, expected below {LAST_RESORT:.3g} m; change "
-            "contact_nodes, or indenter.friction a little"
+            f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm has no "
+            f"solution: found a residual of {error.residual:.3g} m, expected below "
+            f"{LAST_RESORT:.3g} m; change contact_nodes, or indenter.friction slightly"
         )
 
 
@@ -269,11 +269,11 @@ def check_load(load: Load, friction: float) -> None:
     if not np.isfinite(numbers).all():
         expected = "finite numbers"
     elif load.normal < 0:
-        expected = "a normal force of at least 0: the gel does not stick to the indenter"
+        expected = "a normal force of at least 0, because the gel does not stick to the indenter"
     elif load.normal == 0 and numbers.any():
-        expected = "a normal force above 0 to carry tangential force and torque"
+        expected = "a normal force above 0 for tangential force and torque"
     elif friction == 0 and numbers[[0, 1, 3]].any():
-        expected = "friction above 0 to drive tangential force and torque"
+        expected = "friction above 0 for tangential force and torque"
     if expected:
         msg = f"load: found {_text(load)}, expected {expected}"
         raise LoadError(msg)
@@ -290,7 +290,7 @@ def follow_load(step: ContactStep, state: ContactState, load: Load) -> ContactSt
         why = error.__cause__ if isinstance(error, solver.NotConvergedError) else error
         reason = "" if why is None else f": {why}"
         msg = (
-            f"{step.indenter.name}: load: asked for {_text(load)}, reached {reached} with a "
+            f"{step.indenter.name}: load: found {reached}, expected {_text(load)}, with a "
             f"friction coefficient of {step.friction:g}{reason}"
         )
         raise LoadError(msg) from error

@@ -194,7 +194,7 @@ class ContactStep:
     def _refuse_rim(self, state: ContactState) -> None:
         touching = np.flatnonzero(state.contact & self._on_rim)
         if len(touching) > 0:
-            raise self._out_of_patch("the contact reaches the rim", self._rest[touching[0]])
+            raise self._out_of_patch("a contact at the rim", self._rest[touching[0]])
 
     def _refuse_outside(self, pose: Pose, displacement: Array) -> None:
         """The gel there is taken to move as the nearest node of the rim does."""
@@ -202,14 +202,14 @@ class ContactStep:
         gap, _ = self.indenter.distance(pose.to_indenter(place))
         if (gap < 0).any():
             deepest = self._beyond[gap.argmin()]
-            raise self._out_of_patch("the indenter meets the gel outside", deepest)
+            raise self._out_of_patch("a contact outside", deepest)
 
     def _out_of_patch(self, what: str, place: Array) -> ContactError:
         x, y = 1e3 * place[:2]
         width, height = (1e3 * extent for extent in self.elastomer.nodes.extent)
         return ContactError(
-            f"{self.indenter.name}: {what} of the contact patch at ({x:.2f}, {y:.2f}) mm; "
-            f"expected inside the patch of {width:.2f} x {height:.2f} mm"
+            f"{self.indenter.name}: found {what} of the contact patch, at ({x:.2f}, {y:.2f}) mm, "
+            f"expected a contact inside the patch of {width:.2f} x {height:.2f} mm"
         )
 
 

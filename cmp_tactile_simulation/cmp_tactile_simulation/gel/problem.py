@@ -61,8 +61,9 @@ def contact_nodes(sensor: SensorDescription, nodes: int) -> SurfaceGrid:
     )
     if min(rows, cols) < LEAST_ALONG_SHORTER:
         msg = (
-            f"{sensor.name}: contact nodes: found {nodes} along the longer side, which are "
-            f"{min(rows, cols)} along the shorter, expected at least {LEAST_ALONG_SHORTER} there"
+            f"{sensor.name}: contact nodes: found {nodes} along the longer side and "
+            f"{min(rows, cols)} along the shorter side, expected at least {LEAST_ALONG_SHORTER} "
+            "along the shorter side"
         )
         raise SimulationError(msg)
     return SurfaceGrid(rows, cols, ((cols - 1) * spacing, (rows - 1) * spacing))

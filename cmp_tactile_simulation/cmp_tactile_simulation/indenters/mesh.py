@@ -147,7 +147,7 @@ def _loaded(
     try:
         heights = HeightField.of_triangles(triangles, resolution, ball)
     except ValueError as error:
-        msg = f"{path}: resolution: {error}, expected a finer one"
+        msg = f"{path}: resolution: {error}, expected a finer resolution"
         raise IndenterError(msg) from None
     return MeshIndenter(
         path.name, heights, edge_radius, float(np.linalg.norm(high - low)) / 2, turn
@@ -158,7 +158,7 @@ def _read(file: _File) -> Any:
     """The mesh of a file, checked but for its size."""
     path, size, _ = file
     if size > MAX_FILE_BYTES:
-        msg = f"{path}: far too fine: found {size} bytes, expected at most {MAX_FILE_BYTES}"
+        msg = f"{path}: found {size} bytes, expected at most {MAX_FILE_BYTES}; use a coarser mesh"
         raise IndenterError(msg)
     try:
         mesh = trimesh.load_mesh(path, process=False)
@@ -167,7 +167,7 @@ def _read(file: _File) -> Any:
         raise IndenterError(msg) from None
     faces = len(getattr(mesh, "faces", ()))
     if not 0 < faces <= MAX_FACES:
-        kind = "far too fine" if faces else "no mesh"
+        kind = "too fine" if faces else "no mesh"
         msg = f"{path}: {kind}: found {faces} faces, expected 1 to {MAX_FACES}"
         raise IndenterError(msg)
     if not np.isfinite(mesh.vertices).all():
@@ -183,8 +183,8 @@ def _check_closed(path: Path, mesh: Any) -> None:
         edges = np.sort(mesh.edges, axis=1)
         _, counts = np.unique(edges, axis=0, return_counts=True)
         msg = (
-            f"{path}: not watertight: found {int((counts != 2).sum())} edges that do not join two "
-            "faces, expected a closed surface"
+            f"{path}: found {int((counts != 2).sum())} edges that do not join two faces, expected "
+            "a closed (watertight) surface"
         )
         raise IndenterError(msg)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -200,8 +200,7 @@ def _check_size(path: Path, extent: Array, scale: float) -> None:
         return
     msg = (
         f"{path}: size: found {longest:.3g} m along the longest side with scale {scale:g}, "
-        f"expected {MIN_EXTENT:g} to {MAX_EXTENT:g} m; the unit is mistaken: a file in mm needs "
-        "scale 0.001"
+        f"expected {MIN_EXTENT:g} to {MAX_EXTENT:g} m; for a file in mm use scale 0.001"
     )
     raise IndenterError(msg)
 
@@ -286,7 +285,7 @@ class HeightField:
         height = np.full((rows, cols), np.inf)
         _lower(height, triangles, low, resolution)
         if not np.isfinite(height).any():
-            msg = f"no point of a grid of {resolution:.3g} m lies over the solid"
+            msg = f"found no point of a grid of {resolution:.3g} m over the solid"
             raise ValueError(msg)
         height = _rounded(_walled(height, resolution), edge_radius, resolution)
         by_y, by_x = np.gradient(height, resolution)

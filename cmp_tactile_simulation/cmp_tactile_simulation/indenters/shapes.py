@@ -251,7 +251,7 @@ class SphereGroup:
             )
             raise IndenterError(msg)
         check_length(
-            "sphere_group.centres, farthest from the origin",
+            "sphere_group.centres, distance of the farthest from the origin",
             float(np.linalg.norm(centres, axis=1).max()),
             0.0,
             MAX_SIZE,

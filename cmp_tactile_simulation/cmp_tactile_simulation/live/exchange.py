@@ -42,7 +42,7 @@ def _check_pose(pose: Pose, sensor: SensorDescription) -> None:
         raise CommandError(msg)
     error = np.abs(pose.rotation @ pose.rotation.T - np.eye(3)).max()
     if error > ROTATION_TOLERANCE or np.linalg.det(pose.rotation) < 0:
-        msg = "found no rotation, expected a proper one"
+        msg = "found a matrix that is not a rotation, expected a proper rotation"
         raise CommandError(msg)
     x, y, thickness = sensor.elastomer.size
     limits = ((-x / 2, x / 2), (-y / 2, y / 2), (-thickness, HIGHEST_M))
@@ -58,7 +58,7 @@ def _check_load(load: Load) -> None:
         msg = f"found force and torque {values}, expected finite numbers"
         raise CommandError(msg)
     if load.normal <= 0:
-        msg = f"force.z: found {-load.normal:g} N, expected less than 0: into the gel"
+        msg = f"force.z: found {-load.normal:g} N, expected less than 0 (into the gel)"
         raise CommandError(msg)
 
 

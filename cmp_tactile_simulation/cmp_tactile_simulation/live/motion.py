@@ -25,20 +25,18 @@ ROUNDING = 1e-6
 class LiveSettings(Parameters, section="simulated"):
     """How a scene is simulated live."""
 
-    autoplay: bool = parameter(
-        True, "play the scene's motion again and again until a target or load comes"
-    )
+    autoplay: bool = parameter(True, "repeat the scene's motion until a target or load comes")
     max_speed: float = parameter(
-        0.01, "speed of the indenter towards a target", unit="m/s", within=(1e-5, 1.0)
+        0.01, "highest speed of the indenter towards a target", unit="m/s", within=(1e-5, 1.0)
     )
     max_load_rate: float = parameter(
-        10.0, "rate at which the force grows towards a load", unit="N/s", within=(1e-3, 1e4)
+        10.0, "rate of the force towards a load", unit="N/s", within=(1e-3, 1e4)
     )
     contact_nodes: int = parameter(
-        24, "contact nodes along each side, unless the scene has fewer", within=(8, 100)
+        24, "number of contact nodes along each side, unless the scene has fewer", within=(8, 100)
     )
     samples: int = parameter(
-        1, "samples of a pixel along each side, unless the scene has fewer", within=(1, 8)
+        1, "number of samples of a pixel along each side, unless the scene has fewer", within=(1, 8)
     )
 
 

@@ -73,7 +73,7 @@ def _read_state(path: Path) -> MechanicalState | None:
         with np.load(path, allow_pickle=False) as file:
             return _state({name: file[name] for name in file.files})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        LOGGER.warning("%s: cannot be used, an earlier one is: %s", path, error)
+        LOGGER.warning("%s: cannot be used; an earlier checkpoint is used: %s", path, error)
         return None
 
 

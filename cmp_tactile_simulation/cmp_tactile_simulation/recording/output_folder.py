@@ -47,10 +47,10 @@ class OutputFolder:
             raise OutputError(msg) from None
         if whole == working or whole in working.parents:
             # Files of a recording are not to be mixed with others of the working folder.
-            msg = f"{path}: is or holds the working folder; --output names another one"
+            msg = f"{path}: is or contains the working folder; give another one with --output"
             raise OutputError(msg)
         if not whole.name:
-            msg = f"{path}: is the root of all folders; --output names another one"
+            msg = f"{path}: is the root folder; give another one with --output"
             raise OutputError(msg)
         return cls(whole)
 
@@ -59,7 +59,7 @@ class OutputFolder:
         for file in files:
             places = (file.parent.resolve() / file.name, file.resolve())
             if any(self.path in place.parents for place in places):
-                msg = f"{self.path}: holds {file}, which is read; --output names another folder"
+                msg = f"{self.path}: contains the input {file}; give another folder with --output"
                 raise OutputError(msg)
 
     @property
@@ -100,7 +100,7 @@ class OutputFolder:
             return
         if not (self.path / MARKER).is_file():
             found = f"no {MARKER}" if is_folder else "a file"
-            msg = f"{self.path}: found {found}, expected a simulated recording or nothing"
+            msg = f"{self.path}: found {found}, expected a simulated recording or an empty folder"
             raise OutputError(msg)
         if overwrite:
             return

@@ -30,7 +30,7 @@ PACKAGES = ("cmp_tactile_simulation", "cmp_tactile_processing")
 SIMULATING = "simulating"
 VIDEO = "drawing the video"
 VIDEO_FILE = "video.mp4"
-WAITING = "waiting for another process that makes the same recording"
+WAITING = "waiting for another process, which makes the same recording"
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def write_video(
         writer.write(picture)
         on_frame(number + 1)
     if writer is None:
-        msg = f"{path}: found no frame to draw"
+        msg = f"{path}: found no frame, expected at least one"
         raise OutputError(msg)
     writer.release()
     found = _readable_frames(partial)
@@ -192,6 +192,6 @@ def _open(path: Path, picture: NDArray[np.uint8], rate: float) -> cv2.VideoWrite
     codec = cv2.VideoWriter.fourcc(*CODEC)
     writer = cv2.VideoWriter(str(path), codec, rate, (width, height))
     if not writer.isOpened():
-        msg = f"{path}: OpenCV cannot write a video there"
+        msg = f"{path}: OpenCV cannot write a video to this path"
         raise OutputError(msg)
     return writer

@@ -190,50 +190,57 @@ class CameraSettings(Parameters, section="camera"):
     """
 
     light_level: float = parameter(
-        205.0, "grey of the light skin where it is lit best", unit="grey levels", within=(1, 1000)
+        205.0,
+        "grey level of the light skin at its brightest place",
+        unit="grey levels",
+        within=(1, 1000),
     )
     dark_level: float = parameter(
-        45.0, "grey of the dark ink where it is lit best", unit="grey levels", within=(0, 1000)
+        45.0,
+        "grey level of the dark ink at its brightest place",
+        unit="grey levels",
+        within=(0, 1000),
     )
     light_ratio: float = parameter(
         1.0, "brightest over darkest illumination across the frame", within=(1, 100)
     )
     light_direction: float = parameter(
         0.0,
-        "direction in which the light fades, from the frame's x axis (right) towards y (down)",
+        "direction in which the light decreases, from the frame's x axis (right) towards y (down)",
         unit="rad",
         within=(-2 * math.pi, 2 * math.pi),
     )
     vignette: float = parameter(
         0.15,
-        "share of the light lost in the frame's corners; it grows with the square of the distance "
-        "from the frame's centre",
+        "share of the light that is lost in the frame's corners; the loss grows with the square "
+        "of the distance from the centre",
         within=(0, 1),
     )
     blur: float = parameter(
-        0.7, "standard deviation of the blur where the lens is in focus", unit="px", within=(0, 20)
+        0.7, "standard deviation of the blur on the line in focus", unit="px", within=(0, 20)
     )
     defocus: float = parameter(
         0.0,
-        "standard deviation of the further blur at the frame's point farthest from the line in "
-        "focus; it grows in proportion to the distance from that line",
+        "standard deviation of the additional blur at the point farthest from the line in focus; "
+        "it grows in proportion to the distance from the line",
         unit="px",
         within=(0, 20),
     )
     focus_position: float = parameter(
         0.5,
-        "where the line in focus crosses the frame along focus_direction, 0 at its beginning, "
-        "1 at its end",
+        "place of the line in focus along focus_direction: 0 at the beginning of the frame, 1 at "
+        "its end",
         within=(0, 1),
     )
     focus_direction: float = parameter(
         math.pi / 2,
-        "direction across the line in focus, from the frame's x axis (right) towards y (down)",
+        "direction perpendicular to the line in focus, from the frame's x axis (right) towards y "
+        "(down)",
         unit="rad",
         within=(-2 * math.pi, 2 * math.pi),
     )
     glare_spots: int = parameter(
-        0, "number of glare spots, at places set by the seed", within=(0, 200)
+        0, "number of glare spots; the seed sets their places", within=(0, 200)
     )
     glare_size: float = parameter(
         12.0, "standard deviation of a glare spot's light", unit="px", within=(0.5, 500)
@@ -243,18 +250,20 @@ class CameraSettings(Parameters, section="camera"):
     )
     clutter: int = parameter(
         0,
-        "number of dust grains and hairs on the optics, at places set by the seed",
+        "number of dust grains and hairs on the optics; the seed sets their places",
         within=(0, 2000),
     )
     motion_samples: int = parameter(
-        1, "states of the gel averaged in one exposure: motion blur", within=(1, 64)
+        1,
+        "number of states of the gel that are averaged in one exposure: motion blur",
+        within=(1, 64),
     )
     exposure_time: float = parameter(
-        0.01, "time over which those states are spread", unit="s", within=(0, 10)
+        0.01, "time over which these states are spread", unit="s", within=(0, 10)
     )
     full_well: float = parameter(
         0.0,
-        "electrons at grey 255, which set the shot noise; 0 for none",
+        "number of electrons at grey level 255, for the shot noise; 0 for none",
         unit="electrons",
         within=(0, 1e7),
     )
@@ -265,7 +274,9 @@ class CameraSettings(Parameters, section="camera"):
         within=(0, 100),
     )
     salt_and_pepper: float = parameter(
-        0.0, "share of the pixels that are white or black by chance", within=(0, 1)
+        0.0,
+        "share of the pixels that are white or black at random (salt and pepper)",
+        within=(0, 1),
     )
 
     def __post_init__(self) -> None:

@@ -41,15 +41,18 @@ class PrintDefects(Parameters, section="print"):
     splashes: int = parameter(0, "number of blobs of ink on the pattern", within=(0, 10000))
     blob_radius: float = parameter(
         8e-5,
-        "mean radius of a blob; single ones have half to one and a half of it",
+        "mean radius of a blob; each is half to one and a half times as large",
         unit="m",
         within=(1e-6, 5e-3),
     )
     ragged_edge: float = parameter(
-        0.0, "standard deviation by which the printed edges stray", unit="m", within=(0, 2e-4)
+        0.0,
+        "standard deviation of the printed edges from straight lines",
+        unit="m",
+        within=(0, 2e-4),
     )
     ragged_length: float = parameter(
-        5e-5, "length over which the edges' straying changes", unit="m", within=(1e-5, 5e-3)
+        5e-5, "correlation length of the ragged edges", unit="m", within=(1e-5, 5e-3)
     )
 
 

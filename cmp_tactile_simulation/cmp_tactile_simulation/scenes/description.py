@@ -77,7 +77,7 @@ def _read_turn(section: YamlSection, key: str) -> tuple[float, ...]:
     """A turn of less than half a revolution, beyond which the way there is not defined."""
     turn = read_rotation(section, key)
     if sum(angle**2 for angle in turn) >= 180.0**2:
-        raise section.error(key, list(turn), "a turn of less than 180 degrees a phase")
+        raise section.error(key, list(turn), "a rotation of less than 180 degrees in a phase")
     return turn
 
 
@@ -276,7 +276,7 @@ def goal_pose(goal: Goal, begin: Pose, contact: ContactSimulation) -> Pose:
     if isinstance(goal, Release):
         x, y, _ = begin.position.tolist()
         return _touching((x, y), goal.clearance, begin.rotation, contact)
-    msg = f"found {goal!r}, expected a goal that is a place"
+    msg = f"found {goal!r}, expected a position as goal"
     raise ValueError(msg)
 
 
@@ -347,7 +347,9 @@ def read_indenter(
     if kind == MESH:
         file = folder / section.text("file")
         if not file.is_file():
-            raise section.error("file", str(section.raw("file")), f"a file; there is no {file}")
+            raise section.error(
+                "file", str(section.raw("file")), f"an existing file; found no {file}"
+            )
         values = {key: section.positive(key) for key in MESH_KEYS if key in section}
     else:
         values = _read_values(section, INDENTERS[kind])
@@ -393,9 +395,9 @@ def _check_tilt(section: YamlSection, mesh: MeshIndenter, motion: Sequence[Phase
         if tilt > MAX_TILT_DEG + 1e-6:
             raise section.error(
                 "",
-                f"a mesh that phase {phase.name!r} tilts by {tilt:.3g} degrees from the start",
-                f"at most {MAX_TILT_DEG:g}: a mesh has only the side that faces the gel at the "
-                "start; let `start.rotation_deg` turn it",
+                f"a mesh that phase {phase.name!r} tilts by {tilt:.3g} degrees from its start",
+                f"at most {MAX_TILT_DEG:g}: only the side of a mesh that faces the gel at the "
+                "start is used; set `start.rotation_deg` instead",
             )
 
 

@@ -97,7 +97,7 @@ def _with_variant(top: YamlSection, path: Path, variant: str) -> YamlSection:
     variants = _variants(top)
     if variant not in variants and (variant or variants):
         if not variants:
-            raise top.error("variants", variant, "none: the scene has no variants")
+            raise top.error("variants", variant, "none, because the scene has no variants")
         expected = (
             f"one of {', '.join(variants)}, given as SCENE{VARIANT_MARK}{next(iter(variants))}"
         )
@@ -184,7 +184,7 @@ def _read_motion(top: YamlSection, rate: float) -> tuple[description.Phase, ...]
 
 def _phases(section: YamlSection, context: _Context) -> Iterator[description.Phase]:
     if context.depth > MAX_DEPTH:
-        raise section.error("motion", "one more", f"at most {MAX_DEPTH} groups in each other")
+        raise section.error("motion", "one more", f"at most {MAX_DEPTH} nested groups")
     items = list(section.sections("motion"))
     if not items:
         raise section.error("motion", "no phases", "at least one")

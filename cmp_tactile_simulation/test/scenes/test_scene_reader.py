@@ -162,7 +162,7 @@ MISTAKES = {
     ),
     "mesh": (
         {"indenter": {"type": "mesh", "file": "no.stl"}},
-        "indenter.file: found 'no.stl', expected a file; there is no ",
+        "indenter.file: found 'no.stl', expected an existing file",
     ),
     "start": (
         {"start": {"rotation_deg": [0, 0, 0]}},

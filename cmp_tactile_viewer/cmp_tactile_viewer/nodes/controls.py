@@ -90,7 +90,7 @@ def _change(node: Node, owner: str, descriptor: ParameterDescriptor, value: Any)
     result = answer_of(node, SetParameters, f"{owner}/set_parameters", request).results[0]
     if not result.successful:
         raise ViewerError(result.reason)
-    return f"is {value} now"
+    return f"is now {value}"
 
 
 class RecordingButton:
@@ -142,5 +142,5 @@ class RecordingButton:
         bag, progress = recorder.bag, recorder.progress
         recorder.destroy_node()
         if progress is None:
-            return f"{bag}: nothing came"
+            return f"{bag}: no messages were recorded"
         return f"{bag}: {sum(progress.messages.values())} messages, {progress.duration_s:.1f} s"

@@ -54,19 +54,24 @@ TRIGGERS = (
     (
         "zero",
         "stereo_triangulator/set_reference",
-        f"Count displacement and force from now on; {AT_REST}",
+        f"Set displacement and force to zero; {AT_REST}",
         "",
     ),
     *(
         (
             f"inspect {view} print",
             f"{view}_gridline_tracker/inspect_print",
-            f"Find flaws of the print; {AT_REST}",
+            f"Look for flaws of the print; {AT_REST}",
             view,
         )
         for view in ("left", "right")
     ),
-    ("reset indenter", "indenter/reset", "A simulated sensor plays its scene from the start", ""),
+    (
+        "reset indenter",
+        "indenter/reset",
+        "Play the scene of the simulated sensor from the start",
+        "",
+    ),
 )
 
 
@@ -167,7 +172,7 @@ class _Watched:
             if now_s - topic.last_s < SILENT_S:
                 continue
             published = self._node.count_publishers(topic.name)
-            why = "published, but nothing comes" if published else "nothing published"
+            why = "it has a publisher, but no message comes" if published else "nothing published"
             text = f"waiting for {topic.name}: {why}; is the sensor running?"
             yield HealthLine(Level.WARN, "topic:", text)
             return
@@ -213,7 +218,7 @@ class LiveSensors:
                 ),
                 Action(
                     "record",
-                    "Begin a recording, or end it",
+                    "Start or stop a recording",
                     self._recordings[item.name].press,
                     self._recordings[item.name].state,
                 ),
@@ -314,7 +319,7 @@ class LiveSensors:
             else:
                 yield HealthLine(level, name, status.message)
         if well:
-            yield HealthLine(Level.OK, "diagnostics:", f"{well} reports without trouble")
+            yield HealthLine(Level.OK, "diagnostics:", f"{well} reports without problems")
 
     def _touch_of(self, item: _Watched) -> Touch:
         # A publisher that is made when somebody drags would lose the first targets.

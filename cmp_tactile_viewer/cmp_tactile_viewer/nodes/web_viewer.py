@@ -31,12 +31,14 @@ END_WITH_STDIN = "--end-with-stdin"
 class WebViewerParameters(Parameters):
     """What the page shows, and to whom."""
 
-    sensors: str = parameter("", "namespaces of the sensors, separated by spaces; empty: its own")
+    sensors: str = parameter(
+        "", "namespaces of the sensors, separated by spaces; empty: the node's own"
+    )
     sensor_descriptions: str = parameter(
-        "sample_rig", "their descriptions, files or packaged names, separated by colons"
+        "sample_rig", "descriptions of the sensors, files or packaged names, separated by colons"
     )
     sensor_names: str = parameter(
-        "", "their names, separated by spaces; empty for those of the descriptions"
+        "", "names of the sensors, separated by spaces; empty for those of the descriptions"
     )
     mounts: str = parameter(
         "",
@@ -45,14 +47,17 @@ class WebViewerParameters(Parameters):
     )
     host: str = parameter("127.0.0.1", "address to listen on; 0.0.0.0 for all interfaces")
     port: int = parameter(
-        0, f"to listen on; 0 for the first that is free from {DEFAULT_PORT} on", within=(0, 65535)
+        0, f"port to listen on; 0 for the first free one from {DEFAULT_PORT}", within=(0, 65535)
+    )
+    token: str = parameter(
+        "", "secret word that the address of the page must contain; empty for none"
     )
     token: str = parameter("", "word that the page's address must contain; empty for none")
     allow_hosts: str = parameter(
         "",
         "further host names of this machine, separated by spaces, such as that of a proxy",
     )
-    read_only: bool = parameter(False, "no buttons and no parameters on the page")
+    read_only: bool = parameter(False, "page without buttons and parameters")
     max_rate: float = parameter(
         30.0, "highest rate at which the page is drawn", unit="Hz", within=(0.1, 120.0)
     )
@@ -100,7 +105,7 @@ class WebViewer(ReportingNode):
 
     def _status(self) -> DiagnosticStatus:
         values = {"address": self.page.url, "browsers": self.page.viewers}
-        return self.status_of("", values, [], f"{self.page.viewers} browsers look")
+        return self.status_of("", values, [], f"{self.page.viewers} browsers show the page")
 
 
 def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningSensor]:
@@ -114,7 +119,9 @@ def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningS
         ("sensor_descriptions", files), ("sensor_names", names), ("mounts", mounts)
     ):  # fmt: skip
         if len(found) != len(spaces):
-            msg = f"parameter {what}: found {len(found)}, expected {len(spaces)}, as of sensors"
+            msg = (
+                f"parameter {what}: found {len(found)}, expected {len(spaces)}, one for each sensor"
+            )
             raise ParameterError(msg)
     return [_running(*item) for item in zip(spaces, files, names, mounts, strict=True)]
 

@@ -180,7 +180,9 @@ class Page:
             self._panel.on_change(self._look_changed)
         with gui.add_folder("plots"):
             self._length = gui.add_dropdown("seconds", PLOT_LENGTHS, initial_value=PLOT_LENGTHS[1])
-            self._hold = gui.add_checkbox("hold", False, hint="Stop the plots, to scroll back")
+            self._hold = gui.add_checkbox(
+                "hold", False, hint="Stop the plots so that you can scroll back"
+            )
             self._back = gui.add_slider("back, s", 0.0, 120.0, 0.5, 0.0)
             for handle in (self._length, self._hold, self._back):
                 handle.on_update(lambda _: self._look_changed())

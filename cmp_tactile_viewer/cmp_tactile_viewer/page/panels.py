@@ -39,11 +39,13 @@ class ShowPanel:
         """aim: called with the name of a camera preset and the client that asked for it."""
         buttons = gui.add_button_group("camera", PRESETS)
         buttons.on_click(lambda event: aim(event.target.value, event.client))
-        self._colour = gui.add_dropdown("colour", COLOURS, hint="What the surface's colour shows")
+        self._colour = gui.add_dropdown(
+            "colour", COLOURS, hint="Quantity shown by the surface's colour"
+        )
         self._legend = gui.add_html("")
         self._arrows = gui.add_dropdown("arrows", ARROWS)
         self._gain = gui.add_slider(
-            "arrow length", 0.1, 10.0, 0.1, 1.0, hint="1: 1 N of a contact is 1 mm long"
+            "arrow length", 0.1, 10.0, 0.1, 1.0, hint="1: a contact force of 1 N is drawn 1 mm long"
         )
         self._at_rest = gui.add_checkbox("surface at rest", True)
         self._contacts = gui.add_checkbox(
@@ -121,7 +123,10 @@ class ControlPanel:
     ) -> None:
         self._gui, self._settings = gui, settings
         at_once = [action for action in actions if action.state is None]
-        known = (*at_once, Action("parameters", "Those that may change now", self._show_settings))
+        known = (
+            *at_once,
+            Action("parameters", "Parameters that may change now", self._show_settings),
+        )
         for first in range(0, len(known), BUTTONS_IN_ROW):
             row = {action.label: action for action in known[first : first + BUTTONS_IN_ROW]}
             hint = "; ".join(f"{action.label}: {action.hint}" for action in row.values())
@@ -216,11 +221,11 @@ class PlaybackPanel:
         self._time.on_update(self._seek)
         self._play = gui.add_button("pause")
         self._play.on_click(lambda _: self._toggle())
-        steps = gui.add_button_group("step", ("one back", "one on"))
-        steps.on_click(lambda event: self._step(-1 if event.target.value == "one back" else 1))
+        steps = gui.add_button_group("step", ("back", "forward"))
+        steps.on_click(lambda event: self._step(-1 if event.target.value == "back" else 1))
         self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
         self._speed.on_update(lambda _: setattr(playback, "speed", float(self._speed.value)))
-        self._loop = gui.add_checkbox("loop", playback.loop, hint="Begin again at the end")
+        self._loop = gui.add_checkbox("loop", playback.loop, hint="Repeat from the beginning")
         self._loop.on_update(lambda _: setattr(playback, "loop", self._loop.value))
         self._state = gui.add_html("")
 

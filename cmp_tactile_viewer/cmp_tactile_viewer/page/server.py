@@ -28,14 +28,15 @@ LOCAL = ("127.0.0.1", "localhost", "::1")
 DEFAULT_PORT = 8080
 # Of a page that is refused: one sentence that says what to do.
 ASK_FOR_ADDRESS = (
-    "This page needs its token: open the address that was printed, which ends in ?token=..."
+    "This page needs its token: open the address that the program printed; it ends in ?token=..."
 )
 # Refused at another name: what was found, and what the user can do about it.
 OTHER_NAME = (
-    "Refused: this page has no name {name!r}. If that is this machine, or a proxy before it, start "
-    "the page with --allow-host {name} (nodes: view_allow_host:={name}, the parameter allow_hosts)."
+    "Refused: found the name {name!r}, expected a name of this page. If it names this machine "
+    "or a proxy, start the page with --allow-host {name} (launch files: view_allow_host:={name}; "
+    "node: the parameter allow_hosts)."
 )
-NO_NAME = "Refused: the request's {header} header {found!r} has no name of a machine."
+NO_NAME = "Refused: found {found!r} in the header {header}, expected the name of a machine."
 # A name as an attacker may send it is not repeated at any length.
 LONGEST_NAME = 253
 # Ports that an address need not state; a proxy may serve https and ask the page by http.
@@ -239,5 +240,5 @@ def _guarded(guard: Guard) -> Iterator[None]:
         finally:
             websockets.asyncio.server.serve = original  # type: ignore[misc]
     if not taken:
-        msg = f"found viser {viser.__version__}, which cannot be guarded; expected 1.1"
+        msg = f"found viser {viser.__version__}, whose access cannot be restricted, expected 1.1"
         raise ViewerError(msg)

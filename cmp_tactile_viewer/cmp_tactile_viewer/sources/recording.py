@@ -80,7 +80,7 @@ class ProcessedFrames:
             shape=sensor.pattern.shape,
         )
         if next(self._frames(0.0), None) is None:
-            msg = f"{path}: found no frame of {sensor.name}"
+            msg = f"{path}: found no frame of {sensor.name}, expected at least one"
             raise ViewerError(msg)
         self.problem = self._recording.gaps
         self.length_s = self._recording.duration

@@ -190,7 +190,7 @@ def test_a_silent_topic_is_named(rig, ros):
     rig.look()
     rig.says(f"waiting for {ros.namespace}/image_raw: nothing published; is the sensor running?")
     ros.node.create_publisher(Image, "image_raw", 1)
-    rig.says(f"waiting for {ros.namespace}/image_raw: published, but nothing comes")
+    rig.says(f"waiting for {ros.namespace}/image_raw: it has a publisher, but no message comes")
 
 
 def test_diagnostics_of_other_sensors_are_left_out(rig, ros):
@@ -212,7 +212,7 @@ def test_diagnostics_of_other_sensors_are_left_out(rig, ros):
     )
     line = rig.says("no frame for 2 s: check the cable")
     assert (line.level, line.about) == (Level.ERROR, f"{ros.namespace}/camera")
-    assert rig.says("1 reports without trouble").level is Level.OK
+    assert rig.says("1 reports without problems").level is Level.OK
     assert not any("another robot" in line.text for line in rig.audience.health)
 
 
@@ -286,8 +286,8 @@ def test_a_drag_is_a_target_for_the_indenter(rig, ros):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"sensors": "/a /b"}, "parameter sensor_descriptions: found 1, expected 2, as of sensors"),
-        ({"sensor_names": "a b"}, "parameter sensor_names: found 2, expected 1, as of sensors"),
+        ({"sensors": "/a /b"}, "parameter sensor_descriptions: found 1, expected 2"),
+        ({"sensor_names": "a b"}, "parameter sensor_names: found 2, expected 1"),
         ({"mounts": "0 0 0"}, "parameter mounts: found '0 0 0', expected six numbers"),
     ],
 )
@@ -334,7 +334,7 @@ def test_from_topic_to_browser(ros, grasp_bag, snapshots, opened):
     own = f"{ros.namespace.lstrip('/')}/web_viewer"
     ros.wait(
         lambda: any(
-            own in status.name and status.message == "1 browsers look"
+            own in status.name and status.message == "1 browsers show the page"
             for message in statuses
             for status in message.status
         ),

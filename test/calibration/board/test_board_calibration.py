@@ -138,7 +138,7 @@ def left(frames, built, cut):
 def test_input_of_the_wrong_kind(frames, left, chessboard, described, two_view_rig):
     with pytest.raises(CalibrationError, match="found 2 left and 1 right images"):
         calibrate_cameras(left, left[:1], chessboard)
-    with pytest.raises(CalibrationError, match="images, expected some"):
+    with pytest.raises(CalibrationError, match="images, expected at least one"):
         calibrate_cameras([], None, chessboard)
     with pytest.raises(CalibrationError, match="found no frames"):
         calibrate_mirror_rig([], chessboard, described)

@@ -17,15 +17,14 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.report.truth import TruthErrors
     from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
 
-SPREAD = "95 % below {}, median {}, most {}"
+SPREAD = "95 % below {}, median {}, largest {}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check(FrameInput):
-    """Compare a description with any recording of its sensor, at rest or in contact: do both views
-    place every marker at the same point, and is the gel at rest where the description has it? The
-    exit code is 1 where a limit is missed. Simulated recordings contain the truth, and the 3-D
-    error is shown too.
+    """Check a description with any recording of its sensor, at rest or in contact. Do both views
+    place every marker at the same point? Is the gel at rest where the description says? For a
+    simulated recording, the 3-D error is shown too. The exit code is 1 if a limit is missed.
 
     examples:
       cmp_tactile calibrate check my_bag --sensor my_sensor.yaml
@@ -78,7 +77,9 @@ class Check(FrameInput):
         print_verdict(console, report.verdict, accepted=report.accepted)
         if errors is not None and not errors.kept:
             print_verdict(
-                console, "The recording knows better: see its truth above.", accepted=False
+                console,
+                "The markers differ from the recording's truth: see the errors above.",
+                accepted=False,
             )
         if self.report is not None:
             _write_figures(report, frames.images[0], errors, self.report.expanduser())

@@ -28,27 +28,27 @@ if TYPE_CHECKING:
     )
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-OWN_SENSOR = f"{sources.SENSOR}; simulated recordings know their own"
+OWN_SENSOR = f"{sources.SENSOR}; not needed for simulated recordings"
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
-WRENCH, KNOWN = "Reference force sensor", "What is known before"
+WRENCH, KNOWN = "Reference force sensor", "Prior knowledge"
 WORDY_COLUMNS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
-    """Find how stiff the gel is, its Young's modulus, from weights that are put on it or from a
-    reference force sensor (geometry_msgs/WrenchStamped) that was recorded beside it. Poisson's
-    ratio, thickness and shading layer are as the description has them; what the loads leave open
-    is in the error bar of every force.
+    """Find Young's modulus of the gel. The loads are weights on the gel, or presses that a
+    reference force sensor (geometry_msgs/WrenchStamped) has recorded. Poisson's ratio, thickness
+    and shading layer are taken from the description. The uncertainty of the modulus becomes part of
+    the error bars of all forces.
 
-    Writes NEW.yaml (description of the sensor) only where the result is accepted;
-    NEW_calibration/index.html shows reference against reading either way.
+    NEW.yaml (description of the sensor) is written only if the result is accepted.
+    NEW_calibration/index.html, with reference and reading, is always written.
 
     weights.yaml:
       gravity: 9.81                        # optional, m/s^2; 9.80665 by default
-      rest: [0, 0.2]                       # optional: when nothing touches the gel, s
+      rest: [0, 0.2]                       # optional: nothing touches the gel, s
       loads:
         - {mass: 0.2, time: [0.4, 0.6]}    # kg; seconds of INPUT
         - {mass: 0.5, recording: bag_500g} # steady part of another recording
@@ -74,7 +74,7 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     topic: Annotated[
         str,
         option(
-            "image or surface topic of a bag that has several; without INPUT, image topic of a "
+            "image or surface topic, if the bag has several; without INPUT: image topic of a "
             "running sensor",
             metavar=sources.IMAGE_TOPIC,
         ),
@@ -83,27 +83,31 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     rest: Annotated[
         tuple[float, float] | None,
         option(
-            "when nothing touches the gel, s from the recording's start (default: from the start "
-            "until the gel moves)",
+            "time in which nothing touches the gel, s from the recording's start (default: from "
+            "the start until the gel moves)",
             Number(0, 1e6, "s"),
             metavar="FROM TO",
         ),
     ] = None
     frames: Annotated[
         int,
-        option("in a row in which the gel must be still to count", Number(1, 1000, kind=int)),
+        option(
+            "a load counts if the gel is still for N frames in a row", Number(1, 1000, kind=int)
+        ),
     ] = 4
     duration: Annotated[
-        float, option("of running sensors, to be recorded", Number(1, 3600, "s"))
+        float, option("how long to record a running sensor", Number(1, 3600, "s"))
     ] = 30.0
-    weights: Annotated[
-        Path | None, option("known loads and when they were on", metavar="FILE.yaml")
-    ] = None
-    wrench_topic: Annotated[str, option("of the reference force sensor", metavar="TOPIC")] = ""
+    weights: Annotated[Path | None, option("known loads and their times", metavar="FILE.yaml")] = (
+        None
+    )
+    wrench_topic: Annotated[str, option("topic of the reference force sensor", metavar="TOPIC")] = (
+        ""
+    )
     mass: Annotated[
         list[float] | None,
         option(
-            "weights that you put on a running sensor, one after another, when you are asked to",
+            "weights for a running sensor; you are asked to put them on the gel one after another",
             KILOGRAMS,
             metavar="KG...",
         ),
@@ -111,16 +115,17 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     # What a good six-axis sensor resolves.
     wrench_std: Annotated[
         float,
-        option("standard deviation of its force", Number(1e-5, 100, "N"), group=WRENCH),
+        option("standard deviation of the reference force", Number(1e-5, 100, "N"), group=WRENCH),
     ] = 0.01
     every_frame: Annotated[
         bool,
         option(
-            "take frames in motion, too, not only where gel and force stand still", group=WRENCH
+            "use frames in motion, too, not only those in which gel and force are still",
+            group=WRENCH,
         ),
     ] = False
     samples: Annotated[
-        int, option("take at most so many", Number(1, 10_000, kind=int), group=WRENCH)
+        int, option("use at most N samples", Number(1, 10_000, kind=int), group=WRENCH)
     ] = 60
     young_factor: Annotated[
         float, parameter_option(MaterialOptions, "young_factor", group=KNOWN)
@@ -172,16 +177,16 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
         loads = ("weights", "wrench_topic", "mass")
         self.check_exclusive(*loads)
         if not any(getattr(self, name) for name in loads):
-            misuse("one of the arguments --weights --wrench-topic --mass is required")
+            misuse("give one of --weights, --wrench-topic and --mass")
         if self.mass:
             if self.input is not None or not self.topic:
                 misuse("--mass needs the --topic of a running sensor, and no INPUT")
             if not sys.stdin.isatty():
-                misuse("--mass asks on the terminal, and stdin is none; see --weights")
+                misuse("--mass needs a terminal for its questions, found none; use --weights")
         if self.wrench_topic and self.input is None and not self.topic:
             misuse("--wrench-topic needs INPUT, or the --topic of a running sensor")
         if self.input is None and not self.sensor:
-            misuse("--sensor is required without INPUT")
+            misuse("without INPUT, --sensor is required")
         if self.rest and not self.rest[0] < self.rest[1]:
             misuse("--rest: FROM must be below TO")
 
@@ -221,7 +226,7 @@ def _weight_samples(
     for recording in sorted(recordings, key=lambda path: (path is not None, str(path))):
         source = recording or arguments.input
         if source is None:
-            misuse("INPUT is required: a load of --weights has no recording of its own")
+            misuse("INPUT is required: a load in --weights has no `recording`")
         # Times of the file and of the options belong to INPUT.
         when = (arguments.rest or rest) if recording is None else None
         motions[recording] = motion = read_motion(source, sensor, arguments.topic, when, on_stage)
@@ -299,9 +304,7 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) ->
             f"{value:+.3f} +- {std:.3f}"
             for value, std in zip(outcome.offset, outcome.offset_std, strict=True)
         )
-        print_line(
-            console, f"The reference sensor reads too much by {zero} N (x, y, z of the gel frame)"
-        )
+        print_line(console, f"Offset of the reference sensor: {zero} N (x, y, z of the gel frame)")
     if outcome.estimates:
         # A terminal is narrow; the page has the keys in full.
         short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
@@ -339,14 +342,14 @@ def _loads_table(loads: Sequence[LoadResult]) -> Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation(sources.Output, sources.WrenchSensor):
-    """Find how much of its stiffness the gel loses while it is pressed, and how fast, from a
-    recording that begins with the gel untouched and recovered; then it is loaded within a moment,
-    and held for some time constants. With --mass a weight rests on it and the gel creeps; with
-    --wrench-topic a force sensor measures the load, also while the gel is held at one depth. Where
-    the load is known, the stiffness of a quick press is found, too.
+    """Find how much stiffness the gel loses while it is pressed, and how fast. The recording begins
+    with the gel untouched and recovered. Then the load comes quickly and is held for several time
+    constants. With --mass, a weight rests on the gel. With --wrench-topic, a force sensor measures
+    the load; the gel may then be held at one depth. If the load is known, the stiffness of a quick
+    press is found, too.
 
-    Writes NEW.yaml (description of the sensor) only where the result is accepted;
-    NEW_calibration/index.html shows the record either way.
+    NEW.yaml (description of the sensor) is written only if the result is accepted.
+    NEW_calibration/index.html, with the record, is always written.
 
     examples:
       cmp_tactile calibrate relaxation my_bag --mass 0.5 --sensor weighed.yaml
@@ -356,12 +359,14 @@ class Relaxation(sources.Output, sources.WrenchSensor):
     """
 
     input: Annotated[Path, argument("INPUT", "a ROS 2 bag with images or surfaces, or a scene")]
-    topic: Annotated[str, option("of a bag that has several", metavar=sources.IMAGE_TOPIC)] = ""
+    topic: Annotated[
+        str, option("image topic, if the bag has several", metavar=sources.IMAGE_TOPIC)
+    ] = ""
     sensor: Annotated[str, option(OWN_SENSOR)] = ""
-    mass: Annotated[float | None, option("of the weight that rests on the gel", KILOGRAMS)] = None
-    wrench_topic: Annotated[str | None, option("of a reference force sensor", metavar="TOPIC")] = (
-        None
-    )
+    mass: Annotated[float | None, option("mass of the weight on the gel", KILOGRAMS)] = None
+    wrench_topic: Annotated[
+        str | None, option("topic of the reference force sensor", metavar="TOPIC")
+    ] = None
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""

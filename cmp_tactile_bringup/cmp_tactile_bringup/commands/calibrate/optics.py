@@ -33,20 +33,20 @@ def _board_size(text: str) -> str:
     cols, _, rows = text.lower().partition("x")
     if cols.isdigit() and rows.isdigit():
         return text.lower()
-    msg = f"found {text!r}, expected inner corners as 9x6"
+    msg = f"found {text!r}, expected the number of inner corners, as 9x6"
     raise typer.BadParameter(msg)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Board(Output, LiveInput):
-    """Find focal lengths, principal point, distortion and the mirrors (or the place of one camera
-    to the other) from images of a flat board, before the gel is mounted. About 20 images with the
-    board in different places and tilts, where the gel will be.
+    """Find focal lengths, principal point, distortion and the mirrors (or the pose of one camera
+    relative to the other) from images of a flat board, before the gel is mounted. Take about 20
+    images with the board in different places and tilts, where the gel will be.
 
-    Writes NEW.yaml (description of the sensor), NEW_left.yaml and NEW_right.yaml (camera_info of
-    ROS) only where the result is accepted; NEW_calibration/index.html shows the residuals either
-    way. For two cameras without a sensor description, give their images with --left and --right,
-    and a folder as --output, which gets left.yaml and right.yaml.
+    NEW.yaml (description of the sensor), NEW_left.yaml and NEW_right.yaml (camera_info of ROS) are
+    written only if the result is accepted. NEW_calibration/index.html, with the residuals, is
+    always written. For two cameras without a sensor description, give their images with --left
+    and --right, and a folder as --output: left.yaml and right.yaml are written there.
 
     examples:
       cmp_tactile calibrate board images --sensor my_rig.yaml --board 9x6 --square 0.0015
@@ -62,13 +62,17 @@ class Board(Output, LiveInput):
         argument("INPUT", "a folder of images, or a ROS 2 bag: whole camera frames"),
     ] = None
     topic: Annotated[str, option(LIVE, metavar=IMAGE_TOPIC)] = ""
-    left: Annotated[list[Path] | None, option("of the left camera", metavar="FILE...")] = None
-    right: Annotated[list[Path] | None, option("of the right camera", metavar="FILE...")] = None
+    left: Annotated[list[Path] | None, option("images of the left camera", metavar="FILE...")] = (
+        None
+    )
+    right: Annotated[list[Path] | None, option("images of the right camera", metavar="FILE...")] = (
+        None
+    )
     sensor: Annotated[
-        str, option("description of the rig as designed: its file, or a packaged name")
+        str, option("description of the rig as designed: a file or a packaged name")
     ] = ""
     images: Annotated[
-        int, option("how many to take of a live topic", Number(3, 1000, kind=int))
+        int, option("number of images to take from a live topic", Number(3, 1000, kind=int))
     ] = 20
     board: Annotated[
         str,
@@ -76,7 +80,9 @@ class Board(Output, LiveInput):
             "inner corners: a board of 10 x 7 squares has 9x6", _board_size, metavar="COLSxROWS"
         ),
     ]
-    square: Annotated[float, option("side of a square, in m: measure it", Number(1e-4, 1, "m"))]
+    square: Annotated[
+        float, option("side of a square, in m; measure it on the print", Number(1e-4, 1, "m"))
+    ]
     charuco: Annotated[str, option("ChArUco board with this OpenCV dictionary", metavar="DICT")] = (
         ""
     )
@@ -102,24 +108,24 @@ class Board(Output, LiveInput):
         """End with the usage where arguments do not go together."""
         sources = [self.input is not None, bool(self.left)]
         if sum(sources) > 1 or not (any(sources) or self.topic):
-            misuse("one of INPUT, --topic and --left is required")
+            misuse("give one of INPUT, --topic and --left")
         if self.right and not self.left:
-            misuse("--right needs --left; one camera alone is --left")
+            misuse("--right needs --left; give the images of a single camera with --left")
         if not self.left and not self.sensor:
             misuse("--sensor is required, except for cameras given with --left")
         if bool(self.charuco) != (self.marker is not None):
-            misuse("--charuco and --marker belong together")
+            misuse("--charuco and --marker need each other")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gel(Output, FrameInput):
-    """Find where mirrors and gel are from frames of the gel at rest: its own pattern, with known
-    pitch and surface, is the target. Nothing may touch the gel. Focal lengths are found too where
-    the frames determine them; what they do not determine is held, and named.
+    """Find the poses of mirrors and gel from frames of the gel at rest. The target is the gel's
+    own pattern, with known pitch and surface. Nothing may touch the gel. Focal lengths are found
+    too if the frames determine them. Other values keep those of the description and are listed.
 
-    Writes NEW.yaml (description of the sensor), NEW_left.yaml and NEW_right.yaml (camera_info of
-    ROS) only where the result is accepted; NEW_calibration/index.html shows the residuals either
-    way.
+    NEW.yaml (description of the sensor), NEW_left.yaml and NEW_right.yaml (camera_info of ROS) are
+    written only if the result is accepted. NEW_calibration/index.html, with the residuals, is
+    always written.
 
     examples:
       cmp_tactile calibrate gel rest --sensor board.yaml --output my_sensor.yaml
@@ -171,7 +177,11 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
         pairs, alone = pairs_by_number(chosen["left"], arguments.right)
         chosen = {view: [pair[side] for pair in pairs] for side, view in enumerate(views)}
         names = ", ".join(file.name for file in alone)
-        warn(f"{names}: found no image of the other camera, left out" if alone else "")
+        warn(
+            f"{names}: found no image of the other camera with the same number; left out"
+            if alone
+            else ""
+        )
     images = {view: read_images(files) for view, files in chosen.items()}
     with shown_count() as count:
         outcome = calibrate_cameras(images["left"], images.get("right"), target, on_progress=count)

@@ -60,7 +60,7 @@ class CalibrationFiles:
         """left.yaml, right.yaml and the folder calibration in `folder`; OutputError for a file."""
         folder = folder.expanduser()
         if folder.exists() and not folder.is_dir():
-            msg = f"{folder}: found a file, expected a folder: two cameras have a file each"
+            msg = f"{folder}: found a file, expected a folder for the files of two cameras"
             raise OutputError(msg)
         cameras = {view: folder / f"{view}.yaml" for view in views}
         return cls(None, cameras, folder / "calibration")
@@ -84,7 +84,7 @@ class CalibrationFiles:
         Raises ValueError for a calibration that was refused.
         """
         if not outcome.accepted:
-            msg = "a refused calibration is not to be written"
+            msg = "a refused calibration must not be written"
             raise ValueError(msg)
         for view, path in self.cameras.items():
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -138,7 +138,7 @@ def conclude(
         console.print(estimates_table(single))
     for estimate in outcome.estimates:
         if estimate.name.startswith(COMBINATION):
-            print_line(console, f"Not separated by the images, {estimate.name}")
+            print_line(console, f"The images determine only {estimate.name}")
     for item in outcome.residuals:
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""

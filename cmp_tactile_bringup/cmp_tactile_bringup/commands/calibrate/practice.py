@@ -13,15 +13,15 @@ MAX_SEED = 2**31 - 1
 
 @dataclass(frozen=True, kw_only=True)
 class Practice(Command):
-    """Make a set of simulated images of a rig that was built not quite as described: gel and
-    mirrors are turned by 1 degree and shifted by 0.5 mm, the focal length is 1 % off, each in an
-    unknown direction.
+    """Simulate images of a rig that differs a little from its description: gel and mirrors are
+    turned by 1 degree and shifted by 0.5 mm, and the focal length is 1 % off, each in an unknown
+    direction.
 
       DIR/sensor.yaml   the description to start from
       DIR/board/        images of a board, taken before the gel was mounted
       DIR/rest/         frames of the gel at rest
-      DIR/contact/      a recording of a contact, with what is true of it
-      DIR/truth/        the rig as it is: not to be looked at until the end
+      DIR/contact/      a recording of a contact, with its truth
+      DIR/truth/        the true rig: do not look at it until the end
 
     example:
       cmp_tactile calibrate practice --output practice
@@ -29,16 +29,16 @@ class Practice(Command):
 
     output: Annotated[Path, option("folder to write", metavar="DIR")]
     sensor: Annotated[
-        str, option("the description that the rig was built by, file or packaged name")
+        str, option("description of the rig as designed: a file or a packaged name")
     ] = "sample_rig"
     seed: Annotated[
         int | None,
         option(
-            "makes the same set again (default: another one each time)",
+            "the same seed makes the same set (default: a new set each time)",
             Number(0, MAX_SEED, kind=int),
         ),
     ] = None
-    images: Annotated[int, option("of the board", Number(3, 200, kind=int))] = 20
+    images: Annotated[int, option("number of images of the board", Number(3, 200, kind=int))] = 20
     overwrite: Annotated[bool, option("replace an earlier practice set")] = False
 
     def run(self) -> int:

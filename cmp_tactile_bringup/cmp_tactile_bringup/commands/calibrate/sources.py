@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 IMAGE_TOPIC = "/NS/image_raw"
-LIVE = "live from this topic where no INPUT is given; image topic of a bag that has several"
-SENSOR = "description to start from: its file, or the name of a packaged one"
+LIVE = "image topic: without INPUT, of a running sensor; else of a bag that has several"
+SENSOR = "description to start from: a file or a packaged name"
 PREPARING = "preparing tracker and rays (compiled once per version)"
 # Frames of a live camera unless --frames names another number.
 LIVE_FRAMES = 20
@@ -32,9 +32,9 @@ class Output(Command):
     """Options of where results are written."""
 
     output: Annotated[
-        Path, option("description to write, with files beside it", metavar="NEW.yaml")
+        Path, option("description to write; other files are written beside it", metavar="NEW.yaml")
     ]
-    overwrite: Annotated[bool, option("replace results that are there already")] = False
+    overwrite: Annotated[bool, option("replace existing results")] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class FrameInput(LiveInput):
         None
     )
     start: Annotated[
-        float, option("leave out the beginning of a recording", Number(0, 1e6, "s"))
+        float, option("leave out the first seconds of a recording", Number(0, 1e6, "s"))
     ] = 0.0
 
     def check_source(self) -> None:
@@ -80,8 +80,8 @@ class WrenchSensor(Command):
     wrench_rotation: Annotated[
         tuple[float, float, float] | None,
         option(
-            "turns of its axes from the gel frame's, degrees about the gel's x, then y, then z "
-            "direction (default: as /tf_static of the bag has it, or else none)",
+            "rotation from the gel frame's axes to the sensor's, degrees about the gel's x, then "
+            "y, then z axis (default: from /tf_static of the bag, else none)",
             Number(-360, 360, "degrees"),
             metavar="X Y Z",
             group=FORCE_SENSOR,
@@ -90,14 +90,16 @@ class WrenchSensor(Command):
     wrench_reaction: Annotated[
         bool,
         option(
-            "it measures the opposite of the force on the gel: that of the gel on the object",
+            "it measures the opposite force: that of the gel on the object",
             group=FORCE_SENSOR,
         ),
     ] = False
     time_offset: Annotated[
         float,
         option(
-            "what its clock is ahead of the camera's", Number(-1e10, 1e10, "s"), group=FORCE_SENSOR
+            "how far its clock is ahead of the camera's",
+            Number(-1e10, 1e10, "s"),
+            group=FORCE_SENSOR,
         ),
     ] = 0.0
 
@@ -154,9 +156,13 @@ def _wrench_frame(
     if arguments.input is not None and series.frame_id:
         T = fixed_transform(recorded_source(arguments.input), gel_frame, series.frame_id)
         if T is not None:
-            print(f"Force sensor: its frame {series.frame_id} is placed by /tf_static.")
+            print(
+                f"Force sensor: the pose of its frame {series.frame_id} is taken from /tf_static."
+            )
             return WrenchFrame(T[:3, :3], reaction)
-    print("Force sensor: its axes are taken for the gel's; --wrench-rotation names others.")
+    print(
+        "Force sensor: its axes are assumed to be the gel frame's; if not, give --wrench-rotation."
+    )
     return WrenchFrame.turned(reaction=reaction)
 
 

@@ -147,7 +147,9 @@ def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) ->
         mean_um = np.nanmean(values, axis=0) * 1e6
         image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
         whole = length_text(float(np.nanmean(values)))
-        style.title(axes, name, f"mean distance of each marker to the truth; of all: {whole}")
+        style.title(
+            axes, name, f"mean error of each marker against the truth; all markers: {whole}"
+        )
         style.colour_bar(image, [axes], "um", shrink=0.8)
     return figure
 
@@ -243,13 +245,15 @@ def material_figure(loads: Sequence[LoadResult]) -> Figure:
     unused = points[~points.used]
     if unused.size:
         left.plot(unused.known, unused.before, "x", color=style.MUTED, label="left out")
-    for axes, label in ((left, "force that the sensor shows, N"), (right, "shown minus known, N")):
-        axes.set_xlabel("force that is known, N")
+    for axes, label in ((left, "force of the sensor, N"), (right, "sensor minus known, N")):
+        axes.set_xlabel("known force, N")
         axes.set_ylabel(label)
         axes.margins(0.08)
     meaning = f"bars: {BAR:g} standard deviations"
-    style.title(left, "What the sensor shows of known loads", f"{meaning}, after")
-    style.title(right, "What is left with the new material", f"{meaning} of sensor and load")
+    style.title(left, "Force of the sensor under known loads", f"{meaning}, after")
+    style.title(
+        right, "Remaining difference with the new material", f"{meaning} of sensor and load"
+    )
     left.legend(loc="best")
     return figure
 
@@ -294,9 +298,9 @@ def relaxation_figure(
         true = np.where(on, np.broadcast_to(reference, time_s.shape), np.nan)
         axes.plot(time_s, true, color=style.MUTED, lw=5, alpha=0.4, label="known")
     axes.plot(time_s, reading, color=style.SERIES[1], lw=1.8, label="elastic alone")
-    axes.plot(time_s, corrected, color=style.SERIES[0], lw=1.8, label="relaxation taken out")
+    axes.plot(time_s, corrected, color=style.SERIES[0], lw=1.8, label="relaxation removed")
     axes.set_xlabel("time, s")
     axes.set_ylabel("force into the gel, N")
-    style.title(axes, "What the gel shows of a load that is held")
+    style.title(axes, "Force of the gel under a held load")
     axes.legend(loc="best")
     return figure

@@ -56,7 +56,7 @@ def wrench_figure(results: DemoResults) -> Figure:
         _draw_phases(axes, results, names=axes is depth)
     panels[-1].set_xlabel("time of the recording, s")
     panels[-1].set_xlim(time_s[0] - 0.01, time_s[-1] + 0.01)
-    depth.set_title("What the sensor felt: the force of the object on the gel over time", pad=30)
+    depth.set_title("Measured force of the object on the gel over time", pad=30)
     figure.align_ylabels()
     return figure
 
@@ -92,7 +92,7 @@ def _draw_wrench(values: Axes, errors: Axes, results: DemoResults, part: _Part) 
     if np.isfinite(std).any():
         errors.fill_between([], [], color=style.MUTED, alpha=0.3, lw=0, label=f"±{BAND:g} std")
     else:
-        errors.annotate("came without error bars", (0.01, 0.05), xycoords="axes fraction")
+        errors.annotate("without error bars", (0.01, 0.05), xycoords="axes fraction")
 
 
 def _largest(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -188,8 +188,8 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
             axes.broken_barh(spans, (base + 0.1, 0.8), zorder=2, **look)
     share = results.sensor.slip.incipient_ratio
     rules = {
-        SlipState.INCIPIENT: f": {share:.0%} or more slides",
-        SlipState.FULL: ": all slides; measured once\nits tangential force rises no more",
+        SlipState.INCIPIENT: f": {share:.0%} or more of the contact slides",
+        SlipState.FULL: ": all of it slides; measured once\nits tangential force stops rising",
     }
     for state, colour in STATES.items():
         if state in shown:
@@ -198,7 +198,7 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
     if SlipState.UNKNOWN in shown:
         axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_KNOWN)
     if len(results.frames) < len(results.recording.truth.stamp_ns):
-        words = "white: the frame did not come"
+        words = "white: frame lost"
         axes.fill_between([], [], facecolor="white", edgecolor=style.MUTED, lw=0.8, label=words)
     axes.set_yticks([0.5, 1.5], ["true", "measured"])
     axes.set_ylim(0, 2)
@@ -216,13 +216,13 @@ def true_states(results: DemoResults) -> NDArray[np.int64]:
 def _draw_slip(axes: Axes, results: DemoResults) -> None:
     _draw_true(axes, results, results.recording.truth.slip_ratio)
     _draw_measured(axes, results, _slip(results, "slip_ratio"), "measured")
-    axes.set(ylabel="share that slides", ylim=(-0.05, 1.05))
+    axes.set(ylabel="sliding share", ylim=(-0.05, 1.05))
 
 
 def _draw_friction(axes: Axes, results: DemoResults) -> None:
     truth = results.recording.truth
     _draw_true(axes, results, truth.traction_ratio, style.SERIES[0], "true")
-    _draw_measured(axes, results, _slip(results, "traction_ratio"), "friction that is used")
+    _draw_measured(axes, results, _slip(results, "traction_ratio"), "tangential over normal force")
     coefficient, std = _slip(results, "friction_coefficient"), _slip(results, "friction_std")
     colour = style.SERIES[1]
     _draw_true(axes, results, truth.friction_coefficient, colour, "")

@@ -77,7 +77,7 @@ def adjust(
     boards = _Boards(rig, observations, poses)
     residuals = boards.residuals(changes)
     if not np.isfinite(residuals).all():
-        msg = "board: found it behind a camera at the start of the fit, expected it in front"
+        msg = "board: found the board behind a camera at the start of the fit, expected it in front"
         raise CalibrationError(msg)
     noise = _spread(residuals)
     for _ in range(2):

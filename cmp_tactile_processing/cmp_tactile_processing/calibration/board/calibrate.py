@@ -50,7 +50,7 @@ TILT, DISTANCE = float(np.radians(5.0)), 0.2
 UNKNOWN_CAMERAS = RigPrior(
     turn=0.5, shift=0.1, focal=0.5, aspect=0.1, principal_point=200.0, distortion=1.0
 )
-GAUGE = "views: joint turn of the mirrors about the line where their planes meet"
+GAUGE = "views: common rotation of the mirrors about the line where their planes meet"
 # Corners this far from where the description has them, in widths of a view, call for another
 # reading of it; one that brings them this much nearer is right.
 FAR_OFF, MUCH_NEARER = 0.15, 0.4
@@ -148,7 +148,7 @@ def fit_cameras(
 def _check_lists(given: Mapping[str, Sequence[NDArray[np.uint8]]]) -> None:
     counts = {view: len(images) for view, images in given.items()}
     if not min(counts.values()):
-        msg = f"board: found {counts} images, expected some"
+        msg = f"board: found {counts} images, expected at least one"
         raise CalibrationError(msg)
     if len(set(counts.values())) > 1:
         found = " and ".join(f"{count} {view}" for view, count in counts.items())
@@ -162,8 +162,8 @@ def _check_two_view(sensor: SensorDescription, count: int) -> str:
     models = {view.camera.model for view in views if view.camera and view.T_view_gel is not None}
     if count != 2 or len(sensor.views) != 2 or len(models) != 1 or sensor.optics.type != "two_view":
         msg = (
-            f"{sensor.name}: optics.type: found {sensor.optics.type} for {count} lists of "
-            f"images, expected two_view with cameras of one model and images of both"
+            f"{sensor.name}: optics.type: found {sensor.optics.type} for {count} lists of images, "
+            "expected two_view, with images of both cameras and one camera model"
         )
         raise CalibrationError(msg)
     return models.pop()
@@ -280,7 +280,7 @@ def calibrate_mirror_rig(
     """
     rig = _mirror_rig(sensor)
     if not len(frames):
-        msg = "board: found no frames, expected some"
+        msg = "board: found no frames, expected at least one"
         raise CalibrationError(msg)
     described = rig.views(np.zeros(len(rig.free)))
     images = look_for_board(
@@ -331,7 +331,7 @@ def _mirror_rig(sensor: SensorDescription) -> RigParameters:
     if sensor.camera is None or len(mirrors) != 2:
         msg = (
             f"{sensor.name}: optics.type: found {sensor.optics.type} with {len(mirrors)} mirrors, "
-            f"expected mirror_stereo with two; plain cameras are calibrated each by its images"
+            "expected mirror_stereo with two; for cameras without mirrors give the images of each"
         )
         raise CalibrationError(msg)
     prior = RigPrior(

@@ -140,10 +140,12 @@ def findings_of_images(images: BoardImages) -> list[Finding]:
     distinct = len(seen) - len(repeated)
     if repeated:
         text = (
-            f"{len(repeated)} of {len(seen)} images show the board where another one shows it "
-            f"already, which leaves {distinct} poses."
+            f"{len(repeated)} of {len(seen)} images repeat a pose of the board; {distinct} "
+            "different poses remain."
         )
-        advice = "Move and lean the board between images; many images of one pose say no more."
+        advice = (
+            "Move and tilt the board between images: more images of one pose add no information."
+        )
         findings.append(Finding.graded(text, advice, error=distinct < LEAST_POSES))
     findings += _of_count(images, distinct)
     return findings + _of_blur(images)
@@ -156,7 +158,7 @@ def _of_sizes(images: BoardImages) -> list[Finding]:
     text = f"Images of another size were left out: {', '.join(images.other_size)}."
     if sizes:
         text = text[:-1] + f"; views are {' and '.join(sizes)} px."
-    advice = "Take all images with the one camera, at the resolution that the sensor will run at."
+    advice = "Take all images with the same camera, at the resolution that the sensor will use."
     return [Finding.graded(text, advice, error=not images.sizes)]
 
 
@@ -165,10 +167,12 @@ def _of_missing(images: BoardImages) -> list[Finding]:
     if images.other_board is not None:
         cols, rows = images.other_board
         text = (
-            f"Images show a chessboard of {cols} x {rows} inner corners, not of "
+            f"The images show a chessboard of {cols} x {rows} inner corners, expected "
             f"{images.target.cols} x {images.target.rows}."
         )
-        advice = f"Count inner corners, not squares; if the board is right, give {cols}x{rows}."
+        advice = (
+            f"Count the inner corners, not the squares. If the board is right, use {cols}x{rows}."
+        )
         return [Finding(Severity.ERROR, text, advice)]
     for view, sightings in images.sightings.items():
         missing = [number + 1 for number, item in enumerate(sightings) if item is None]
@@ -178,8 +182,8 @@ def _of_missing(images: BoardImages) -> list[Finding]:
         text = f"The board was not found in {len(missing)} of {len(sightings)} {view} images"
         text += "." if none else f": {_listed(missing)}."
         advice = (
-            "The whole chessboard with a white margin, or most of a ChArUco board, must be seen, "
-            "evenly lit and sharp; check the number of corners"
+            "The image must show the whole chessboard with a white margin, or most of a ChArUco "
+            "board, evenly lit and sharp. Check the number of corners"
         )
         if images.target.kind == "charuco":
             advice += ", the dictionary, and whether the image is mirrored"
@@ -190,8 +194,8 @@ def _of_missing(images: BoardImages) -> list[Finding]:
 def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
     findings = []
     advice = (
-        f"Take {ENOUGH_POSES} to 20 images with the board in different places, leaning by 20 to 40 "
-        f"degrees to all sides."
+        f"Take {ENOUGH_POSES} to 20 images with the board in different places, tilted by 20 to 40 "
+        "degrees in all directions."
     )
     if distinct < ENOUGH_POSES:
         few = distinct < LEAST_POSES
@@ -202,10 +206,10 @@ def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
         both = sum(len(views) == 2 for views in images.seen.values())
         if both < LEAST_SHARED:
             text = (
-                f"Both views show the board in {both} images; their places relative to each other "
-                f"need at least {LEAST_SHARED}."
+                f"Both views show the board in {both} images; at least {LEAST_SHARED} are needed "
+                "to find their relative pose."
             )
-            advice = "Hold the board where both views see it."
+            advice = "Hold the board so that both views see it."
             findings.append(Finding(Severity.ERROR, text, advice))
     return findings
 
@@ -229,8 +233,8 @@ def _of_blur(images: BoardImages) -> list[Finding]:
     )
     if not blurred:
         return []
-    text = f"Images are blurred: {_listed(blurred)} (edges of usually {usual:.1f} px)."
-    advice = "Hold the board still while the image is taken, light it well, and check the focus."
+    text = f"Blurred images: {_listed(blurred)} (edges are usually {usual:.1f} px wide)."
+    advice = "Hold the board still while you take the image, light it well, and check the focus."
     return [Finding(Severity.WARNING, text, advice)]
 
 

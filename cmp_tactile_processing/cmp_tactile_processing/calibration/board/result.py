@@ -54,18 +54,22 @@ def of_residuals(residuals: Sequence[ViewResiduals]) -> list[Finding]:
             limit = BAD_RMS_PX if bad else HIGH_RMS_PX
             text = f"Reprojection error of the {item.view} view: {item.rms:.2f} px, limit {limit}."
             advice = (
-                "Check that the board is flat and rigid, the camera model right, and that board "
-                "and camera stood still."
+                "Check that the board is flat and rigid, that the camera model is right, and "
+                "that board and camera did not move."
             )
             findings.append(Finding.graded(text, advice, error=bad))
         if out > MANY_OUTLIERS:
-            text = f"{100 * out:.0f} % of the {item.view} view's corners do not fit the others."
-            advice = "Look at the plot of residuals; leave out images that stand apart."
+            text = (
+                f"{100 * out:.0f} % of the corners of the {item.view} view do not fit the others."
+            )
+            advice = "Look at the plot of residuals, and remove images that differ from the others."
             findings.append(Finding.graded(text, advice, error=out > BAD_OUTLIERS))
     misfits = _misfits(residuals)
     if misfits:
         text = f"Images do not fit the others: {', '.join(str(image + 1) for image in misfits)}."
-        advice = "The board moved between the two views or is not the same: leave them out."
+        advice = (
+            "The board moved between the two views, or it is another board: remove these images."
+        )
         findings.append(Finding(Severity.WARNING, text, advice))
     return findings
 
@@ -96,10 +100,10 @@ def of_directions(
         if share <= VAGUE_FOCAL:
             continue
         text = (
-            f"{item.name} is known to {100 * share:.2g} % only: the board was seen from about one "
-            f"direction (it leans by {np.median(lean):.0f} degrees from its mean)."
+            f"{item.name} is known only to {100 * share:.2g} %: all images show the board from "
+            f"nearly the same direction (tilted by {np.median(lean):.0f} degrees from the mean)."
         )
-        advice = "Lean the board by 20 to 40 degrees to all sides, and near and far."
+        advice = "Tilt the board by 20 to 40 degrees in all directions, near and far."
         findings.append(Finding.graded(text, advice, error=share > UNKNOWN_FOCAL))
     return findings
 
@@ -122,10 +126,9 @@ def of_coverage(
         if share >= LOW_COVERAGE:
             continue
         text = (
-            f"The board covers {100 * share:.0f} % of the part of the {item.view} view that is to "
-            f"be measured in."
+            f"The board covers {100 * share:.0f} % of the measuring part of the {item.view} view."
         )
-        advice = "Take images with the board in every part of the view, its corners included."
+        advice = "Take images with the board in every part of the view, also in its corners."
         findings.append(Finding.graded(text, advice, error=share < NO_COVERAGE))
     return findings
 
@@ -140,35 +143,35 @@ def of_square(target: BoardTarget, ratios: Sequence[float]) -> list[Finding]:
         return []
     factor = float(np.exp(common))
     text = (
-        f"All lengths of the rig come out {factor:.2f} times those of the sensor description: the "
+        f"All lengths of the rig are {factor:.2f} times those of the sensor description: the "
         f"squares are probably {1e3 * target.square / factor:.3g} mm, not "
         f"{1e3 * target.square:.3g} mm."
     )
     advice = (
-        "Measure the squares over many of them and give their side; if it is right, the lengths "
-        "in the sensor description are wrong."
+        "Measure several squares together and give the side of one. If the side is right, "
+        "correct the lengths in the sensor description."
     )
     return [Finding.graded(text, advice, error=abs(common) > WRONG_SQUARE)]
 
 
 def of_swapped_views() -> Finding:
     """The left view is the right one."""
-    text = "The views are swapped: what is called the left view looks from the right."
-    advice = "Exchange the two folders or topics, or the two views in the sensor description."
+    text = "The views are swapped: the left view looks from the right."
+    advice = "Swap the two folders or topics, or the two views in the sensor description."
     return Finding(Severity.ERROR, text, advice)
 
 
 def of_no_fit() -> Finding:
     """Nothing fits."""
-    text = "The images do not fit the rig at all: no pose of the board explains any of them."
+    text = "The images do not fit the rig: no pose of the board explains any of them."
     advice = "Check which images belong to which view, the number of corners and the description."
     return Finding(Severity.ERROR, text, advice)
 
 
 def of_unusable(reason: str) -> Finding:
     """The calibrated description cannot be used."""
-    text = f"With what was found the sensor cannot work: {reason}."
-    advice = "Check squares and views first; then whether the description is of this sensor."
+    text = f"The sensor cannot work with this result: {reason}."
+    advice = "Check squares and views first, then whether this is the description of the sensor."
     return Finding(Severity.ERROR, text, advice)
 
 

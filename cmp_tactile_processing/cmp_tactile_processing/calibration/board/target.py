@@ -60,7 +60,7 @@ class BoardTarget:
             found = getattr(self, name)
             if not FEWEST_CORNERS <= found <= MOST_CORNERS:
                 allowed = f"{FEWEST_CORNERS} to {MOST_CORNERS} inner corners"
-                _refuse(name, found, f"{allowed} (a board of n squares has n - 1)")
+                _refuse(name, found, f"{allowed} (a board with n squares along a side has n - 1)")
         if not 0 < self.square < float("inf"):
             _refuse("square", self.square, "a length in m above 0")
         if self.kind == "charuco":
@@ -77,7 +77,11 @@ class BoardTarget:
         there = len(_dictionary(self.dictionary).bytesList)
         needed = (self.cols + 1) * (self.rows + 1) // 2
         if there < needed:
-            _refuse("dictionary", f"{self.dictionary} of {there}", f"at least {needed} markers")
+            _refuse(
+                "dictionary",
+                f"{self.dictionary} with {there} markers",
+                f"at least {needed} markers",
+            )
 
     @property
     def count(self) -> int:

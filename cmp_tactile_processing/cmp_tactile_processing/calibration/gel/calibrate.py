@@ -127,9 +127,9 @@ def _unseen(grids: Mapping[str, Sequence[Grid]], options: GelCalibrationParamete
     name = min(shows, key=lambda view: int(shows[view].sum()))
     return (
         f"{name} view: found the pattern in {shows[name].sum()} of {shows[name].size} frames "
-        f"({observation.usual_complaint(grids[name])}), expected at least {options.least_seen:.0%} "
-        "of it in frames that show it in all views; check light and focus, and whether the "
-        "description is of this sensor"
+        f"({observation.usual_complaint(grids[name])}), expected frames that show at least "
+        f"{options.least_seen:.0%} of it in all views; check light and focus, and whether this is "
+        "the description of the sensor"
     )
 
 
@@ -143,12 +143,12 @@ def _refuse_exchanged(
     if _usable(observation.track_frames(sensor, [exchanged]), options).all():
         msg = (
             f"{sensor.name}: found the left view's image in the right view's part of the frames "
-            f"and the other way round: {_EXCHANGE}"
+            f"and vice versa: {_EXCHANGE}"
         )
         raise CalibrationError(msg)
 
 
-_EXCHANGE = "exchange the cameras' cables, or views.left.roi and views.right.roi"
+_EXCHANGE = "swap the cameras' cables, or views.left.roi and views.right.roi"
 
 
 def _shows(grids: Sequence[Grid], options: GelCalibrationParameters) -> NDArray[np.bool_]:
@@ -196,8 +196,8 @@ def _swap_findings(evidence: _Evidence, options: GelCalibrationParameters) -> li
     if better * SWAP_GAIN > rms or better > options.reprojection_limit:
         return []
     text = (
-        f"The views are exchanged: the pattern fits to {number_text(better, 2)} px with left for "
-        f"right, and to {number_text(rms, 2)} px as it is."
+        f"The views are swapped: the error of the corners is {number_text(better, 2)} px with "
+        f"left and right swapped, and {number_text(rms, 2)} px as they are."
     )
     return [Finding(Severity.ERROR, text, f"{_EXCHANGE[0].upper()}{_EXCHANGE[1:]}.")]
 
@@ -252,10 +252,10 @@ def _verdict(outcome: CalibrationOutcome, evidence: _Evidence) -> str:
     before = reprojection(view_residuals(evidence.before, seen, found.print_px), all_corners=True)
     after = reprojection(outcome.residuals, all_corners=True)
     after_px, before_px = number_text(after, 2), number_text(before, 2)
-    fit = f"The pattern's corners fit to {after_px} px, {before_px} px before"
+    fit = f"The RMS error of the corners is {after_px} px; it was {before_px} px before"
     gap = evidence.shape.rms_gap
     if np.isfinite(gap):
-        fit += f", and the views' rays meet within {length_text(gap, 2)}"
+        fit += f", and the rays of both views meet within {length_text(gap, 2)}"
     if not outcome.accepted:
         errors = errors_in(outcome.findings)
         return f"Not usable. {errors[0].text} {fit}."
@@ -270,9 +270,9 @@ def _known(fit: MapFit) -> str:
     if not others:
         return f"{known}."
     if unseen >= others:
-        return f"{known}; the other {others} stay as described."
-    together = f"{known}; the other {others} act alike and are found together"
+        return f"{known}; the other {others} keep the values of the description."
+    together = f"{known}; the other {others} have similar effects and are found together"
     if not unseen:
         return f"{together}."
     left = "one combination" if unseen == 1 else f"{unseen} combinations"
-    return f"{together}, but for {left} of them, which the images do not show."
+    return f"{together}, except {left}, which the images do not determine."

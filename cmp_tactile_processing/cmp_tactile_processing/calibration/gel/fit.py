@@ -49,52 +49,56 @@ class GelCalibrationParameters(RigPrior, section="gel calibration"):
 
     largest_deviation: float = parameter(
         4.0,
-        "standard deviations from the description beyond which it is not that of this sensor",
+        "deviation from the description, in standard deviations, above which it is the "
+        "description of another sensor",
         within=(1.0, 100.0),
     )
     robust_scale: float = parameter(
-        3.0, "standard deviations from which on a corner counts less", within=(0.5, 100.0)
+        3.0,
+        "deviation, in standard deviations, above which a corner counts less",
+        within=(0.5, 100.0),
     )
     fewest_frames: int = parameter(
-        3, "frames below which nobody knows whether the gel was still", within=(1, 1000)
+        3, "number of frames below which motion of the gel cannot be detected", within=(1, 1000)
     )
     wanted_frames: int = parameter(
-        8, "frames below which noise is averaged less than it could be", within=(1, 1000)
+        8, "number of frames below which more frames would reduce the noise", within=(1, 1000)
     )
     least_seen: float = parameter(
-        0.5, "share of the pattern that must be seen in each view", within=(0.1, 1.0)
+        0.5, "share of the pattern that each view must show", within=(0.1, 1.0)
     )
     wanted_seen: float = parameter(
-        0.95, "share of the pattern below which something hides the gel", within=(0.1, 1.0)
+        0.95, "share of the pattern below which an object hides the gel", within=(0.1, 1.0)
     )
     still_limit: float = parameter(
         0.1,
-        "change of the corners between frames, as a whole, above which something moved",
+        "common change of the corners between frames above which the gel moved",
         unit="px",
         within=(1e-3, 10.0),
     )
     shape_limit: float = parameter(
         30e-6,
-        "distance of the marker surface from its shape at rest, averaged over 3 x 3 corners, above "
-        "which the gel is touched or the pattern is another one",
+        "distance of the marker surface from its shape at rest, averaged over 3 x 3 corners, "
+        "above which the gel is touched or the pattern is another one",
         unit="m",
         within=(1e-6, 1e-2),
     )
     shape_wanted: float = parameter(
         10e-6,
-        "the same distance above which the description of the pattern could be better",
+        "the same distance, above which the description of the pattern should be improved",
         unit="m",
         within=(1e-6, 1e-2),
     )
     reprojection_limit: float = parameter(
         0.5,
-        "root mean square of the reprojection residuals that a good calibration has",
+        "RMS of the reprojection residuals of a good calibration",
         unit="px",
         within=(1e-3, 10.0),
     )
     scale_limit: float = parameter(
         0.1,
-        "relative change of all distances at once above which the pattern's pitch is doubted",
+        "relative change of all distances together above which the pitch of the pattern is "
+        "doubtful",
         within=(1e-3, 1.0),
     )
 
@@ -125,7 +129,8 @@ def fit_gel(
     parameters = RigParameters(sensor, options)
     if not parameters.free:
         msg = (
-            f"{sensor.name}: found every optical value held, expected a deviation above 0 for some"
+            f"{sensor.name}: found standard deviations of 0 for all optical values, expected one "
+            "above 0"
         )
         raise CalibrationError(msg)
     print_px, start = FIRST_PRINT_PX, None
@@ -294,9 +299,9 @@ def count_findings(count: int, options: GelCalibrationParameters) -> list[Findin
     few = count < options.fewest_frames
     text = f"Only {count} frame{'s' if count != 1 else ''} could be used"
     if few:
-        text += ": too few to know whether the gel was still."
+        text += ": too few to check that the gel was still."
     else:
-        text += ": noise is averaged less than it could be."
+        text += ": more frames would reduce the noise."
     return [
         Finding(
             Severity.ERROR if few else Severity.WARNING,
@@ -318,7 +323,8 @@ def sight_findings(
         if bad:
             text = (
                 f"The {name} view shows less than {options.least_seen:.0%} of the pattern in "
-                f"{frame_list(bad)}: {usual_complaint([view[k] for k in bad])}. Left out."
+                f"{frame_list(bad)}: {usual_complaint([view[k] for k in bad])}. These frames were "
+                "left out."
             )
             findings.append(Finding(Severity.WARNING, text, _LOOK))
     for item in seen:
@@ -333,8 +339,8 @@ def sight_findings(
 
 
 _LOOK = (
-    "Look at the recording: is the whole pattern lit, in focus, clean, and within its part of the "
-    "frame?"
+    "Check in the recording that the whole pattern is lit, in focus, clean, and within its part "
+    "of the frame."
 )
 
 
@@ -349,12 +355,12 @@ def motion_findings(
         moved = [int(number) for number in item.numbers[motion > limit]]
         if moved:
             text = (
-                f"Something moved during the recording: {frame_list(moved)} differ from "
+                f"The gel or the rig moved during the recording: {frame_list(moved)} differ from "
                 f"the others by up to {number_text(motion.max(), 2)} px in the {item.view} view "
                 f"(limit {number_text(limit, 2)} px)."
             )
             advice = (
-                "Record again without touching the gel, and let it recover from the last contact."
+                "Let the gel recover from the last contact, then record again without touching it."
             )
             findings.append(Finding(Severity.ERROR, text, advice))
     return findings
@@ -381,7 +387,7 @@ def shape_findings(
             f"The marker surface differs from its shape at rest around x = {x:.1f} mm, "
             f"y = {y:.1f} mm (corner {row}, {col}) {how}: the gel was touched."
         )
-        advice = "Record the gel at rest: nothing may touch it, and it needs time to recover."
+        advice = "Let the gel recover, then record it while nothing touches it."
         return [Finding.graded(text, advice, error=error)]
     text = (
         f"The marker surface as a whole differs from its shape at rest, most at x = {x:.1f} mm, "
@@ -391,9 +397,9 @@ def shape_findings(
     known = f", pattern.surface ({surface.type}"
     known += f" of radius {surface.radius * 1e3:.4g} mm)" if np.isfinite(surface.radius) else ")"
     advice = (
-        f"Does something flat touch the gel? Else measure pattern.pitch "
-        f"({sensor.pattern.pitch * 1e3:.4g} mm){known}, the camera's distortion and optics.layers, "
-        "and correct the description."
+        "If a flat object touches the gel, remove it. Otherwise measure pattern.pitch "
+        f"({sensor.pattern.pitch * 1e3:.4g} mm){known}, the camera's distortion and "
+        "optics.layers, and correct the description."
     )
     return [Finding.graded(text, advice, error=error)]
 
@@ -407,20 +413,25 @@ def deviation_findings(
     if far.any():
         names = [name for name, is_far in zip(found.parameters.names, far, strict=True) if is_far]
         text = (
-            f"The fit is at the limits of what it may change: {', '.join(names)} "
+            f"The result is too far from the description: {', '.join(names)} "
             f"{'differ' if len(names) > 1 else 'differs'} by more than "
-            f"{options.largest_deviation:g} standard deviations from the description."
+            f"{options.largest_deviation:g} standard deviations."
         )
-        advice = "Is this the description of this kind of sensor? Else correct its rough values."
+        advice = (
+            "Check that this is the description of this kind of sensor. If it is, correct its "
+            "rough values."
+        )
         findings.append(Finding(Severity.ERROR, text, advice))
     growth = _growth(sensor, found.sensor)
     if abs(growth) > options.scale_limit:
         text = (
-            f"All distances {'grew' if growth > 0 else 'shrank'} by {abs(growth):.0%}: so does a "
-            "rig with a pattern that is larger or smaller than described."
+            f"All distances {'grew' if growth > 0 else 'shrank'} by {abs(growth):.0%}: this also "
+            "happens if the pattern is larger or smaller than described."
         )
         pitch = sensor.pattern.pitch * 1e3
-        advice = f"Measure pattern.pitch ({pitch:.4g} mm): the images show it and distance alike."
+        advice = (
+            f"Measure pattern.pitch ({pitch:.4g} mm): images cannot separate pitch and distance."
+        )
         findings.append(Finding(Severity.WARNING, text, advice))
     return findings
 
@@ -430,12 +441,12 @@ def reprojection_findings(rms: float, options: GelCalibrationParameters) -> list
     if rms <= options.reprojection_limit:
         return []
     text = (
-        f"The pattern's corners do not fit: they are {number_text(rms, 2)} px off (limit "
+        f"The error of the pattern's corners is too large: {number_text(rms, 2)} px (limit "
         f"{options.reprojection_limit:g} px)."
     )
     advice = (
-        "Was the gel at rest?  Else check pattern, distortion of the camera and optics.layers in "
-        "the description, which are not refined."
+        "Check that the gel was at rest. If it was, check pattern, distortion of the camera and "
+        "optics.layers in the description; they are not refined."
     )
     return [Finding(Severity.ERROR, text, advice)]
 

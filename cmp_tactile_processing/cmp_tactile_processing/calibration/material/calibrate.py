@@ -133,11 +133,11 @@ class _Calibration:
             if not np.isfinite(shown.wrench).all():
                 self.reasons[index] = f"only {shown.valid_fraction:.0%} of the markers were seen"
             elif not shown.contact.any():
-                self.reasons[index] = "the sensor shows no contact"
+                self.reasons[index] = "the sensor measures no contact"
             else:
                 signal = float(np.max(np.abs(shown.wrench[:3]) / shown.wrench_std[:3]))
                 if signal < self.options.least_load:
-                    weak[index] = "it is too small to stand out of the noise"
+                    weak[index] = "it is too small compared with the noise"
         self.reasons |= weak
 
     def _readings(self, used: Sequence[int]) -> Readings:
@@ -162,7 +162,7 @@ class _Calibration:
             wrong += 1
             if len(used) < 3 or wrong > MOST_WRONG * len(self.samples):
                 return fit, [findings.misfit_finding(self._name(used[worst]), misfit, limit)]
-            reason = f"it is {misfit:.0f} standard deviations off what the others show"
+            reason = f"it is {misfit:.0f} standard deviations from the fit of the others"
             self.reasons[used[worst]] = reason
 
     def _fitted(

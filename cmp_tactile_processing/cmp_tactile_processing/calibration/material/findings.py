@@ -32,14 +32,14 @@ STRAIN_ERROR = 0.04 / 0.023
 def axis_findings(shown: NDArray[np.float64], given: NDArray[np.float64]) -> list[Finding]:
     """Does the reference point where the sensor does?  shown, given (n, 3) N; given may be NaN."""
     advice = (
-        "Forces are those on the gel in the gel frame: z points out of the gel, so that a press is "
-        "negative. Turn the reference into that frame."
+        "Give forces on the gel, in the gel frame: z points out of the gel, so a press is "
+        "negative. Rotate the reference into this frame (--wrench-rotation, --wrench-reaction)."
     )
     scale = np.abs(given[np.isfinite(given)]).max()
     if _likeness(shown[:, 2], given[:, 2], scale) < -ALIKE:
         text = (
-            "The reference has the other sign: the sensor shows a force along z of "
-            f"{_listed(shown[:, 2])} N where the reference gives {_listed(given[:, 2])} N."
+            f"The reference has the wrong sign: the sensor measures {_listed(shown[:, 2])} N "
+            f"along z, the reference {_listed(given[:, 2])} N."
         )
         return [Finding(Severity.ERROR, text, advice)]
     known = np.isfinite(given[:, :2]).all(axis=1)
@@ -57,7 +57,8 @@ def axis_findings(shown: NDArray[np.float64], given: NDArray[np.float64]) -> lis
         return []
     text = (
         f"The reference's x and y axes are {how}turned by {np.degrees(turn):+.0f} degrees about z "
-        "against the gel frame's: its sideways forces point elsewhere than the sensor's."
+        "relative to the gel frame, so its sideways forces have another direction than the "
+        "sensor's."
     )
     return [Finding(Severity.ERROR, text, advice)]
 
@@ -75,7 +76,7 @@ def _listed(values: NDArray[np.float64]) -> str:
 
 def left_out_findings(reasons: dict[str, str]) -> list[Finding]:
     """Which loads were left out?  reasons: by name of the load."""
-    advice = "Look at it, correct it or give it again: it changes nothing as it is."
+    advice = "Check this load, and correct or replace it: it has no effect on the result."
     return [
         Finding(Severity.WARNING, f"{name[0].upper()}{name[1:]} was left out: {reason}.", advice)
         for name, reason in reasons.items()
@@ -85,12 +86,12 @@ def left_out_findings(reasons: dict[str, str]) -> list[Finding]:
 def misfit_finding(worst: str, misfit: float, limit: float) -> Finding:
     """The loads contradict one another."""
     text = (
-        f"The loads contradict one another: no material fits them all, {worst} is {misfit:.1f} "
+        f"The loads contradict one another: no material fits all of them; {worst} is {misfit:.1f} "
         f"standard deviations off (limit {limit:g})."
     )
     advice = (
-        "Are the values of the loads right, and was each one at rest? Give loads that are known to "
-        "be right, or larger standard deviations."
+        "Check the values of the loads, and that the gel was at rest under each. Use loads that "
+        "are certain, or larger standard deviations."
     )
     return Finding(Severity.ERROR, text, advice)
 
@@ -103,8 +104,10 @@ def offset_finding(offset: NDArray[np.float64], std: NDArray[np.float64]) -> lis
     values = ", ".join(
         f"{offset[k]:+.3g} N along {axis}" for k, axis in enumerate("xyz") if clear[k]
     )
-    text = f"The reference sensor has an offset: it reads {values} too much. It was taken out."
-    return [Finding(Severity.WARNING, text, "Set the reference sensor to zero before the loads.")]
+    text = f"The reference sensor has an offset of {values}. It was subtracted."
+    return [
+        Finding(Severity.WARNING, text, "Zero the reference sensor before you apply the loads.")
+    ]
 
 
 def _strain_corrected(sensor: SensorDescription) -> bool:
@@ -125,19 +128,19 @@ def range_findings(
     if error <= options.strain_error:
         return []
     text = (
-        f"Loads press the gel in by up to {depth * 1e3:.2g} mm, {share:.1%} of its thickness, and "
-        f"it is taken as linear: if it is rubber-like, forces are wrong by up to {error:.0%} "
-        f"(limit {options.strain_error:.0%})."
+        f"Loads press the gel by up to {depth * 1e3:.2g} mm, {share:.1%} of its thickness, and "
+        "the gel is modelled as linear. If it is rubber-like, forces are wrong by up to "
+        f"{error:.0%} (limit {options.strain_error:.0%})."
     )
     deep = options.strain_error / STRAIN_ERROR * sensor.elastomer.size[2]
     return [Finding(Severity.WARNING, text, _strain_advice(sensor, deep))]
 
 
 def _strain_advice(sensor: SensorDescription, depth: float) -> str:
-    less = f"or use loads that press less than {depth * 1e3:.2g} mm deep."
+    less = f"or use loads that press by less than {depth * 1e3:.2g} mm."
     if sensor.elastomer.model == "neo_hookean":
-        return f"Do not switch force.large_press off, {less}"
-    return f"Say elastomer.model: neo_hookean of a silicone gel, which corrects for it, {less}"
+        return f"Do not set force.large_press to off, {less}"
+    return f"For a silicone gel set elastomer.model to neo_hookean, which corrects for this, {less}"
 
 
 def variety_findings(samples: Sequence[LoadSample], method: str) -> list[Finding]:
@@ -145,22 +148,24 @@ def variety_findings(samples: Sequence[LoadSample], method: str) -> list[Finding
     findings = []
     forces = np.array([np.nan_to_num(sample.force) for sample in samples])
     sizes = np.linalg.norm(forces, axis=1)
-    advice = "Give three loads or more over the range in which the sensor is used."
+    advice = "Give three loads or more over the range in which you use the sensor."
     if len(samples) == 1:
-        text = "There is one load only: nothing shows whether it is right."
+        text = "There is only one load, so it cannot be checked."
         findings.append(Finding(Severity.WARNING, text, advice))
     elif sizes.max() < LEAST_RANGE * sizes.min():
-        text = f"All loads are alike, {sizes.min():.3g} to {sizes.max():.3g} N: "
+        text = f"All loads are similar, {sizes.min():.3g} to {sizes.max():.3g} N: "
         text += (
             "an offset of the reference cannot be separated from the modulus."
             if method == "force_sensor"
-            else "an error that grows with the load, or does not, shows nowhere."
+            else "an error that grows with the load cannot be detected."
         )
         findings.append(Finding(Severity.WARNING, text, advice))
     sideways = np.linalg.norm(forces[:, :2], axis=1) > LEAST_SIDEWAYS * np.abs(forces[:, 2])
     if not sideways.any():
-        text = "Only presses were given: how right sideways forces are hangs on Poisson's ratio."
-        advice = "Give a sideways load too: a weight on the tilted sensor, or a sideways pull."
+        text = (
+            "All loads are presses, so the accuracy of sideways forces depends on Poisson's ratio."
+        )
+        advice = "Add a sideways load: a weight on the tilted sensor, or a sideways pull."
         findings.append(Finding(Severity.WARNING, text, advice))
     return findings
 
@@ -173,13 +178,13 @@ def certainty_findings(normal: float, tangential: float, options: MaterialOption
             continue
         error = name == "normal" and std > options.force_limit
         limit = options.force_limit if error else options.force_wanted
-        text = f"The {name} force is known to {std:.1%} only (limit {limit:.0%})."
+        text = f"The {name} force is known only to {std:.1%} (limit {limit:.0%})."
         advice = (
-            "Give more loads, larger ones, or ones that are known better, on a foot or ball that "
-            "is narrower than the gel is thick; or say how well Poisson's ratio is known."
+            "Add loads, or give larger or more certain ones, on a foot or ball that is narrower "
+            "than the gel is thick; or set --poisson-std."
             if name == "normal"
-            else "Give a load with a known sideways force; where one is shown wrong, correct "
-            "elastomer.poisson and elastomer.size."
+            else "Add a load with a known sideways force. If the sensor measures it wrongly, "
+            "correct elastomer.poisson and elastomer.size."
         )
         findings.append(Finding.graded(text, advice, error=error))
     return findings

@@ -59,7 +59,9 @@ def _check_reference(where: str, sample: LoadSample) -> None:
     force, std = np.asarray(sample.force), np.asarray(sample.std)
     known = np.isfinite(force)
     if np.isinf(force).any() or not known.any():
-        msg = f"{where}: force: found {_text(force)}, expected numbers, NaN where not known"
+        msg = (
+            f"{where}: force: found {_text(force)}, expected numbers, or NaN for unknown components"
+        )
         raise CalibrationError(msg)
     if not (np.isfinite(std[known]) & (std[known] > 0)).all():
         msg = (
@@ -132,8 +134,8 @@ def material_verdict(outcome: MaterialOutcome) -> str:
     assert record is not None  # noqa: S101 - an accepted outcome has one
     held = f" Kept from the description: {', '.join(record.held)}." if record.held else ""
     return (
-        f"Usable. E = {elastomer.young / 1e3:.4g} kPa, Poisson's ratio {elastomer.poisson:.4f}: "
-        f"normal force is known to {record.normal_std:.1%}, sideways force to "
+        f"Usable. E = {elastomer.young / 1e3:.4g} kPa, Poisson's ratio {elastomer.poisson:.4f}. "
+        f"Standard deviation of the normal force {record.normal_std:.1%}, of the sideways force "
         f"{record.tangential_std:.1%}, from {record.samples} "
         f"load{'s' if record.samples != 1 else ''}.{held}"
     )

@@ -91,8 +91,8 @@ class LoadRecord:
         known = np.isfinite(force)
         if known.sum() < FEWEST_SAMPLES or not force[known].any():
             msg = (
-                f"samples at rest under a known load: found {int(known.sum())}, expected at least "
-                f"{FEWEST_SAMPLES}, the load not 0 throughout"
+                f"samples under a known load: found {int(known.sum())}, expected at least "
+                f"{FEWEST_SAMPLES}, and a load that is not always 0"
             )
             raise CalibrationError(msg)
         steps = np.diff(time)
@@ -355,32 +355,35 @@ def _start_findings(record: LoadRecord) -> list[Finding]:
     if at_start < STARTS_TOUCHED:
         return []
     loaded = at_start > STARTS_LOADED
-    text = f"The record begins with {at_start:.0%} of the highest reading on the gel"
-    text += ": what came before is not known." if loaded else "."
-    advice = "Begin while nothing touches the gel and it has recovered from the last contact."
+    text = f"The record begins with {at_start:.0%} of the highest reading"
+    text += ": the earlier load is not known." if loaded else "."
+    advice = (
+        "Begin the record while nothing touches the gel, after it has recovered from the last "
+        "contact."
+    )
     return [Finding.graded(text, advice, error=loaded)]
 
 
 def _unseen_finding(record: LoadRecord, least_share: float) -> Finding:
     text = (
-        f"No relaxation is seen in {record.held_s:.3g} s of load: its share is below "
+        f"No relaxation was found in {record.held_s:.3g} s of load: its share is below "
         f"{least_share:.2g}."
     )
     advice = (
-        "If force drifts nevertheless, hold a larger load for longer and record it from before "
-        "it comes."
+        "If the force still drifts, hold a larger load for longer, and begin the record before "
+        "the load."
     )
     return Finding(Severity.WARNING, text, advice)
 
 
 def _unbelieved_finding(fit: _Fit) -> Finding:
     text = (
-        f"The record asks for a share of {fit.share:.2g}: the force read rises where the "
-        "true one does, or falls, the other way than that of a gel that yields."
+        f"The fit gives a share of {fit.share:.2g}: the measured force changes in the opposite "
+        "direction to that of a relaxing gel."
     )
     advice = (
-        "Are reading and reference of the same sign and clock, and not exchanged? Does the "
-        "reference drift?"
+        "Check that reading and reference have the same sign and clock and are not swapped, and "
+        "that the reference does not drift."
     )
     return Finding(Severity.ERROR, text, advice)
 
@@ -398,21 +401,21 @@ def _time_findings(record: LoadRecord, fit: _Fit) -> list[Finding]:
     )
     if useless:
         text = (
-            f"Loaded for {held_s:.3g} s the gel does not show how far it yields: a share "
-            f"of {fit.share:.2g} (std {std.share:.1g}) with {fit.time:.3g} s "
-            f"(std {std.time:.1g} s)."
+            f"A load of {held_s:.3g} s is too short to determine the relaxation: share "
+            f"{fit.share:.2g} (std {std.share:.1g}), time constant {fit.time:.3g} s (std "
+            f"{std.time:.1g} s)."
         )
         return [Finding(Severity.ERROR, text, _LONGER)]
     findings = []
     if held_s < HELD_WANTED * fit.time:
         text = (
-            f"The load was held for {held_s:.3g} s, {held_s / fit.time:.2g} "
-            "time constants: what fades later is not seen."
+            f"The load was held for {held_s:.3g} s, {held_s / fit.time:.2g} time constants: "
+            "slower relaxation is not found."
         )
         findings.append(Finding(Severity.WARNING, text, _LONGER))
     if fit.time < SAMPLES_WANTED * record.sample_s:
         text = (
-            f"Samples come every {record.sample_s:.2g} s, too seldom for a time constant of "
+            f"One sample every {record.sample_s:.2g} s is too slow for a time constant of "
             f"{fit.time:.2g} s."
         )
         findings.append(Finding(Severity.WARNING, text, "Record at a higher rate."))
@@ -425,10 +428,10 @@ def _misfit_findings(record: LoadRecord, fit: _Fit) -> list[Finding]:
     if _correlated_samples(fit.residuals) < HANGS_TOGETHER or share < MISFIT_SHARE:
         return []
     text = (
-        f"One time constant does not describe the gel: it misses the force of this record by "
-        f"{share:.1%} of the highest."
+        "One time constant does not describe the gel: the remaining error of the force is "
+        f"{share:.1%} of its maximum."
     )
-    advice = "Fit a record that is as long as the contacts that matter."
+    advice = "Fit a record of the length of your contacts."
     return [Finding(Severity.WARNING, text, advice)]
 
 
@@ -439,8 +442,8 @@ def _verdict(found: RelaxationOutcome, least_share: float) -> str:
             return "The record does not show how the gel relaxes."
         return f"The gel relaxes by less than {least_share:.2g} of its modulus."
     text = (
-        f"While it is held the gel loses {relaxation.share:.1%} "
-        f"(std {100 * found.share_std:.2g} %) of its modulus with a time constant of "
-        f"{relaxation.time:.3g} s (std {found.time_std:.2g} s)."
+        f"Under a held load the gel loses {relaxation.share:.1%} (std {100 * found.share_std:.2g} "
+        f"%) of its modulus with a time constant of {relaxation.time:.3g} s (std "
+        f"{found.time_std:.2g} s)."
     )
-    return f"{text} Not to be used: see what was found." if refused else text
+    return f"{text} Do not use this result: see the findings." if refused else text

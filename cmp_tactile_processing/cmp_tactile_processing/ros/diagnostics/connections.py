@@ -45,12 +45,12 @@ def _reasons(node: Node, topic: str) -> Iterator[str]:
     for publisher, subscription in product(publishers, node.get_subscriptions_info_by_topic(topic)):
         names = _full_name(publisher), _full_name(subscription)
         if own in names and (reason := _reason(publisher, subscription)):
-            yield f"{topic}: nothing comes from {names[0]} to {names[1]}: {reason}"
+            yield f"{topic}: no message from {names[0]} reaches {names[1]}: {reason}"
 
 
 def _reason(publisher: Any, subscription: Any) -> str:
     if publisher.topic_type != subscription.topic_type:
-        return f"type {publisher.topic_type}, expected {subscription.topic_type}"
+        return f"found type {publisher.topic_type}, expected {subscription.topic_type}"
     verdict, reason = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
     return reason.replace("ERROR: ", "").strip("; ") if verdict == QoSCompatibility.ERROR else ""
 
@@ -77,4 +77,4 @@ def other_transport(node: Node, topic: str) -> str:
     base = topic.removesuffix(COMPRESSED)
     other = base if topic != base else base + COMPRESSED
     kinds = {item.topic_type for item in node.get_publishers_info_by_topic(other)}
-    return f" (there is {other}, {', '.join(sorted(kinds))})" if kinds else ""
+    return f" (found {other}, {', '.join(sorted(kinds))})" if kinds else ""

@@ -168,7 +168,8 @@ class LatencyWatch:
         if self._other_clock:
             off = -self._last_age
             text = (
-                f"not known: stamps are {off:+.0f} s off the clock, as in a replay without /clock"
+                f"not known: stamps differ from the clock by {off:+.0f} s, as in a replay without "
+                "/clock"
             )
         return {"latency median (ms)": text, "latency p99 (ms)": text}
 

@@ -118,7 +118,7 @@ def _findings(limits: DiagnosticsParameters, rate: float, new: Sequence[int]) ->
 
 STAMP_FAULTS = {
     # A recording in a loop does so for good.
-    frame_watch.Stamp.BACK: (OK, "went back, as where a recording begins again"),
+    frame_watch.Stamp.BACK: (OK, "went back, for example at the start of a repeated recording"),
     frame_watch.Stamp.REPEATED: (WARN, "came twice"),
     frame_watch.Stamp.ZERO: (WARN, "were 0"),
 }
@@ -217,9 +217,9 @@ class StageDiagnostics:
             yield Finding(ERROR, self.failure)
             return
         if not new["frames in"]:
-            why = f": nobody publishes {', '.join(self.unpublished)}" if self.unpublished else ""
+            why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
             level = ERROR if self.thresholds.rate_error else WARN
-            yield Finding(level, f"no frames come in{why}")
+            yield Finding(level, f"no frames received{why}")
             return
         if new["bad frames"]:
             yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
@@ -236,7 +236,7 @@ class StageDiagnostics:
         limits = self.thresholds
         missing, tracked = new["missing before"], self.tracked
         level = below(tracked, limits.tracked_warn, limits.tracked_error)
-        found = {"tracked": finding(level, f"{tracked:.0%} of the pattern tracked")}
+        found = {"tracked": finding(level, f"only {tracked:.0%} of the pattern is tracked")}
         # Those that another stage lost or passed over it reports itself.
         if self.is_first:
             wanted = new["frames in"] + missing
@@ -260,12 +260,12 @@ def age_in_days(date: str | None, now_s: float | None = None) -> float:
 
 def age_text(days: float) -> str:
     """The age as a figure of the diagnostics."""
-    return "no date recorded" if math.isnan(days) else f"{days:.1f}"
+    return "no date" if math.isnan(days) else f"{days:.1f}"
 
 
 def _calibration(limits: DiagnosticsParameters, key: str, days: float) -> Finding:
     if days < 0:
-        return Finding(WARN, f"the date of the {key} is yet to come: the clock may be wrong")
+        return Finding(WARN, f"the date of the {key} is in the future: check the clock")
     limit = limits.calibration_age_warn
     level = WARN if 0 < limit < days else OK
     return finding(level, f"the {key} is {days:.0f} days old, expected at most {limit:g}")

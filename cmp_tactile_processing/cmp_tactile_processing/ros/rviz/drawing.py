@@ -71,7 +71,7 @@ class OverlayParameters(Parameters, section="overlay"):
 
     overlay_rate: float = parameter(
         15.0,
-        "grid_overlay is drawn so often at most; 0: for every image",
+        "highest rate of grid_overlay; 0: for every image",
         unit="Hz",
         within=(0.0, 1000.0),
     )

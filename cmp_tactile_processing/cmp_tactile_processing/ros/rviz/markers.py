@@ -38,7 +38,7 @@ class MarkerParameters(Parameters, section="markers"):
         within=(0.0, 1e3),
     )
     depth_range: float = parameter(
-        0.001, "indentation at which the colour of the mesh ends", unit="m", within=(1e-6, 1.0)
+        0.001, "indentation at the end of the mesh's colour scale", unit="m", within=(1e-6, 1.0)
     )
     resultant_gain: float = parameter(
         0.001,

@@ -156,8 +156,8 @@ class CarriedNumbering:
         if len(shifts) == 1:
             return np.array(shifts.pop(), dtype=np.intp), ""
         if lost:
-            return None, "the pattern is not back where it was when its numbers were lost"
-        return None, "the pattern has moved so far since the last frame that its numbers are lost"
+            return None, "the pattern has not returned to where its numbers were lost"
+        return None, "the pattern has moved too far since the last frame to keep its numbers"
 
     def _at_centre(self, component: Component) -> Whole:
         """The shift that numbers the corner nearest to the centre of the grid by where it lies.

@@ -117,10 +117,10 @@ class CodedView:
         corners = np.full_like(self._nominal.corners, np.nan)
         for piece in certain:
             if piece.is_upright and not placed(corners, piece.component, piece.shift()):
-                reason = "two pieces seen with the same dots: the pattern is there twice"
+                reason = "two pieces with the same dots: the pattern is seen twice"
                 return self._missing(GridFault.TWO_PATTERNS, reason)
         if np.isnan(corners).all():
-            reason = f"{certain[0].size} corners seen, all of them outside of rows x cols"
+            reason = f"{certain[0].size} corners seen, all outside of rows x cols"
             return self._missing(GridFault.PARTLY_HIDDEN, reason)
         left = [piece for piece in pieces if not piece.is_certain and not piece.is_foreign]
         joins = self._join(corners, left)
@@ -198,14 +198,14 @@ class CodedView:
         fault, reason = GridFault.PARTLY_HIDDEN, f"{missing} corners not seen"
         if other >= OTHER_PATTERN * known.size:
             fault = GridFault.TWO_PATTERNS
-            reason += f", and {other} of another pattern, by their dots"
+            reason += f", and {other} of another pattern, according to their dots"
         return Numbering(corners, reason, fault, confidence, by_code=True)
 
     def _unread(self) -> Numbering | None:
         """What is reported where no dots can be read; None where there may be a border."""
         if not self._goes_on:
             return None
-        return self._missing(GridFault.AMBIGUOUS, "no dots can be read in the checkers seen")
+        return self._missing(GridFault.AMBIGUOUS, "the dots in the checkers cannot be read")
 
     def _missing(self, fault: GridFault, reason: str) -> Numbering:
         return Numbering.nothing(self._nominal.corners.shape[:2], fault, reason)
@@ -222,18 +222,20 @@ def _refused(piece: _Piece) -> tuple[GridFault, str] | None:
             )
         if found.turns:
             return GridFault.TURNED, turned_by(90 * found.turns)
-        return GridFault.OTHER_COLOURS, "the dots fit, and dark and light checkers are exchanged"
+        return GridFault.OTHER_COLOURS, "the dots fit, but dark and light checkers are exchanged"
     if piece.is_foreign:
         return _other_code(piece)
     if found is None or not piece.reading.is_clear:
         return None
-    reason = f"{found.readable} checkers seen whose dots do not show for certain which ones"
+    reason = (
+        f"the dots of the {found.readable} checkers seen do not identify their place with certainty"
+    )
     return GridFault.AMBIGUOUS, reason
 
 
 def _other_code(piece: _Piece) -> tuple[GridFault, str]:
     if piece.reading.is_bare:
-        reason = "the checkers bear no dots; check pattern.code in the sensor's description"
+        reason = "the checkers have no dots; check pattern.code in the sensor's description"
         return GridFault.OTHER_PATTERN, reason
     reason = "the dots are those of another sheet; check pattern.code_seed, rows and cols"
     return GridFault.OTHER_PATTERN, reason

@@ -94,7 +94,7 @@ class ComponentPlacement:
         found = _Look.at(component, image, self._size)
         if found is None:
             return Anchor(
-                None, GridFault.AMBIGUOUS, f"only {len(component.position)} corners connect"
+                None, GridFault.AMBIGUOUS, f"only {len(component.position)} connected corners"
             )
         even = found.even == self._dark_first
         places = _Places.from_component(found.component, self._nominal, self._side, even)
@@ -120,7 +120,7 @@ class ComponentPlacement:
             where = " and ".join(
                 name for name, axis in zip(("rows", "columns"), axes, strict=True) if axis.open
             )
-            reason = f"no border of the pattern seen that shows which {where} these are"
+            reason = f"no border of the pattern is seen that shows which {where} these are"
             return Anchor(None, GridFault.AMBIGUOUS, reason)
         best = int(left[0])
         rival = _rival(places, best)
@@ -129,7 +129,7 @@ class ComponentPlacement:
             return Anchor(None, GridFault.AMBIGUOUS, doubt)
         others = places.others_along(best)
         if self._jumped(found, places, best, np.concatenate(others), previous):
-            reason = "only one border seen after a jump by whole checkers"
+            reason = "only one border is seen after a jump by whole checkers"
             return Anchor(None, GridFault.AMBIGUOUS, reason)
         return Anchor(
             places.shift[best] + found.first,
@@ -144,9 +144,9 @@ class ComponentPlacement:
     def _without_place(self, found: _Look, but_for_colours: bool) -> Anchor:
         sure = self._is_complete(found) or sum(side.firm for side in found.sides) >= 3
         if but_for_colours and sure:
-            reason = "colours do not fit: dark and light checkers seem exchanged"
+            reason = "the colours do not fit: dark and light checkers seem to be exchanged"
             return Anchor(None, GridFault.OTHER_COLOURS, reason)
-        reason = "no place on the grid fits the borders that were seen"
+        reason = "no place on the grid fits the borders in the image"
         return Anchor(None, GridFault.AMBIGUOUS, reason)
 
     def _doubt(
@@ -162,13 +162,15 @@ class ComponentPlacement:
         unseen = not any(side.ends for side in found.sides)
         if self._is_complete(found):
             return (
-                "a whole grid far from its place, no border seen" if unseen and misfit > 1 else ""
+                "a whole grid far from its place, and no border is seen"
+                if unseen and misfit > 1
+                else ""
             )
         if misfit > self._far:
             return f"the border lies {misfit:.1f} checkers from its nominal place"
         by_chance = any(axis.claimed is None for axis in axes)
         if by_chance and (misfit > 1 or len(found.component.position) < MOST * self._side.size):
-            return "no border of the pattern seen"
+            return "no border of the pattern is seen"
         if rival is None:
             return ""
         # One border may be a straight occluder's edge; two at their distance are not.

@@ -59,6 +59,7 @@ def without_blurred(
             kept.append(component)
         elif index == 0:
             reason = (
-                f"out of focus or smeared: checkers without sharp edges, of {contrast:.0%} contrast"
+                "out of focus or motion blur: checkers without sharp edges, contrast "
+                f"{contrast:.0%}"
             )
     return kept, reason

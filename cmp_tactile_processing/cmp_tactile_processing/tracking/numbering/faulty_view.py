@@ -95,11 +95,11 @@ class OtherViews:
                 "check views.<view>.mirror and views.<view>.roi in the sensor's description"
             )
         if min(turned, across) < BETTER * own:
-            reason = "the pattern is turned in the image against the sensor's description"
+            reason = "the pattern in the image is turned relative to the sensor's description"
             return GridFault.TURNED, reason
         whole = len(position) == self._nominal.corners[..., 0].size
         if whole and BETTER * turned < own and not self._as_before(position, number, previous):
-            return GridFault.AMBIGUOUS, "the pattern fits as well turned in the image"
+            return GridFault.AMBIGUOUS, "the pattern fits equally well if it is turned in the image"
         return GridFault.NONE, ""
 
     def _as_before(
@@ -164,7 +164,7 @@ def turned_reason(
 def turned_by(degrees: float) -> str:
     """What is to be said of a pattern that is turned by so much."""
     return (
-        f"the pattern is turned in the image by {degrees:.0f} degrees against the sensor's "
+        f"the pattern in the image is turned by {degrees:.0f} degrees relative to the sensor's "
         "description"
     )
 

@@ -46,7 +46,7 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
     if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
         return numbering
     reason = (
-        f"{missing} corners not seen, and {strays} that do not continue the others: another "
-        "pattern, or pieces of this one beside something that hides the rest"
+        f"{missing} corners not seen, and {strays} corners that do not continue the others: "
+        "another pattern, or pieces of this one beside an object that hides the rest"
     )
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)

@@ -177,7 +177,7 @@ class GridNumbering:
             return found[0] if proven and found else None
         if not (self._are_apart if proven else self._contradict)([one.corners for one in found]):
             return None
-        largest, reason = found[0], "the image is torn across, and its parts do not belong together"
+        largest, reason = found[0], "the image is torn, and its parts do not fit together"
         if not np.isfinite(largest.corners).any():
             return self._missing(GridFault.AMBIGUOUS, f"{reason}; {largest.reason}")
         return replace(largest, reason=reason, fault=GridFault.TWO_PATTERNS)
@@ -249,7 +249,7 @@ class GridNumbering:
         pieces = sum(len(component.position) >= FEWEST_PIECE for component in components)
         if anchor.fault not in OF_THE_DESCRIPTION or pieces < 2:
             return self._missing(anchor.fault, anchor.reason)
-        reason = f"the pattern is seen in {pieces} pieces, none of which shows its own place"
+        reason = f"the pattern is seen in {pieces} pieces, and none shows its place"
         return self._missing(GridFault.AMBIGUOUS, reason)
 
     def confirms(self, corners: NDArray[np.float64], image: PreparedImage) -> bool:
@@ -270,7 +270,8 @@ class GridNumbering:
         large = [component for component in components if len(component.position) >= enough]
         if len(components[0].position) < max(FEWEST_CORNERS, enough * BY_CHANCE):
             reason = (
-                f"no checker pattern seen, {len(components[0].position)} corners connect by chance"
+                f"no checker pattern seen; {len(components[0].position)} corners are connected by "
+                "chance"
             )
             return [Anchor(None, GridFault.NO_PATTERN, reason)]
         if not large:
@@ -309,7 +310,7 @@ class GridNumbering:
             fault = GridFault.TURNED if reason else GridFault.NONE
         if fault is GridFault.NONE and np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
             fault = GridFault.TWO_PATTERNS
-            reason = "two patterns seen, each of which could be the sensor's"
+            reason = "two patterns seen, and each could be the sensor's"
         if fault is not GridFault.NONE:
             return Anchor(None, fault, reason)
         corners[number[:, 0], number[:, 1]] = position

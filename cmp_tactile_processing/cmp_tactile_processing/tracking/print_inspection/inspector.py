@@ -225,8 +225,9 @@ class MeanFrame:
         shift = float(np.median(moved)) if len(moved) else 0.0
         if shift > SAME_REST_PX or tuple(self.origin) != tuple(origin):
             msg = (
-                f"print inspection: found the gel {shift:.2f} px from where the first frame had "
-                f"it, expected less than {SAME_REST_PX} px: the frames must be of one rest"
+                f"print inspection: found the gel {shift:.2f} px from its place in the first "
+                f"frame, expected less than {SAME_REST_PX} px: the gel must be at rest in all "
+                "frames"
             )
             raise ReferenceFramesError(msg)
 
