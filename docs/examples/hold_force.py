@@ -2,7 +2,8 @@
 
 Beside a sensor that runs: `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
 It takes the gripper's opening in m on `gripper/opening` and asks for one on `gripper/command`; the
-tutorial docs/tutorials/gripper.md explains how to join it to a real gripper and tune it.
+tutorial docs/tutorials/gripper.md shows how to connect it to a real gripper and tune it, and
+docs/grip_controller.md how it works.
 """
 
 from __future__ import annotations
