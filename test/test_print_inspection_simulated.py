@@ -225,7 +225,7 @@ def test_frames_of_another_rest_or_size_are_refused(sound):
     image, grid = photograph(*sound)
     inspection = PrintInspection(grid.shape)
     inspection.add(image, grid)
-    with pytest.raises(ReferenceFramesError, match=r"the gel 2\.8\d px from where"):
+    with pytest.raises(ReferenceFramesError, match=r"the gel 2\.8\d px from"):
         inspection.add(image, replace(grid, corners=grid.corners + 2.0))
     with pytest.raises(GeometryError, match="found an image of"):
         inspection.add(replace(image, grey=image.grey[:40, :50]), grid)

@@ -61,7 +61,7 @@ def test_grids_that_do_not_belong_together(gel_rig, rest):
 
 def test_nothing_to_fit(gel_rig, rest):
     held = GelCalibrationParameters(turn=0.0, shift=0.0, focal=0.0, principal_point=0.0)
-    with pytest.raises(CalibrationError, match="found every optical value held"):
+    with pytest.raises(CalibrationError, match="found standard deviations of 0"):
         calibrate_gel_grids(gel_rig, rest, held)
 
 
@@ -83,7 +83,7 @@ def test_frames_taken_during_contact(gel_rig, real, gel_grids):
     assert "around x = 1.7 mm, y = 0.6 mm" in finding.text
     depth = float(finding.text.split(" mm along z")[0].rsplit(maxsplit=1)[1])
     assert -0.1 < depth < -0.05
-    assert "nothing may touch it" in finding.advice
+    assert "nothing touches it" in finding.advice
 
 
 def test_something_moves_during_the_recording(gel_rig, real, rest, gel_grids):
@@ -129,7 +129,7 @@ def test_another_kind_of_sensor(gel_rig, rest):
     texts = [item for item in outcome.findings if item.severity is Severity.ERROR]
     assert "camera.fx" in texts[0].text
     assert "more than 4 standard deviations" in texts[0].text
-    assert texts[0].advice.startswith("Is this the description of this kind of sensor?")
+    assert texts[0].advice.startswith("the description of this kind of sensor")
 
 
 def test_exchanged_images(gel_rig, real, gel_frames, exchanged):
@@ -143,8 +143,8 @@ def test_exchanged_grids_of_two_cameras(gel_rig, gel_grids, two_view_rig):
     right_way = gel_grids(changed_rig(described, 1))
     swapped = {"left": right_way["right"], "right": right_way["left"]}
     finding = only(calibrate_gel_grids(described, swapped), Severity.ERROR)
-    assert "The views are exchanged" in finding.text
-    assert finding.advice.startswith("Exchange the cameras' cables")
+    assert "The views are swapped" in finding.text
+    assert finding.advice.startswith("Swap the cameras' cables")
 
 
 def test_a_frame_of_another_size_is_named(gel_rig, gel_frames, real):

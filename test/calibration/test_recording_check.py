@@ -33,7 +33,7 @@ def test_a_good_calibration_holds(gel_rig, gel_grids, two_view_rig, one_view_rig
     report = check_grids(rig, recording(gel_grids, rig))
     assert report.accepted
     assert report.findings == ()
-    assert report.verdict.startswith("The calibration holds")
+    assert report.verdict.startswith("The calibration is good")
     assert report.frames == 7
     assert report.rest_frames == (0, 1, 2, 5, 6)
     names = {item.name for item in report.figures}
@@ -89,7 +89,7 @@ def test_contact_alone_shows_no_drift(gel_rig, gel_grids, one_view_rig):
     report = check_grids(gel_rig, gel_grids(gel_rig, deformation=PRESS))
     assert report.accepted
     assert report.drift is None
-    assert report.findings[0].text.startswith("No two frames in a row")
+    assert report.findings[0].text.startswith("No two consecutive frames")
     rig = one_view_rig(gel_rig)
     assert not check_grids(rig, gel_grids(rig, deformation=PRESS)).accepted
 

@@ -31,7 +31,7 @@ def test_poses_lie_in_both_views_and_lean_to_all_sides(sensor):
     assert normals[:, :2].max() > 0.2
     again = board_poses(sensor, BOARD, 20, seed=3)
     np.testing.assert_array_equal(poses, again)
-    with pytest.raises(CalibrationError, match="expected smaller squares"):
+    with pytest.raises(CalibrationError, match="make the squares smaller"):
         board_poses(sensor, replace(BOARD, square=5e-3), 1)
 
 

@@ -78,10 +78,7 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
         return sensor
     _check_folder(source.expanduser())
     packaged = ", ".join(packaged_sensors())
-    msg = (
-        f"--sensor: found nothing for {source}, expected the file of a description or one of "
-        f"{packaged}"
-    )
+    msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
     raise RecordingError(msg)
 
 

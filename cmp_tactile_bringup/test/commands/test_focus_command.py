@@ -83,7 +83,7 @@ def test_the_best_blur_so_far_stays_while_the_focus_turns(rendered, tmp_path, ca
     assert [figures(line, "best")[0] for line in lines] == pytest.approx(
         [2.0, 0.8, 0.8], abs=BLUR_TOLERANCE_PX
     )
-    assert ["turn the focus" in line for line in lines] == [True, False, True]
+    assert ["adjust the focus" in line for line in lines] == [True, False, True]
 
 
 def test_frames_without_checkers_are_said_to_be_so_and_more_follow(rendered, tmp_path, capsys):

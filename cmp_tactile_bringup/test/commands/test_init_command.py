@@ -52,7 +52,7 @@ def test_a_file_that_is_there_is_kept(picture, tmp_path, capsys):
     path.write_text("precious")
     assert main(["init", str(picture), "--pitch", "1.5", "-o", str(path)]) == 1
     assert path.read_text() == "precious"
-    assert "--output names another" in capsys.readouterr().err
+    assert "another one with --output" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

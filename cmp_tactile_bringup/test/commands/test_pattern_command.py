@@ -133,7 +133,7 @@ def test_what_is_there_is_replaced_only_with_overwrite(folder, capsys):
 def test_the_description_that_is_read_is_never_replaced(folder, capsys):
     before = Path("my_sensor.yaml").read_bytes()
     assert pattern("my_sensor.yaml", "-o", "my_sensor", "--overwrite") == 1
-    assert "my_sensor.yaml: is read, so it is not replaced" in capsys.readouterr().err
+    assert "my_sensor.yaml: is the input, so it is not replaced" in capsys.readouterr().err
     assert [path.name for path in folder.iterdir()] == ["my_sensor.yaml"]
     assert Path("my_sensor.yaml").read_bytes() == before
 
@@ -215,13 +215,13 @@ def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):
     write_sensor_description("my_sensor.yaml", replace(rig, camera=camera))
     assert pattern("my_sensor.yaml", "--format", "svg") == 0
     out = capsys.readouterr().out
-    assert "some corners are beyond what the lens shows" in out
-    assert re.search(r"Advised +│ not known: views\.(left|right): some corners", out)
+    assert "some corners are outside the lens's field" in out
+    assert re.search(r"Advised +│ not known: views\.(left|right): found corners", out)
     assert "nan" not in out
     assert pattern("my_sensor.yaml", "--advised", "-o", "advised") == 1
     err = capsys.readouterr().err
     assert err.startswith("error: my_sensor.yaml: views.")
-    assert "a print of this size gets no advice" in err
+    assert "no advice for a print of this size" in err
     assert not list(folder.glob("advised.*"))
 
 

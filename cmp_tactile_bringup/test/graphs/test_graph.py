@@ -117,7 +117,7 @@ def test_a_file_defines_one_graph(path, tmp_path):
     with pytest.raises(GraphError, match="found no graphs, expected one: a Python file with one f"):
         load_graph(str(path))
     path.write_text(GRAPH + GRAPH.replace("def mine", "def another"))
-    with pytest.raises(GraphError, match=r"my_graph\.py: found 2 graphs in it"):
+    with pytest.raises(GraphError, match=r"my_graph\.py: found 2 graphs"):
         load_graph(str(path))
     (tmp_path / "graph.yaml").write_text("version: 1")
     with pytest.raises(GraphError, match=r"graph\.yaml: found no graphs, expected one: a Python"):

@@ -214,7 +214,7 @@ def test_a_recording_is_not_written_over(tmp_path, grasp_bag, monkeypatch, place
     graph = _load("replay", input=str(grasp_bag), record=str(tmp_path))
     if place:
         graph = graph.with_parameter(f"recorder.output={place}")
-    with pytest.raises(ComponentLoadError, match=r"recorder .* found a recording already"):
+    with pytest.raises(ComponentLoadError, match=r"recorder .* found an existing"):
         check_recordings(graph)
 
 

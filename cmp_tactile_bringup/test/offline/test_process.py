@@ -208,10 +208,10 @@ def test_results_never_lie_in_the_place_of_the_recording(images, tmp_path, capsy
     bag = tmp_path / "bag.mcap"
     bag.write_bytes(b"precious")
     assert process(bag, "--output", tmp_path, "--overwrite") == 1
-    one_line_error(capsys, "bag.mcap: found --output", "apart from the recording")
+    one_line_error(capsys, "bag.mcap: found --output", "outside the recording")
     assert bag.read_bytes() == b"precious"
     assert process(images, "--output", images) == 1
-    one_line_error(capsys, "images: found --output", "apart from the recording")
+    one_line_error(capsys, "images: found --output", "outside the recording")
 
 
 def test_a_recording_of_another_size_is_refused_before_any_work(tmp_path, capsys, monkeypatch):
@@ -235,5 +235,5 @@ def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, 
     shutil.copy(image, other)
     assert process(image, other / "1.png", "--output", tmp_path / "two") == 1
     printed = capsys.readouterr().err
-    assert f"1.png: found the same name as {image}, expected names that differ, or a run" in printed
+    assert f"1.png: found the same name as {image}, expected different names, or" in printed
     assert not (tmp_path / "two").exists()

@@ -80,7 +80,7 @@ def test_choice_of_the_topic(tmp_path, bags):
     with pytest.raises(BagError, match="found no images on '/none'"):
         BagReader(path, "/none")
     two = bags.write(tmp_path / "two", {"/a/image_raw": [image], "/b/image_raw": [image]})
-    with pytest.raises(BagError, match="several image topics, name one of: /a/image_raw, /b"):
+    with pytest.raises(BagError, match=r"several image topics, .*: /a/image_raw, /b"):
         BagReader(two)
 
 

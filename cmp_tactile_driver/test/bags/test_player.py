@@ -174,7 +174,12 @@ def test_gate_gives_up_waiting():
     [
         (0.0, FrameSourceError("bag: damaged"), [0, 1, 2], "bag: damaged"),
         (0.0, RuntimeError("a bug"), [0, 1, 2], "RuntimeError: a bug"),
-        (5.0, None, [], "ten frames: found no message after start = 5.0 s"),
+        (
+            5.0,
+            None,
+            [],
+            "ten frames: found no message after start = 5.0 s, expected an earlier start",
+        ),
     ],
 )
 def test_failure_is_reported_after_what_was_good(start, error, wanted, problem):

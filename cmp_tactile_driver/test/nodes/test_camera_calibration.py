@@ -77,7 +77,7 @@ def test_a_calibration_that_is_set_is_published_kept_and_read_again(ros, folder,
     described.d = [0.0004, 0.0, 0.0, 0.0, 0.0]
     answer = ros.call(SetCameraInfo, SERVICE, SetCameraInfo.Request(camera_info=described))
     assert answer.success, answer.status_message
-    assert answer.status_message == f"kept in {path}"
+    assert answer.status_message == f"stored in {path}"
     ros.wait(lambda: infos[-1].d[0] == 0.0004, "the new one on the topic")
     assert infos[-1].header.frame_id == "sample_rig_camera_optical_frame"
     name, kept = read_camera_info(path)
@@ -102,14 +102,14 @@ def test_another_lens_is_published_and_reported(ros, folder, described):
     status = _last_status(ros, reports)
     assert status.level == DiagnosticStatus.WARN
     assert f"{path}: K: found [753.386" in status.message
-    assert "the processing goes on with the sensor description" in status.message
+    assert "the processing uses the sensor description" in status.message
     assert infos[-1].k[0] == described.k[0]
 
 
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"width": 640}, "image_width: found 640, expected 1024 as sample_rig has it"),
+        ({"width": 640}, "image_width: found 640, expected 1024 as in"),
         ({"distortion_model": "fisheye"}, "distortion_model: found 'fisheye'"),
         ({"d": [0.0]}, "distortion_coefficients"),
         ({"k": np.zeros(9)}, "camera_matrix"),
@@ -135,7 +135,7 @@ def test_without_a_place_to_keep_it_a_calibration_is_refused(ros, folder, descri
     _start(ros, folder)
     answer = ros.call(SetCameraInfo, SERVICE, SetCameraInfo.Request(camera_info=described))
     assert not answer.success
-    assert "camera_info_url: found nothing, expected where to keep the" in answer.status_message
+    assert "camera_info_url: found nothing, expected" in answer.status_message
 
 
 def test_a_file_that_cannot_be_used_ends_the_start(ros, folder, described):

@@ -101,7 +101,8 @@ def test_frames_that_are_always_apart_are_reported_with_the_difference(
         monkeypatch.setattr(source, "poll", lambda _timeout, frame=frame: frame)
     assert pair.poll(0.0) is None
     assert (
-        "found frames 9.0 ms apart, expected at most 4 ms (pair_tolerance)" in pair.health.problem
+        "found frames that are 9.0 ms apart, expected at most 4 ms (pair_tolerance)"
+        in pair.health.problem
     )
 
 

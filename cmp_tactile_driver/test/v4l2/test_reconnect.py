@@ -39,7 +39,7 @@ def test_a_camera_is_found_again_at_another_number_with_its_controls(
         source.set_controls({"gain": 8})
     # Another camera takes its name; it is not taken for it.
     plug("CAM2", number=0, port="1-7")
-    _poll_until(source, lambda: "expected the one with serial CAM1" in source.health.problem)
+    _poll_until(source, lambda: "expected the camera with serial CAM1" in source.health.problem)
     camera.controls = fake.webcam_controls()
     kernel.plug(camera, number=3, port="1-4")
     _poll_until(source, lambda: camera.streaming)

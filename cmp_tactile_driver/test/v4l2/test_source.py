@@ -156,7 +156,7 @@ def test_auto_takes_the_rate_first_and_then_pixels_without_loss(open_source, plu
         (
             {"GREY": {(WIDTH, HEIGHT): (30, 60)}, "MJPG": {(WIDTH, HEIGHT): (90,)}},
             {"frame_rate": 120.0},
-            "frame_rate: found 120 Hz, .* do at 64 x 48 px: GREY: 30, 60 Hz; MJPG: 90 Hz",
+            "frame_rate: found 120 Hz, .* at 64 x 48 px: GREY: 30, 60 Hz; MJPG: 90 Hz",
         ),
     ],
 )
@@ -174,7 +174,7 @@ def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
     with pytest.raises(FrameSourceError, match=r"found GREY 640 x 480 px .*, expected GREY 64 x"):
         open_source("CAM2")
     plug("CAM3", fault=silent, made_rate=15, number=4, port="1-4")
-    with pytest.raises(FrameSourceError, match="frame_rate: the camera makes 15 Hz of 25 Hz"):
+    with pytest.raises(FrameSourceError, match=r"frame_rate: found 15 Hz .*, expected 25 Hz"):
         open_source("CAM3", frame_rate=25.0)
     unpaced = {**silent, raw.IOC.S_PARM: errno.ENOTTY, raw.IOC.G_PARM: errno.ENOTTY}
     plug("CAM4", fault=unpaced, number=6, port="1-5")
@@ -182,7 +182,7 @@ def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
 
 
 def test_a_device_that_is_not_there_lists_those_that_are(open_source, plug):
-    with pytest.raises(FrameSourceError, match="found no 'X', expected a video device; there is n"):
+    with pytest.raises(FrameSourceError, match="found no 'X', expected a video device"):
         open_source("X")
     plug(number=2)
     listed = r"one of: .*/video2 \(Tactile: Camera, serial CAM1, usb-1-2-video-index0\)"

@@ -117,7 +117,8 @@ def test_the_same_stamp_replaces_the_frame_and_an_earlier_one_begins_again(caplo
     with caplog.at_level(logging.INFO):
         found = run(filtered, [0.5, 1.0], [1.0, 1.0])
     np.testing.assert_allclose(found, (1 - GEL.share) * RESPONSE[None].repeat(2, 0), atol=ATOL_M)
-    assert caplog.messages == ["time goes back by 1.500 s: the gel's past is forgotten"]
+    (message,) = caplog.messages
+    assert "time went back by 1.500 s" in message
 
 
 def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_reported_once(caplog):
@@ -127,7 +128,7 @@ def test_without_a_stamp_the_displacement_is_left_as_it_is_and_that_is_reported_
     for _ in range(2):
         np.testing.assert_array_equal(filtered.effective(7 * RESPONSE, SEEN, None), 7 * RESPONSE)
     assert len(caplog.messages) == 1
-    assert "relaxation of the gel is left in" in caplog.messages[0]
+    assert "frames without a stamp" in caplog.messages[0]
     np.testing.assert_array_equal(run(filtered, [2.0], [1.0]), run(other, [2.0], [1.0]))
 
 

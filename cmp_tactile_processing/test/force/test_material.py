@@ -109,7 +109,7 @@ def test_the_error_bar_of_sideways_forces_covers_a_wrong_poisson_ratio(
     off = shown * outcome.sensor.elastomer.young / sample_rig.elastomer.young / force - 1
     assert abs(off[0]) < 3 * record.tangential_std < 0.15
     assert abs(off[2]) < 3 * record.normal_std < 0.05
-    only_presses = any("Only presses" in item.text for item in outcome.findings)
+    only_presses = any("All loads are presses" in item.text for item in outcome.findings)
     assert only_presses == (names == ("press",))
 
 
@@ -194,7 +194,7 @@ def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
     ("model", "large_press", "advice"),
     [
         ("linear", "auto", "0.6 mm, 10.0% of its thickness.*wrong by up to 17%.*neo_hookean"),
-        ("neo_hookean", "off", "Do not switch force.large_press off"),
+        ("neo_hookean", "off", "Do not set force.large_press to off"),
         ("neo_hookean", "auto", None),
         ("linear", "on", None),
     ],
@@ -243,7 +243,7 @@ def turned(degrees):
 @pytest.mark.parametrize(
     ("change", "finding"),
     [
-        (-np.eye(3), "has the other sign"),
+        (-np.eye(3), "has the wrong sign"),
         (turned(180), r"turned by [+-]180 degrees"),
         (turned(90), r"turned by \+90 degrees"),
         (np.diag([-1.0, 1.0, 1.0]), "mirrored"),
@@ -265,7 +265,7 @@ def test_nothing_that_touches(sample_rig, cache_dir):
     outcome = fit_material(sample_rig, samples, "weights", YOUNG_ALONE, cache_dir=cache_dir)
     assert not outcome.accepted
     assert outcome.findings[0].severity is Severity.ERROR
-    assert "shows no contact" in outcome.findings[0].text
+    assert "measures no contact" in outcome.findings[0].text
     assert outcome.loads[0].reason
 
 
@@ -273,8 +273,8 @@ def test_one_press_is_enough_and_is_said_to_be_little(sample_rig, cache_dir, des
     outcome = fit_material(sample_rig, described[:1], "weights", YOUNG_ALONE, cache_dir=cache_dir)
     assert outcome.accepted
     texts = " ".join(item.text for item in outcome.findings)
-    assert "one load only" in texts
-    assert "Only presses were given" in texts
+    assert "only one load" in texts
+    assert "All loads are presses" in texts
 
 
 GOOD = LoadSample(np.zeros((20, 20, 3)), MEASURED, np.array([0, 0, -1.0]), np.full(3, 0.01))
@@ -299,7 +299,7 @@ GOOD = LoadSample(np.zeros((20, 20, 3)), MEASURED, np.array([0, 0, -1.0]), np.fu
         (
             [replace(GOOD, force=np.full(3, np.nan))],
             "weights",
-            "expected numbers, NaN where not known",
+            "expected numbers, or NaN",
         ),
         ([replace(GOOD, std=np.zeros(3))], "weights", r"std: found \[0, 0, 0\], expected a number"),
     ],

@@ -83,4 +83,4 @@ def test_a_moving_gel_is_not_inspected(ros, sample):
     rig.send(sample("slide").frame)
     ros.wait(answer.done, "the answer", 60)
     assert not answer.result().success
-    assert "the frames must be of one rest" in answer.result().message
+    assert "the gel must be at rest" in answer.result().message

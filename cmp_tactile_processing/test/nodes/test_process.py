@@ -140,4 +140,4 @@ def test_missing_security_is_reported_in_one_line(tmp_path):
     errors = [line for line in done.stderr.splitlines() if "[INFO]" not in line]
     assert done.returncode == 1
     assert len(errors) == 1
-    assert errors[0].startswith("error: ROS_SECURITY_ENABLE=true: the ROS graph cannot be joined")
+    assert errors[0].startswith("error: ROS_SECURITY_ENABLE=true: found no secure")

@@ -112,13 +112,13 @@ def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
     rig = Rig(ros)
     rig.send(sample("rest"), 1)
     rig.wait_surfaces(1)
-    assert "miss each other" not in "".join(capfd.readouterr())
+    assert "rays of a marker" not in "".join(capfd.readouterr())
     for number in (2, 3):
         rig.send_shifted(sample("rest"), number, 3.0)
     rig.wait_surfaces(3)
     log = "".join(capfd.readouterr())
     assert log.count("is sample_rig the description of this sensor?") == 1
-    found = float(re.search(r"miss each other by (\d+) um, expected at most 50 um", log)[1])
+    found = float(re.search(r"rays of a marker are (\d+) um apart, expected at most 50 um", log)[1])
     # 60 um per px on the gel, seen at a slant.
     assert 0.5 * 3 * 60 < found < 3 * 60
 
@@ -208,7 +208,7 @@ def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sampl
     busy = rig.ask_for_reference()
     ros.wait(busy.done, "the answer while busy")
     assert not busy.result().success
-    assert "being taken already" in busy.result().message
+    assert "already being taken" in busy.result().message
     rig.send(sample("rest"), 2, 3)
     ros.wait(again.done, "the second answer")
     assert again.result().success

@@ -165,8 +165,8 @@ def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("parent_frame", "/tool0", r"found '/tool0', expected no blank, no / at its beginning"),
-        ("parent_frame", "tool 0", r"found 'tool 0', expected no blank"),
+        ("parent_frame", "/tool0", r"found '/tool0', expected .*not beginning with /"),
+        ("parent_frame", "tool 0", r"found 'tool 0', expected .*without blanks"),
         ("parent_frame", "sample_rig_gel_frame", r"none of sample_rig_gel_frame, sample_rig_cam"),
         ("mount_position", [0.1, 0.2], r"found \[0\.1, 0\.2\], expected 3 numbers"),
         ("mount_position", [35.0, 0.0, 0.0], r"expected 3 numbers from -10 to 10 m$"),

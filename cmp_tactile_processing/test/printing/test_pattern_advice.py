@@ -98,7 +98,7 @@ def test_no_finer_pitch_than_the_skin_lets_through() -> None:
 
 @pytest.mark.parametrize(
     ("focal", "corners", "words"),
-    [(4.0 * LEAST_SIDE_PX, 4, "too coarse"), (20000.0, 60, "the most corners")],
+    [(4.0 * LEAST_SIDE_PX, 4, "too few pixels"), (20000.0, 60, "the largest allowed number")],
 )
 def test_limits_of_a_pattern_are_named(focal: float, corners: int, words: str) -> None:
     """A camera too coarse for any pattern, and one too fine, get an answer that says so."""

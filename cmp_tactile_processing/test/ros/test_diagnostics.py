@@ -137,7 +137,7 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
     assert status.level == DiagnosticStatus.WARN
     for end in wrong():
         assert end in status.message
-        topic = "surface" if f"{name} to " in end else "result"
+        topic = "surface" if f"{name} reaches " in end else "result"
         assert end.startswith(f"{ros.namespace}/{topic}: no message from ")
     text = " ".join(wrong())
     for reason in ("Best effort", "transient local", "deadline"):

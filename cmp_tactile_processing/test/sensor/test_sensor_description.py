@@ -82,7 +82,9 @@ def test_a_sensor_that_is_not_there_is_named():
 
 def test_a_pattern_too_small_for_a_code_is_refused(content, load):
     content["pattern"] |= {"rows": 4, "cols": 7, "code": "dots"}
-    with pytest.raises(DescriptionError, match=r"pattern\.code: found 'dots', .*5 x 8 are too few"):
+    with pytest.raises(
+        DescriptionError, match=r"pattern\.code: found 'dots', expected none, .*5 x 8"
+    ):
         load(content)
     content["pattern"] |= {"rows": 5, "cols": 6}
     assert load(content).pattern.dots().shape == (6, 7)
@@ -131,7 +133,7 @@ def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(cont
         pytest.param("camera.fx", 10**400, r"camera\.fx: found 1000", id="no float so large"),
         ("views.left.roi", [0, 0, 600, 900], r"views\.left\.roi: .*inside 1024 x 768"),
         ("views.left.mirror.normal", [1, 1, 1], r"views\.left\.mirror\.normal: .*length is 1\.73"),
-        ("pattern.surface.radius", 0.005, r"pattern\.surface: .*a radius that spans"),
+        ("pattern.surface.radius", 0.005, r"pattern\.surface: .*a radius"),
         (
             "pattern.surface",
             {"type": "cylinder", "radius": 0.03},
@@ -177,7 +179,7 @@ def test_on_and_off_without_quotes_are_words(content, load_text, word):
         ("? [1, 2]\n: 3\n", "top level: found a key that is a list or a mapping, expected a plain"),
         ("a: [{<<: {b: 1}}]\n", r"a\[0\]: found a merge key"),
         ("a: {b: 1, 'b': 2}\n", r"a: found a duplicate key 'b'"),
-        ("a: &a [*a]\n", r"a\[0\]: found an alias of what it lies in, \*a"),
+        ("a: &a [*a]\n", r"a\[0\]: found an alias .*\*a"),
         ("a: *b\n", r"a: not a YAML file: line 1, column 4: found undefined alias"),
         ("a: 1\nb: c\0d\n", r"line 2: not a YAML file: found the character 0x0"),
         pytest.param("version: " + "9" * 5000, "version: found 5000 digits", id="digits"),

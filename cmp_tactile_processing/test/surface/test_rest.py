@@ -186,7 +186,7 @@ class TestStillness:
             assert watch.add(item, k % 3) is None
         assert watch.add(frames[3], 3) is not None
 
-    @pytest.mark.parametrize(("shown", "said"), [((0, 1), "found 50%"), ((0, 1, 2), "in a row")])
+    @pytest.mark.parametrize(("shown", "said"), [((0, 1), "found 50%"), ((0, 1, 2), "too few")])
     def test_frames_that_drop_out_are_reported_and_are_no_rest(self, nominal, shown, said):
         nothing = _markers(np.full_like(nominal, np.nan))
         frames = [item if k % 4 in shown else nothing for k, item in enumerate(_frames(nominal))]

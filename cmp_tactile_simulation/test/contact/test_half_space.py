@@ -331,7 +331,7 @@ def test_load_is_reached_in_all_its_parts(gel):
 def test_load_beyond_friction_names_what_was_asked_and_reached(coarse_gel):
     simulation, state = pressed(coarse_gel, 0.3)
     with pytest.raises(
-        LoadError, match=r"asked for normal 0.3 N, tangential \(0.12, 0\) N.*reached"
+        LoadError, match=r"load: found .*, expected normal 0.3 N, tangential \(0.12, 0\) N"
     ):
         simulation.press(state, Load(0.3, (0.12, 0.0)))
 

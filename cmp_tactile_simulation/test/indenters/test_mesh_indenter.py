@@ -116,14 +116,14 @@ def test_file_without_a_mesh_is_named(tmp_path, name, content):
 def test_open_mesh_is_refused(write):
     mesh = trimesh.creation.box((4e-3, 2e-3, 1e-3))
     mesh.faces = mesh.faces[:-2]
-    with pytest.raises(IndenterError, match=r"not watertight: found [1-9]\d* edges"):
+    with pytest.raises(IndenterError, match=r"found [1-9]\d* edges .*watertight"):
         MeshIndenter.load(write(mesh))
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-6])
 def test_mistaken_unit_is_reported(write, scale):
     path = write(trimesh.creation.box((20.0, 10.0, 10.0)))
-    with pytest.raises(IndenterError, match=r"size: found .* m along .* a file in mm needs scale"):
+    with pytest.raises(IndenterError, match=r"size: found .* m along .* a file in mm use scale"):
         MeshIndenter.load(path, scale=scale)
 
 

@@ -109,7 +109,7 @@ def test_a_damaged_checkpoint_costs_a_frame(scene, whole, tmp_path, caplog):
     path.write_bytes(path.read_bytes()[:-400])
     assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 4)
     assert contents(tmp_path / "out") == whole["bag"]
-    assert "state_00000004.npz: cannot be used, an earlier one is" in caplog.text
+    assert "state_00000004.npz: cannot be used" in caplog.text
 
 
 DIFFERENCES = {
@@ -166,7 +166,7 @@ def test_a_folder_of_something_else_is_left_alone(name, overwrite, scene, tmp_pa
     else:
         (out / name).write_text("version: 1")
     before = sorted(out.rglob("*"))
-    with pytest.raises(OutputError, match=r"out: found .*, expected a simulated recording or noth"):
+    with pytest.raises(OutputError, match=r"out: found .*, expected a simulated recording or"):
         run_scene(scene, out, RunOptions(overwrite=overwrite))
     assert sorted(out.rglob("*")) == before
 

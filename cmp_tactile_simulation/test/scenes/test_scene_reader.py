@@ -179,7 +179,7 @@ MISTAKES = {
     ),
     "half a turn": (
         {"motion": [PHASE | {"by": {"rotation_deg": [0, 0, 180]}}]},
-        "motion[0].by.rotation_deg: found [0.0, 0.0, 180.0], expected a turn of less than 180",
+        "motion[0].by.rotation_deg: found [0.0, 0.0, 180.0], expected a rotation of less than 180",
     ),
     "group": (
         {"motion": [{"motion": [PHASE]}]},

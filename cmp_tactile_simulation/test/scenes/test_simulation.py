@@ -131,7 +131,7 @@ def test_a_load_that_cannot_be_carried_is_reported_after_the_frames_before_it(sm
     frames = Simulation(small_scene(motion=motion)).frames()
     assert [frame.phase for frame in islice(frames, 2)] == ["press", "press"]
     with pytest.raises(
-        LoadError, match=r"phase 'tear', frame 2: .*asked for normal 0\.5 N, tangential \(5, 0\) N"
+        LoadError, match=r"phase 'tear', frame 2: .*expected normal 0\.5 N, tangential \(5, 0\) N"
     ):
         next(frames)
 

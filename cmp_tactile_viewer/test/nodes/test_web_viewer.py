@@ -240,7 +240,7 @@ def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
     assert frames.description == "number of frames that a reference averages"
     assert not any("diagnostics" in name for name in settings)
     assert "stereo_triangulator.sensor_description" not in settings  # cannot change
-    assert rig.do(lambda: frames.change(20.0)) == "is 20 now"
+    assert rig.do(lambda: frames.change(20.0)) == "is now 20"
     assert node.get_parameter("reference_frames").value == 20
     assert isinstance(rig.do(lambda: frames.change(0)), ViewerError)
     assert node.get_parameter("reference_frames").value == 20

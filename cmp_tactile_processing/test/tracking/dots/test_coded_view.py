@@ -137,7 +137,7 @@ def test_views_that_are_described_otherwise(seen, fault, covered, tracker, photo
     assert grid.fault is fault
 
 
-@pytest.mark.parametrize(("seed", "reason"), [(5, "another sheet"), (None, "bear no dots")])
+@pytest.mark.parametrize(("seed", "reason"), [(5, "another sheet"), (None, "have no dots")])
 def test_other_patterns_are_refused(seed, reason, tracker, photograph):
     grid = tracker.track(photograph(seed=seed))
     assert not np.isfinite(grid.corners).any()
