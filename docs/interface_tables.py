@@ -66,7 +66,7 @@ COMMON_PARAMETERS = (
 THRESHOLDS = """## Every node but component_container
 
 Thresholds of the diagnostics ([diagnostics.md](diagnostics.md)); shares are of one second's frames.
-Those of rate, late and dropped frames are in every node, the others where there is such a figure.
+Every node has the thresholds of rate, late and dropped frames, and those of its other figures.
 """
 CONTAINER = """Loads, unloads and lists components, as ComposableNodeContainer of launch_ros and
 `ros2 component` ask for it."""
