@@ -52,7 +52,6 @@ class WebViewerParameters(Parameters):
     token: str = parameter(
         "", "secret word that the address of the page must contain; empty for none"
     )
-    token: str = parameter("", "word that the page's address must contain; empty for none")
     allow_hosts: str = parameter(
         "",
         "further host names of this machine, separated by spaces, such as that of a proxy",
