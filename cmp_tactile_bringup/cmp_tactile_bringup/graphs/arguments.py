@@ -112,7 +112,8 @@ def argument_values(
         value = given.get(argument.name, argument.default)
         if value is None:
             msg = (
-                f"{label}argument {argument.name!r}: found nothing, expected {argument.description}"
+                f"{label}argument {argument.name!r}: found nothing, expected a value "
+                f"({argument.description})"
             )
             raise GraphError(msg)
         values[argument.name] = _convert(argument, value, label)

@@ -128,7 +128,7 @@ class ForceFlags:
     def doubts(self) -> Iterator[str]:
         """A line for each flag that was set."""
         for flag, count in self._flagged.items():
-            yield f"in {count} of {self._frames} frames: {flag_names(flag)}: {ADVICE[flag]}"
+            yield f"in {count} of {self._frames} frames {flag_names(flag)}: {ADVICE[flag]}"
 
 
 def grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:
@@ -183,7 +183,7 @@ class GridFaults:
     def doubts(self) -> Iterator[str]:
         """A line for each view with faults."""
         for view, count in self._faulty.items():
-            yield f"{view} view: in {count} of {self._frames} frames: {self._last[view]}"
+            yield f"{view} view: in {count} of {self._frames} frames {self._last[view]}"
 
 
 class ArrayLog:

@@ -66,7 +66,7 @@ def test_arguments_and_their_types(path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({}, r"my_graph.py: argument 'where' is missing \(a place\)"),
+        ({}, r"my_graph.py: argument 'where': found nothing, .*\(a place\)"),
         ({"pace": "1"}, "found argument 'pace', expected one of: speed, count, "),
         ({"speeds": "1"}, "; did you mean 'speed'?"),
         ({"speed": "fast"}, "argument speed: found 'fast', expected a number"),

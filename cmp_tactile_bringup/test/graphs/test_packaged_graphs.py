@@ -197,7 +197,7 @@ def test_the_newest_frame_waits_for_no_large_press_to_settle(name, given, live):
 
 
 def test_a_camera_needs_a_description(tmp_path):
-    with pytest.raises(GraphError, match="argument 'sensor' is missing"):
+    with pytest.raises(GraphError, match="argument 'sensor': found nothing"):
         _load("sensor")
     with pytest.raises(GraphError, match="argument right_sensor: found nothing, expected the file"):
         _load("gripper", right_source="v4l2")
