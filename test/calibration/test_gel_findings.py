@@ -129,7 +129,7 @@ def test_another_kind_of_sensor(gel_rig, rest):
     texts = [item for item in outcome.findings if item.severity is Severity.ERROR]
     assert "camera.fx" in texts[0].text
     assert "more than 4 standard deviations" in texts[0].text
-    assert texts[0].advice.startswith("the description of this kind of sensor")
+    assert texts[0].advice.startswith("Check that this is the description")
 
 
 def test_exchanged_images(gel_rig, real, gel_frames, exchanged):

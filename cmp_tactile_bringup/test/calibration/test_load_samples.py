@@ -154,7 +154,7 @@ def loads_of(tmp_path, text):
     ("text", "complaint"),
     [
         ("{mass: 0.2, time: [7, 8]}", r"200 g: time: found no frame from 7 to 8 s.*0\.90 s"),
-        ("{mass: 0.2}", r"still for 12 frames or more 0 times \(never\), expected 1; `time`"),
+        ("{mass: 0.2}", r"found 0 times \(never\) .* 12 frames or more, expected 1; .*`time`"),
     ],
 )
 def test_a_load_that_no_frame_shows_is_reported(text, complaint, tmp_path):
@@ -247,7 +247,7 @@ def test_the_force_is_that_of_the_frames_by_a_clock_that_is_ahead(ahead_s):
 def test_a_topic_of_another_time_is_reported_with_both_times():
     motion = pressed_motion(DEPTH)
     series = force_of(DEPTH, motion, 100.0, np.zeros(3))
-    with pytest.raises(RecordingError, match=r"100\.900 to .*1\.000 to 1\.900 s; --time-offset"):
+    with pytest.raises(RecordingError, match=r"100\.900 to .*1\.000 to 1\.900 s; .*--time-offset"):
         at_frames(series, motion.stamp_ns, 0.0)
 
 

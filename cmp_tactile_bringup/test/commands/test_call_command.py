@@ -119,7 +119,7 @@ def test_of_several_sensors_one_is_to_be_named(ros, run):
 
 @pytest.mark.usefixtures("short_search")
 def test_no_sensor_and_one_of_another_name(ros, run):
-    with pytest.raises(RunningSensorError, match="in any namespace, expected a sensor that runs"):
+    with pytest.raises(RunningSensorError, match="in any namespace, expected a running sensor"):
         run("zero")
     ros.start(ViewSplitter)
     with pytest.raises(RunningSensorError, match=f"in /thumb, expected {ros.namespace}"):

@@ -106,7 +106,7 @@ def test_the_jump_is_the_knock_and_more_than_two_checkers(results):
 
 def test_frames_that_are_not_neighbours_make_no_jump(results):
     apart = replace(results, frames=(results.frames[0], results.frames[2]))
-    with pytest.raises(LookupError, match="neighbouring"):
+    with pytest.raises(LookupError, match="consecutive"):
         find_jump(apart)
 
 

@@ -139,7 +139,7 @@ def test_exchanged_records_are_refused():
     found = fit_relaxation(time_s, true, reading)
     assert found.relaxation is None
     assert not found.accepted
-    assert "the other way" in texts(found, Severity.ERROR)
+    assert "the opposite direction" in texts(found, Severity.ERROR)
 
 
 def test_a_weight_on_a_gel_of_two_time_constants_gives_one_between():
