@@ -141,7 +141,7 @@ def test_a_replay_is_paused_stepped_and_ended_by_keys(terminal, grasp_bag, way):
     """The whole command, with real nodes."""
     command = ["-m", "cmp_tactile_bringup.command", "replay", str(grasp_bag), "--loop"]
     shown = terminal(*command)
-    shown.shows("Keys: z zero, space pause, . next frame, left 1 s back, right 1 s on, q quit")
+    shown.shows("Keys: z zero, space pause, . next frame, left 1 s back, right 1 s forward, q quit")
     shown.shows(" Hz ")
     shown.press(" ")
     shown.shows("pause: paused")
