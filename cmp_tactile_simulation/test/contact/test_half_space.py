@@ -353,14 +353,14 @@ def test_load_that_no_contact_carries_is_refused(gel, load, friction, expected):
 
 def test_indenter_inside_the_gel_is_refused_with_its_depth(gel):
     simulation = ContactSimulation(gel, Sphere(RADIUS), 0.5)
-    with pytest.raises(ContactError, match=r"sphere: starts 0.0994 mm inside the gel"):
+    with pytest.raises(ContactError, match=r"sphere: .*0.0994 mm inside the gel"):
         simulation.rest(place(7.5e-5, 7.5e-5, RADIUS - 9.94e-5))
 
 
 def test_contact_at_the_rim_is_refused_with_place_and_patch(coarse_gel):
     simulation = ContactSimulation(coarse_gel, Sphere(RADIUS), 0.5)
     state = simulation.rest(place(0, 0, RADIUS))
-    with pytest.raises(ContactError, match=r"rim of the contact patch at .* 3.90 x 3.90 mm"):
+    with pytest.raises(ContactError, match=r"rim of the contact patch.* 3.90 x 3.90 mm"):
         simulation.move(state, place(0, 0, RADIUS - 6e-4))
 
 
