@@ -96,7 +96,7 @@ def test_signal_while_a_constructor_and_a_callback_do_not_end(ros, container):
     container.send_signal(signal.SIGTERM)
     code, log = _outcome(container)
     assert code == 0, log
-    (left,) = re.findall(r"left behind: (.*)", log)
+    (left,) = re.findall(r"still busy after .*?: (.*)", log)
     assert "/sticks" in left
     assert "a component that is being built" in left
     assert "/ticker" not in left
