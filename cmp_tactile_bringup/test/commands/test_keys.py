@@ -57,7 +57,8 @@ class Terminal:
             [sys.executable, "-c", CHILD, *arguments], stdin=slave, stdout=slave, stderr=slave
         )
         self.text = ""
-        threading.Thread(target=self._read, daemon=True).start()
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
 
     def _read(self) -> None:
         try:
@@ -84,6 +85,8 @@ class Terminal:
         self.process.kill()
         self.process.wait()
         os.close(self.slave)
+        # Or it would go on reading from the next terminal that gets the same number.
+        self.reader.join(timeout=10)
         os.close(self.master)
 
 
