@@ -19,7 +19,6 @@ from cmp_tactile_simulation.scenes.file import VARIANT_MARK
 
 SCENES = Path(__file__).parent / "scenes"
 DEFAULT = ("grasp", "slip", "plate:20x20", "plate:36x36")
-RATE_OF_IMAGES_HZ = 30.0
 
 
 @dataclass(frozen=True)
@@ -54,10 +53,7 @@ class Input:
 
     def frames(self) -> Iterator[tuple[NDArray[np.uint8], int]]:
         """Images (H, W) or (H, W, 3) and stamps, ns."""
-        recording = open_recording(
-            self.path, topic="", frame_rate=RATE_OF_IMAGES_HZ, frame_id="", expected_size=None
-        )
-        for item in recording.messages():
+        for item in open_recording(self.path).messages():
             if isinstance(item, RecordedFrame):
                 yield item.image, item.stamp_ns
 

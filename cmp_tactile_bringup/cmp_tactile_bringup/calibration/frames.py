@@ -32,8 +32,6 @@ from cmp_tactile_processing.calibration.board.target import BoardSighting, Board
 from cmp_tactile_processing.geometry.split import to_grey
 
 Frame = NDArray[np.uint8]
-# Of a folder of images, which has no stamps.
-FOLDER_RATE_HZ = 30.0
 
 
 @dataclass(frozen=True)
@@ -64,13 +62,8 @@ def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None)
     be used.
     """
     check_source(source, "a ROS 2 bag, a folder of images")
-    recording = open_recording(
-        recorded_source(source),
-        topic=selection.topic,
-        frame_rate=FOLDER_RATE_HZ,
-        frame_id="",
-        expected_size=size,
-    )
+    path = recorded_source(source)
+    recording = open_recording(path, topic=selection.topic, expected_size=size)
     messages = recording.messages(TimeSpan(start=selection.start_s))
     frames = (item for item in messages if isinstance(item, RecordedFrame))
     chosen = list(islice(frames, selection.count))

@@ -13,7 +13,7 @@ from cmp_tactile_bringup.recordings.library import RecordingError, check_source,
 from cmp_tactile_bringup.terminal.output import OnStage
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
-from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
@@ -36,8 +36,6 @@ LEAST_MOTION = 3e-6
 MAD_TO_STD = 1.4826
 # A reference sensor's reading changes by more than this while a load is put on: relative, and N.
 FORCE_CHANGE, LEAST_FORCE_CHANGE = 0.02, 0.02
-# Of a folder of images, which has no stamps.
-FOLDER_RATE_HZ = 30.0
 # More frames at rest make the reference no better than the markers of one loaded frame are.
 MOST_REST_FRAMES = 50
 
@@ -182,14 +180,7 @@ def read_motion(
 def _read(
     path: Path, topic: str, sensor: SensorDescription, rest_s: tuple[float, float] | None
 ) -> GelMotion:
-    recording = open_recording(
-        path,
-        topic=topic,
-        frame_rate=FOLDER_RATE_HZ,
-        frame_id="",
-        expected_size=sensor.frame_size if sensor.views else None,
-        shape=sensor.pattern.shape,
-    )
+    recording = open_recording_of(sensor, path, topic=topic)
     camera = None
     stamps: list[int] = []
     markers: list[Markers3D] = []

@@ -88,7 +88,6 @@ class Looking(Command):
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
         from cmp_tactile_driver.bags.recording import open_recording
-        from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
         from cmp_tactile_processing.geometry.split import to_grey
 
         if name.startswith(DEVICES):
@@ -96,10 +95,7 @@ class Looking(Command):
         elif is_packaged(Path(name)):
             images = _of_scene(name)
         else:
-            path, rate = Path(name).expanduser(), DEFAULT_FRAME_RATE
-            recording = open_recording(
-                path, topic="", frame_rate=rate, frame_id="", expected_size=None
-            )
+            recording = open_recording(Path(name).expanduser())
             images = (frame.image for frame in recording.frames())
         with closing(images):
             for image in images:

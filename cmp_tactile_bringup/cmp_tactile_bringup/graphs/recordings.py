@@ -10,7 +10,6 @@ from cmp_tactile_bringup.graphs.description import Component, Graph
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
 from cmp_tactile_driver.bags.recording import open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_processing.sensor.description import load_sensor
 
 REPLAY = "cmp_tactile_driver::Replay"
@@ -55,16 +54,9 @@ def check_recordings(graph: Graph) -> None:
             raise ComponentLoadError(f"{msg}, expected a new name")
         try:
             for path in _inputs(component):
-                open_recording(
-                    path,
-                    topic=str(component.parameters.get("topic", "")),
-                    frame_rate=ReplayParameters.frame_rate,
-                    frame_id="",
-                    expected_size=None,
-                    shape=load_sensor(
-                        str(component.parameters["sensor_description"])
-                    ).pattern.shape,
-                )
+                sensor = load_sensor(str(component.parameters["sensor_description"]))
+                topic = str(component.parameters.get("topic", ""))
+                open_recording(path, topic=topic, shape=sensor.pattern.shape)
         except FrameSourceError as error:
             raise ComponentLoadError(f"{component.label}: {error}") from None
 

@@ -32,7 +32,7 @@ from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal.output import error_line, processor_name
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
-from cmp_tactile_driver.bags.recording import Recording, open_recording
+from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.cache.compiled import source_digest
@@ -70,13 +70,8 @@ class Processor:
         """Raises DescriptionError for the sensor, FrameSourceError and FrameError for the rest."""
         self._job, self._options = job, options
         self._sensor = SensorDescription.load(Path(job.sensor))
-        self._recording: Recording = open_recording(
-            Path(job.source),
-            topic=options.topic,
-            frame_rate=options.frame_rate,
-            frame_id="",
-            expected_size=self._sensor.frame_size if self._sensor.views else None,
-            shape=self._sensor.pattern.shape,
+        self._recording: Recording = open_recording_of(
+            self._sensor, Path(job.source), topic=options.topic, frame_rate=options.frame_rate
         )
         # Up to the first good frame, before any work is done for the others.
         next(_frames_of(self._recording), None)

@@ -10,6 +10,7 @@ from cmp_tactile_driver.bags import calibration, reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
 from cmp_tactile_processing.measured import GridShape
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 
 class ImageRecording:
@@ -70,10 +71,10 @@ def split_inputs(text: str) -> list[Path]:
 def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
     path: Path,
     *,
-    topic: str,
-    frame_rate: float,
-    frame_id: str,
-    expected_size: frames.ImageSize | None,
+    topic: str = "",
+    frame_rate: float = files.DEFAULT_FRAME_RATE,
+    frame_id: str = "",
+    expected_size: frames.ImageSize | None = None,
     shape: GridShape | None = None,
 ) -> Recording:
     """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
@@ -94,6 +95,26 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
     if path.is_file() and path.suffix.lower() not in storage.STORAGE_SUFFIXES:
         return ImageRecording(files.VideoFile(path, expected_size=expected_size), frame_id)
     return reader.BagReader(path, topic, expected_size, shape)
+
+
+def open_recording_of(
+    sensor: SensorDescription,
+    path: Path,
+    *,
+    topic: str = "",
+    frame_rate: float = files.DEFAULT_FRAME_RATE,
+) -> Recording:
+    """What a sensor recorded: frames of its camera's size or, from a bag, its surfaces.
+
+    Otherwise as `open_recording`.
+    """
+    return open_recording(
+        path,
+        topic=topic,
+        frame_rate=frame_rate,
+        expected_size=sensor.frame_size if sensor.views else None,
+        shape=sensor.pattern.shape,
+    )
 
 
 def is_bag(folder: Path) -> bool:
@@ -146,11 +167,6 @@ def recorded_source(options: frames.SourceOptions) -> RecordedSource:
 
     Raises FrameSourceError for what is none, or is of another camera.
     """
-    recording = open_recording(
-        Path(options.input).expanduser(),
-        topic="",
-        frame_rate=files.DEFAULT_FRAME_RATE,
-        frame_id="",
-        expected_size=options.frame_size,
-    )
+    path = Path(options.input).expanduser()
+    recording = open_recording(path, expected_size=options.frame_size)
     return RecordedSource(recording, options)

@@ -149,7 +149,6 @@ class Replay(ReportingNode):
                 topic=self._settings.topic,
                 frame_rate=self._settings.frame_rate,
                 frame_id=camera_frame(self._sensor),
-                expected_size=None,
                 shape=self._sensor.pattern.shape,
             )
             for path in inputs

@@ -216,7 +216,7 @@ def test_a_video_is_played_at_its_own_rate_and_in_part(tmp_path, frames):
     for number in range(6):
         writer.write(np.full((height, width, 3), 40 * number, np.uint8))
     writer.release()
-    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam", "expected_size": None}
+    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam"}
     film = open_recording(path, **options)
     stamps = [message.stamp_ns for message in film.messages()]
     assert stamps == [40_000_000 * number for number in range(6)]
@@ -229,13 +229,13 @@ def test_a_video_is_played_at_its_own_rate_and_in_part(tmp_path, frames):
 
 
 def test_a_single_image_is_a_recording_of_one_frame(image_folder):
-    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam", "expected_size": None}
+    options = {"topic": "", "frame_rate": 7.0, "frame_id": "cam"}
     (message,) = open_recording(image_folder / "0.png", **options).messages()
     assert message.stamp_ns == 0
 
 
 def test_a_folder_without_bag_is_a_folder_of_images(image_folder, frames, tmp_path):
-    options = {"topic": "", "frame_rate": 20.0, "frame_id": "cam", "expected_size": None}
+    options = {"topic": "", "frame_rate": 20.0, "frame_id": "cam"}
     found = list(open_recording(image_folder, **options).messages())
     assert [message.stamp_ns for message in found] == [n * 50_000_000 for n in range(len(frames))]
     (image_folder / "results.mcap").mkdir()

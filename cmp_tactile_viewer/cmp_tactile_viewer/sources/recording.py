@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from rosbags.serde import SerdeError
 
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
-from cmp_tactile_driver.bags.recording import is_bag, open_recording
+from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
@@ -45,7 +45,6 @@ SURFACE, FORCE_FIELD, GRID = (
 )
 # Looks into the recording so far before a place, to find the frame before it; then farther.
 BACK_S = 0.5
-DEFAULT_RATE_HZ = 30.0
 # Recordings up to this length begin again at their end, as long as nobody says otherwise.
 LOOPED_S = 10.0
 # Messages of one frame come within so many others.
@@ -71,14 +70,7 @@ class ProcessedFrames:
 
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
-        self._recording = open_recording(
-            path,
-            topic=topic,
-            frame_rate=DEFAULT_RATE_HZ,
-            frame_id="",
-            expected_size=sensor.frame_size if sensor.views else None,
-            shape=sensor.pattern.shape,
-        )
+        self._recording = open_recording_of(sensor, path, topic=topic)
         if next(self._frames(0.0), None) is None:
             msg = f"{path}: found no frame of {sensor.name}, expected at least one"
             raise ViewerError(msg)
