@@ -71,8 +71,8 @@ CALIBRATE_HELP = """\
 Calibrate the camera, mirrors and gel of a sensor, and the stiffness of the gel.
 
 \b
-docs/tutorials/calibrate.md shows all steps,
-docs/tutorials/weigh.md shows `force`.
+docs/calibrate.md explains all steps; docs/tutorials/calibrate.md and
+docs/tutorials/weigh.md show them on a simulated sensor.
 """
 
 

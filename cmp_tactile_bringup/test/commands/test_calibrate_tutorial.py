@@ -1,4 +1,4 @@
-"""docs/tutorials/calibrate.md: its commands do what it says, as they stand in it."""
+"""docs/tutorials/calibrate.md and docs/calibrate.md: their commands do what they say."""
 
 import re
 import shlex
@@ -15,8 +15,7 @@ from cmp_tactile_processing.geometry.rectification import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "calibrate.md"
-# What follows is about a sensor that the reader has.
-OWN_SENSOR = "## Your own sensor"
+OWN_SENSOR = TUTORIAL.parents[1] / "calibrate.md"
 FAILS = "# exit code 1"
 # These run until Ctrl-C, and have tests of their own.
 ENDLESS = ("replay", "live")
@@ -29,8 +28,8 @@ def words(line):
     return arguments
 
 
-PRACTICE, OWN = TUTORIAL.read_text(encoding="utf-8").split(OWN_SENSOR)
-OWN_WEIGHTS = TUTORIAL.with_name("weigh.md").read_text(encoding="utf-8").split(OWN_SENSOR)[1]
+PRACTICE = TUTORIAL.read_text(encoding="utf-8")
+OWN = OWN_SENSOR.read_text(encoding="utf-8")
 
 
 def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeypatch, capsys):
@@ -94,9 +93,7 @@ def assert_found(sensor, practice_set):
     np.testing.assert_allclose(info.K[0, 0], sensor.camera.fx)
 
 
-@pytest.mark.parametrize(
-    "line", [line for line in shell_lines(OWN + OWN_WEIGHTS) if "ros2 " not in line]
-)
+@pytest.mark.parametrize("line", [line for line in shell_lines(OWN) if "ros2 " not in line])
 def test_commands_for_own_sensors_are_ones_that_there_are(line):
     assert words(line)[0] == "calibrate"
     parse(words(line))

@@ -15,9 +15,8 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 TUTORIAL = REPOSITORY / "docs" / "tutorials" / "weigh.md"
-# What follows is about a sensor that the reader has.
-OWN_SENSOR = "## Your own sensor"
-PRACTICE, OWN = TUTORIAL.read_text(encoding="utf-8").split(OWN_SENSOR)
+PRACTICE = TUTORIAL.read_text(encoding="utf-8")
+OWN = (TUTORIAL.parents[1] / "calibrate.md").read_text(encoding="utf-8")
 
 
 def run(line, capsys, monkeypatch):
