@@ -43,7 +43,7 @@ def _formats(text: str) -> str:
 class Pattern(Command):
     """Write the pattern of a sensor to scale, as SVG, PDF and DXF, with registration marks, the
     gel's outline and scale bars. The matching sensor description is written, too.
-    docs/tutorials/print.md shows how to print and mount the pattern.
+    docs/print.md shows how to print and mount the pattern.
 
     which way round:
       The sheet shows the print as seen from the touching side: x to the right, y up, corner

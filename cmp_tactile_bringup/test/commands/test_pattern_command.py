@@ -35,7 +35,7 @@ from cmp_tactile_processing.sensor.parts import (
     CalibrationRecord,
 )
 
-TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "print.md"
+TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "print.md"
 
 
 @pytest.fixture
