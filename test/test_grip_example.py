@@ -25,7 +25,7 @@ pytestmark = pytest.mark.ros
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 TUTORIAL = EXAMPLES.parent / "tutorials" / "gripper.md"
-EXPLANATION = EXAMPLES.parent / "grip_controller.md"
+EXPLANATIONS = [EXAMPLES.parent / name for name in ("gripper.md", "grip_controller.md")]
 PERIOD_S = 0.05
 FRICTION = 0.4
 # Settings for a busy computer: each stage that waits for a processor adds to the delay.
@@ -145,7 +145,7 @@ def test_the_tutorial_names_what_there_is():
     given = set(re.findall(r"-p (\w+):=", text))
     assert given > {"sensor", "boost"}
     assert given - {"sensor"} <= names
-    explained = text + EXPLANATION.read_text(encoding="utf-8")
+    explained = text + "".join(path.read_text(encoding="utf-8") for path in EXPLANATIONS)
     assert names - set(re.findall(r"`(\w+)`", explained)) <= {"max_speed"}
     assert set(re.findall(r"cup.py (--\w+)", text)) == {"--csv"}
 

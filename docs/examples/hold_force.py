@@ -1,9 +1,9 @@
 """Holds a normal force with a gripper, and grips harder before the object slips.
 
 Beside a sensor that runs: `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
-It takes the gripper's opening in m on `gripper/opening` and asks for one on `gripper/command`; the
-tutorial docs/tutorials/gripper.md shows how to connect it to a real gripper and tune it, and
-docs/grip_controller.md how it works.
+It takes the gripper's opening in m from `gripper/opening` and asks for one on `gripper/command`.
+docs/gripper.md shows how to connect it to a real gripper and tune it; docs/grip_controller.md
+explains how it works.
 """
 
 from __future__ import annotations
