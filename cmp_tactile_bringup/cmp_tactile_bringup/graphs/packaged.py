@@ -1,7 +1,7 @@
 """The packaged graphs `sensor`, `simulate`, `replay` and `gripper`.
 
-`python3 -m cmp_tactile_bringup.graphs.packaged docs/launch.md` renews what follows the marker line
-of that file.
+`python3 -m cmp_tactile_bringup.graphs.packaged docs/launch_arguments.md` renews what follows the
+marker line of that file.
 """
 
 from __future__ import annotations

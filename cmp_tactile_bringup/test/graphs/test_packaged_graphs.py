@@ -1,4 +1,4 @@
-"""The packaged graphs: what each is made of, RViz's settings for them, and docs/launch.md."""
+"""The packaged graphs: what each is made of, RViz's settings for them, and their documents."""
 
 import re
 from pathlib import Path
@@ -15,6 +15,7 @@ from cmp_tactile_bringup.graphs.rviz import rviz_settings, rviz_settings_file
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "launch.md"
+ARGUMENTS = ROOT / "docs" / "launch_arguments.md"
 CHAIN = {
     "surface_visualizer",
     "force_reconstructor",
@@ -272,9 +273,9 @@ def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():
     assert "Fixed Frame: left_finger_gel_frame" in alone
 
 
-def test_launch_md_lists_the_arguments_of_the_graphs():
-    assert DOCUMENT.read_text(encoding="utf-8") == renew(DOCUMENT), (
-        "run: python3 -m cmp_tactile_bringup.graphs.packaged docs/launch.md"
+def test_the_document_lists_the_arguments_of_the_graphs():
+    assert ARGUMENTS.read_text(encoding="utf-8") == renew(ARGUMENTS), (
+        "run: python3 -m cmp_tactile_bringup.graphs.packaged docs/launch_arguments.md"
     )
 
 
