@@ -20,7 +20,7 @@ from cmp_tactile_msgs.msg import ForceField
 TARGET_N = 2.0
 GAIN_M_PER_N = 0.05e-3  # less than 1 / (stiffness of gel, pads and object)
 OLDEST_S = 0.2
-# With these the force is not that of the object (docs/force.md, "Flags").
+# With these the force is not that of the object (docs/results.md, "Flags").
 UNUSABLE = (
     ForceField.FLAG_FEW_MARKERS
     | ForceField.FLAG_BEYOND_MARKERS

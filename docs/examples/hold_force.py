@@ -21,7 +21,7 @@ from std_msgs.msg import Float64, String
 
 from cmp_tactile_msgs.msg import ForceField
 
-# With these the force is not that of the object (docs/force.md, "Flags").
+# With these the force is not that of the object (docs/results.md, "Flags").
 UNUSABLE = (
     ForceField.FLAG_FEW_MARKERS
     | ForceField.FLAG_BEYOND_MARKERS
