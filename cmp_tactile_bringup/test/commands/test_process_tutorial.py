@@ -1,4 +1,4 @@
-"""docs/tutorials/process.md: its commands and programs do what it says, as they stand in it."""
+"""docs/tutorials/process.md and its how-to: commands and programs do what the pages say."""
 
 import importlib.util
 import re
@@ -15,6 +15,7 @@ from cmp_tactile_processing.measured import SlipState
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "process.md"
 TEXT = TUTORIAL.read_text(encoding="utf-8")
 RESULTS = (TUTORIAL.parents[1] / "process_results.md").read_text(encoding="utf-8")
+MANY = (TUTORIAL.parents[1] / "recordings.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.usefixtures("short_scenes", "grasp_bag")
@@ -58,7 +59,7 @@ def test_the_table_of_columns_is_that_of_the_files():
 
 
 def test_the_commands_that_are_shown_and_not_run_have_these_options():
-    shown = re.findall(r"^```\n(cmp_tactile.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    shown = re.findall(r"^```\n(cmp_tactile.*?)^```", MANY, re.MULTILINE | re.DOTALL)
     assert len(shown) == 2
     for block in shown:
         parse(shlex.split(block.replace("\\\n", ""))[1:])
@@ -69,5 +70,5 @@ def test_every_option_of_the_command_is_in_a_document(capsys):
         main(["process", "--help"])
     options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
     readme = (TUTORIAL.parents[2] / "cmp_tactile_bringup" / "README.md").read_text()
-    documented = set(re.findall(r"--[a-z-]+", TEXT + RESULTS + readme))
+    documented = set(re.findall(r"--[a-z-]+", TEXT + MANY + RESULTS + readme))
     assert options <= documented, options - documented

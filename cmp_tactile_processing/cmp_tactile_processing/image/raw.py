@@ -180,7 +180,7 @@ def _layout(encoding: str, size: tuple[int, int]) -> PixelLayout:
     if layout is None:
         msg = (
             f"encoding: found {found_text(encoding)}, expected mono8, bgr8, mono16, bayer_rggb8, "
-            "yuyv or another one that docs/camera.md lists"
+            "yuyv or another one that docs/conventions.md lists"
         )
         raise FrameError(msg)
     width, height = size
