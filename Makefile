@@ -17,40 +17,40 @@ export ROS
 help: ## List the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-build: ## Set up ROS 2 where there is none, and build what has changed
+build: ## Install ROS 2 if it is missing, and build the changed packages
 	@command -v "$(PYTHON)" >/dev/null || { \
-		echo "set-up: $(PYTHON) not found: install Python 3.10 to 3.14 (Debian, Ubuntu: sudo apt install python3)" >&2; \
+		echo "set-up: found no $(PYTHON), expected Python 3.10 to 3.14 (Debian, Ubuntu: sudo apt install python3)" >&2; \
 		exit 1; }
 	@"$(PYTHON)" setup/bootstrap.py
 
-demo: build ## Simulate a grasp and play it through the whole chain; writes demo_output/ (DEMO_ARGS=...)
+demo: build ## Simulate a grasp, play it through the ROS 2 nodes, and write demo_output/ (DEMO_ARGS=...)
 	@setup/run cmp_tactile demo $(DEMO_ARGS)
 
-docs: build ## Build the site with an API reference into site/, to be opened as a file
+docs: build ## Build these documents and an API reference into site/; open site/index.html
 	@mkdir -p log && "$(UV)" venv --quiet --allow-existing --python "$(PYTHON)" .venv-docs 2>log/docs.log && \
 		"$(UV)" pip install --quiet --python .venv-docs/bin/python --require-hashes --no-deps \
 			--only-binary :all: -r setup/locked-docs.txt 2>>log/docs.log || \
-		{ echo "docs: MkDocs could not be installed (log: log/docs.log)" >&2; exit 1; }
+		{ echo "docs: MkDocs could not be installed; log/docs.log has the reason" >&2; exit 1; }
 	@setup/run python3 docs/site/pages.py build/site_source
 	@NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet --strict --config-file docs/site/mkdocs.yml
 	@echo "site/index.html"
 
-paper: build ## Run the paper's experiments, some 25 minutes on 2 cores (FAST=1: a few; PAPER_ARGS=...)
+paper: build ## Run the paper's experiments: 30 minutes on 2 cores (FAST=1: fewer and smaller; PAPER_ARGS=...)
 	@setup/run sh -c 'PYTHONPATH="$$PWD/benchmarks:$$PYTHONPATH" exec python3 -m paper "$$@"' paper \
 		$(if $(FAST),--fast) $(PAPER_ARGS)
 
-test: build ## Run all tests (PYTEST_ARGS="-k grid" for a part of them, ROS=jazzy on Jazzy)
+test: build ## Run all tests: 15 to 25 minutes (PYTEST_ARGS="-k grid" for some of them; ROS=jazzy for Jazzy)
 	@setup/run python3 -m pytest -n logical --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
-check: build ## Check style, types and which room imports which
+check: build ## Check style, types and imports (docs/architecture.md)
 	@setup/run ruff check
 	@setup/run ruff format --check
 	@setup/run mypy
 	@setup/run lint-imports --no-cache
 	@setup/run python3 benchmarks/house.py
 
-lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgrade for new versions)
-	@command -v "$(UV)" >/dev/null || { echo "lock: $(UV) not found: run 'make build', or pip install uv" >&2; exit 1; }
+lock: ## Renew setup/locked-*.txt, the versions to install (LOCK_ARGS=--upgrade for the newest)
+	@command -v "$(UV)" >/dev/null || { echo "lock: found no $(UV): run 'make build', or pip install uv" >&2; exit 1; }
 	@uv=$$(realpath "$$(command -v '$(UV)')") && cd setup && lock() { \
 		"$$uv" pip compile --quiet --no-config --no-python-downloads --universal --python-version 3.10 \
 			--generate-hashes --only-binary :all: --no-binary empy --custom-compile-command 'make lock' \
@@ -62,7 +62,7 @@ lock: ## Renew setup/locked-*.txt, what is installed, with uv (LOCK_ARGS=--upgra
 			--output-file locked-$$distro.txt || exit 1; \
 	done
 
-clean: ## Remove everything that the other commands made, the environment in .venv, too
+clean: ## Remove everything that these commands made, also the environment in .venv
 	@rm -rf .venv .venv-docs .venv-jazzy .setup.lock build build-jazzy install install-jazzy log log-jazzy
 	@rm -rf demo_output site .mypy_cache .pytest_cache .ruff_cache
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

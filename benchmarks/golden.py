@@ -1,12 +1,12 @@
-"""Everything that the suite computes for fixed inputs, kept in a file and compared bit by bit.
+"""Store every array that the software computes for fixed inputs, and compare bit by bit later.
 
-    setup/run python3 benchmarks/golden.py --write golden.npz    # before a change of the structure
+    setup/run python3 benchmarks/golden.py --write golden.npz    # before a change of the code
     setup/run python3 benchmarks/golden.py --check golden.npz    # after it; 1 if anything differs
 
-Inputs: the sample grasp and stills (--data), with both gridline detectors; a packaged scene,
-simulated for a few frames: its pictures and its true forces; its bag, through
-`cmp_tactile process`.  Only public names are used, so that modules may move.  Caches of models and
-of compiled code are new in each run; $NUMBA_CACHE_DIR saves compiling again.
+Inputs: the sample frames (--data), with both gridline detectors; some frames of a packaged scene,
+with their pictures and true forces; the bag of this scene, through `cmp_tactile process`. Only
+public names are used, so modules may move. Each run makes new caches of models and compiled code.
+$NUMBA_CACHE_DIR keeps the compiled code.
 """
 
 from __future__ import annotations
@@ -47,16 +47,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     action = parser.add_mutually_exclusive_group(required=True)
-    action.add_argument("--write", metavar="FILE", type=Path, help="keep the arrays (NPZ)")
-    action.add_argument("--check", metavar="FILE", type=Path, help="compare with kept arrays")
-    parser.add_argument("--data", type=Path, default=DATA, help="sample frames (%(default)s)")
+    action.add_argument("--write", metavar="FILE", type=Path, help="store the arrays (NPZ)")
+    action.add_argument("--check", metavar="FILE", type=Path, help="compare with stored arrays")
+    parser.add_argument(
+        "--data", type=Path, default=DATA, help="folder of sample frames (default: %(default)s)"
+    )
     parser.add_argument(
         "--relative",
         metavar="R",
         type=float,
         default=0.0,
-        help="let numbers differ by R times the largest of their array: another processor or "
-        "version of a compiler may round sums otherwise, some 1e-12; 0 on the same machine",
+        help="allow differences of R times the largest number of the array (default: 0). Another "
+        "processor or compiler version rounds sums differently, by some 1e-12",
     )
     given = parser.parse_args(arguments)
     began = time.monotonic()

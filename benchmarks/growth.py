@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Time of a frame by the number of corners: tracking a view, triangulation, force, the whole.
+"""Time of a frame over the number of corners: tracking, triangulation, force, and all together.
 
-Patterns of N x N corners of the same extent on the sample rig (1024 px) show the same press of a
-sphere, held while it grows a little.  `growth` is the exponent of each time in the corners.
-Tracking, triangulation and force are in processor time of one thread, the whole in time by the
-clock with both views at once.  A part of each is the image's, whatever pattern it shows.
+Patterns of N x N corners of the same size on the sample rig (1024 px) show the same press of a
+sphere, held while it grows a little. `growth` is the exponent of each time in the number of
+corners. Tracking of a view, triangulation and force are processor times of one thread. The whole is
+elapsed time, with both views tracked at once. A part of each time does not depend on the pattern.
 """
 
 from __future__ import annotations
@@ -108,8 +108,10 @@ def draw(result: dict[str, dict[str, Any]], path: Path) -> None:
 def main() -> None:
     """Measure, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=5, help="(%(default)d)")
-    parser.add_argument("--output", type=Path, default=RESULTS, help="folder for JSON and figure")
+    parser.add_argument("--rounds", type=int, default=5, help="repetitions (default: %(default)d)")
+    parser.add_argument(
+        "--output", type=Path, default=RESULTS, help="folder for growth.json and growth.png"
+    )
     arguments = parser.parse_args()
     gel, moved = presses()
     rigs = {str(side): pattern_rig(side, side) for side in SIDES}

@@ -1,9 +1,9 @@
-"""How much there is to read: source lines, modules, folders and functions of the repository.
+"""Count source lines, modules, folders and functions of the repository.
 
 usage: house.py [--json] [CHECKOUT]
 
-Source lines are those without blank lines, comments and docstrings.  Shipped is what is installed:
-the packages without their tests, the set-up and the underlay.
+Source lines are those without blank lines, comments and docstrings. Shipped lines are those that
+are installed: the packages without their tests, the set-up and the underlay.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def measure(root: Path) -> dict[str, float | str]:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print one line of JSON")
+    parser.add_argument("--json", action="store_true", help="print the figures as one line of JSON")
     parser.add_argument("checkout", nargs="?", type=Path, default=Path(__file__).parents[1])
     arguments = parser.parse_args()
     figures = measure(arguments.checkout)

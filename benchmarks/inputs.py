@@ -1,4 +1,4 @@
-"""What speed is measured on: packaged scenes, those of the folder `scenes`, and any recording."""
+"""Inputs of the speed benchmarks: packaged scenes, scenes of the folder `scenes`, recordings."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Input:
     def from_name(cls, name: str, sensor: str | None = None) -> Input:
         """A packaged scene, a scene of this folder, or the path of a recording.
 
-        sensor: file or packaged name, for recordings without a description of their own.
-        Scenes are simulated when first asked for.  Raises CmpTactileError where there is none.
+        sensor: file or packaged name, for recordings that have no description.
+        A scene is simulated at its first use.  Raises CmpTactileError if there is no such input.
         """
         own, mark, variant = name.partition(VARIANT_MARK)
         if (SCENES / f"{own}.yaml").is_file():
@@ -62,10 +62,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """The options --input and --sensor."""
     parser.add_argument(
         "--input", nargs="+", default=DEFAULT, metavar="INPUT",
-        help="scenes, packaged or of benchmarks/scenes, and recordings (%(default)s)",
+        help="packaged scenes, scenes of benchmarks/scenes, and recordings (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--sensor", metavar="FILE", help="of recordings without a description of their own"
+        "--sensor", metavar="FILE", help="sensor description of recordings that have none"
     )
 
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Time of a frame from the image to force and slip, offline, beside peers on the same frames.
+"""Processor time of a frame from the image to force and slip, compared with OpenCV's detector.
 
 Each frame goes in turn through OpenCV's classic detector with cornerSubPix, through `Pipeline`, and
-through its stages one by one, so that what slows the machine slows all of them.  Ratios are over
-OpenCV in the same run: on both views, for a single view on that view.  Times are those of the
-processor, but for the one that is said to be of the clock.  --peers adds OpenCV's sector based
-detector (SB), mrgingham where it is installed, and the paper's contour stitching; --compile what
-compiling all kernels takes from nothing on one core.
+through its stages one by one, so a slow machine slows all of them alike. Ratios are to OpenCV in
+the same run: on both views, or on one view for the times of a single view. All times are processor
+times, except the row `the same by the clock`. --peers adds OpenCV's sector based detector (SB),
+mrgingham if it is installed, and the paper's contour stitching. --compile adds the time to compile
+all kernels on one core.
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ def keep(path: Path, figures: Mapping[str, Any]) -> None:
 
 
 def _show(name: str, rows: Mapping[str, Mapping[str, float]], console: Console) -> None:
-    table = Table("", "median ms", "99 % ms", "over OpenCV", "frames", title=name)
+    table = Table("", "median ms", "99 % ms", "ratio to OpenCV", "frames", title=name)
     for row, values in rows.items():
         table.add_row(
             row, f"{values['median_ms']:.2f}", f"{values['p99_ms']:.2f}",
@@ -256,10 +256,16 @@ def main() -> None:
     """Measure, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     add_options(parser)
-    parser.add_argument("--rounds", type=int, default=3, help="(%(default)d)")
-    parser.add_argument("--peers", action="store_true", help="all detectors, not the classic alone")
-    parser.add_argument("--compile", action="store_true", help="compile all kernels, too")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
+    parser.add_argument("--rounds", type=int, default=3, help="repetitions (default: %(default)d)")
+    parser.add_argument(
+        "--peers", action="store_true", help="measure all detectors, not only OpenCV's classic one"
+    )
+    parser.add_argument(
+        "--compile", action="store_true", help="also measure the time to compile all kernels"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures into this file"
+    )
     arguments = parser.parse_args()
     console, inputs = Console(), chosen(arguments)
     for given in inputs:

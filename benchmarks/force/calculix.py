@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Force against CalculiX, a finite-element program that shares no code with this project.
+"""Compare the force with CalculiX, a finite-element program that shares no code with this project.
 
-Known tractions act on a gel of its own mesh (C3D20R hexahedra); its displacement at the markers,
-with noise, is reconstructed. Needs ccx: apt-get install calculix-ccx. Takes some minutes.
+Known tractions act on a gel that CalculiX solves on a separate mesh (C3D20R hexahedra). Its
+displacement at the markers gets noise, and the force is computed from it. Needs ccx: apt-get
+install calculix-ccx. Takes some minutes.
 """
 
 from __future__ import annotations
@@ -233,8 +234,14 @@ def line(name: str, outside: float, true: Array, fields: list[ForceField]) -> st
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sensor", default="sample_rig", help="name or file (%(default)s)")
-    parser.add_argument("--frames", type=int, default=20, help="frames of noise (%(default)s)")
+    parser.add_argument(
+        "--sensor",
+        default="sample_rig",
+        help="sensor description: name or file (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--frames", type=int, default=20, help="noisy frames of each case (default: %(default)s)"
+    )
     arguments = parser.parse_args()
     if shutil.which("ccx") is None:
         sys.exit("ccx is missing: apt-get install calculix-ccx")

@@ -1,8 +1,9 @@
-"""Contacts whose force is known: solved by the simulator, on another mesh than the inverse's.
+"""Contacts with a known force: solved by the simulator, on another mesh than the force model's.
 
-Each load case is an indenter with friction that presses on the gel with a given load.  The contact
-solver of the simulator finds what is in touch and the nodal forces, on a grid of nodes half as wide
-as the inverse's; a mesh of elements as wide as those nodes gives the displacement of the markers.
+Each load case is an indenter with friction that presses on the gel with a given load. The contact
+solver of the simulator finds the nodes in contact and their forces. Its nodes are half as far apart
+as those of the force model. The displacement of the markers comes from a mesh with elements of the
+same width.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How far reconstructed forces are from the truth, and whether their error bars say so."""
+"""Errors of reconstructed forces, and how well their error bars describe them."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Force from the displacement of the markers: how exactly and how certainly.
+"""Measure the force that is computed from marker displacements: its errors and its error bars.
 
-Truth comes from the simulator's contact solver on another mesh. Without options everything is
-measured and written as tables (some minutes); --limits prints a row for each
-limit, with --part case those of the load cases at 10 N and 1 N alone. The true cases are solved
-once and kept in the cache folder.
+The true forces come from the contact solver of the simulator, on another mesh. Without options,
+everything is measured and written as tables (some minutes). --limits prints a row for each limit;
+with --part case, only the load cases at 10 N and 1 N. True cases are solved once and kept in the
+cache folder.
 """
 
 from __future__ import annotations
@@ -60,17 +60,25 @@ def parser() -> argparse.ArgumentParser:
     given = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    given.add_argument("--limits", action="store_true", help="print the rows, write nothing")
+    given.add_argument(
+        "--limits", action="store_true", help="print a row for each limit, write no tables"
+    )
     given.add_argument(
         "--part",
         action="append",
         choices=ForceRun.PARTS,
-        help="only this part; may be given more than once (default: all)",
+        help="measure only this part; may be repeated (default: all)",
     )
-    given.add_argument("--frames", type=int, default=20, help="frames of noise (%(default)s)")
-    given.add_argument("--sensor", default="sample_rig", help="name or file (%(default)s)")
     given.add_argument(
-        "--output", type=Path, default=OUTPUT, help="folder of the tables (%(default)s)"
+        "--frames", type=int, default=20, help="noisy frames of each load (default: %(default)s)"
+    )
+    given.add_argument(
+        "--sensor",
+        default="sample_rig",
+        help="sensor description: name or file (default: %(default)s)",
+    )
+    given.add_argument(
+        "--output", type=Path, default=OUTPUT, help="folder for the tables (default: %(default)s)"
     )
     return given
 

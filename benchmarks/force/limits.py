@@ -1,4 +1,4 @@
-"""What the force stage must reach, each limit with what was measured; rows without one inform."""
+"""Limits of the force stage, each with what was measured; rows without a limit inform."""
 
 from __future__ import annotations
 

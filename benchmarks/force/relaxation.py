@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""What the relaxation of a gel makes of the force, left in and taken out.
+"""Measure the error of the force that relaxation causes, without correction and with it.
 
-First histories of one force: the gel's displacement is the solution of its Volterra equation by
-the trapezoidal rule in steps of a quarter of a frame, which shares nothing with the filter; the
-reading is what an elastic gel would show it for.  Errors are shares of the largest true force.
-Then (not with --quick) whole contacts with friction of gels that relax, from the simulator, read by
-the force model: error of the resultant.
+The first part uses histories of one force. The displacement of the gel solves its Volterra
+equation, by the trapezoidal rule in steps of a quarter of a frame, independently of the filter.
+The force that an elastic gel would have at this displacement is compared with the true one. Errors
+are relative to the largest true force. The second part (not with --quick) uses whole contacts with
+friction, which the simulator computes for a relaxing gel, and gives the error of the resultant.
 """
 
 from __future__ import annotations
@@ -55,9 +55,11 @@ CONTACT_NODES = 20
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="histories alone, no contacts")
+    parser.add_argument(
+        "--quick", action="store_true", help="only the first part, without contacts"
+    )
     quick = parser.parse_args().quick
-    print("Largest error, % of the largest true force; loop: width of the hysteresis loop")
+    print("Largest error in % of the largest true force. loop: width of the hysteresis loop")
     columns = ["weight 30 s", "released", "pressed 30 s", "ramp 10 s"]
     columns += [f"loop {period:g} s" for period in PERIODS_S]
     print(f"{'gel: share, time':34}" + "".join(f"{name:>14}" for name in columns))
@@ -204,7 +206,9 @@ def noise_rows() -> None:
     noise = np.random.default_rng(1).normal(0, 1, 20_000)
     for terms in GELS:
         gel = GelRelaxation(*terms[0])
-        print(f"noise, {gel.share:g}, {gel.time:g} s: x {filtered(noise, gel)[2000:].std():.4f}")
+        print(
+            f"noise, {gel.share:g}, {gel.time:g} s: factor {filtered(noise, gel)[2000:].std():.4f}"
+        )
 
 
 def contact_rows() -> None:

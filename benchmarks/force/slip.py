@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Slip and friction: what SlipObserver reports of simulated contacts with Coulomb friction.
+"""Compare the slip and friction that SlipObserver reports with those of simulated contacts.
 
-Balls and other bodies are pressed, dragged, twisted and rolled on the sample rig's gel; the
-displacements of its markers get noise, and what is reported is compared with the contact solver's
-nodes. `--noise` scales 2 um in plane and 5 um in depth.
+Balls and other bodies are pressed, dragged, twisted and rolled on the gel of the sample rig, with
+Coulomb friction. Noise is added to the displacements of the markers. The truth is the state of the
+contact solver's nodes. `--noise` scales the noise of 2 um in plane and 5 um in depth.
 """
 
 from __future__ import annotations
@@ -216,23 +216,29 @@ def _percent(values: NDArray[np.float64], mu: float) -> str:
 def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--noise", type=float, default=1.0, help="scale of the noise (default: 1)")
-    parser.add_argument("--nodes", type=int, default=40, help="contact nodes (default: 40)")
-    parser.add_argument("--only", default="", help="cases whose name contains this")
+    parser.add_argument("--noise", type=float, default=1.0, help="factor of the noise (default: 1)")
+    parser.add_argument(
+        "--nodes", type=int, default=40, help="contact nodes along a side (default: 40)"
+    )
+    parser.add_argument(
+        "--only", default="", help="measure only cases with this text in their name"
+    )
     arguments = parser.parse_args()
     sensor = load_sensor("sample_rig")
     gel = LinearElastomer(sensor, arguments.nodes)
     observer = Observer(sensor, gel, arguments.noise)
     print(
-        "| contact | friction | from slip ratio | full, frames late | false | early | unknown "
-        "| friction, full | foreseen | largest error of the traction ratio |\n" + 10 * "|---" + "|"
+        "| contact | friction | reported from slip ratio | full, frames late | false | early "
+        "| unknown | friction, full | foreseen | largest error of the traction ratio |\n"
+        + 10 * "|---"
+        + "|"
     )
     for name, make in CASES.items():
         if arguments.only in name:
             trial = make(gel)
             print(row(name, trial, list(observer.data(trial.frames, seed=1))), flush=True)
     durations = 1e3 * np.array(observer.durations)
-    print(f"\na frame: {np.percentile(durations, 25):.2f} ms (lower quartile)")
+    print(f"\ntime of a frame: {np.percentile(durations, 25):.2f} ms (lower quartile)")
 
 
 if __name__ == "__main__":

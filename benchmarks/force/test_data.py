@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the true forces that test/test_force_accuracy.py compares with, from the benchmark's."""
+"""Write the true forces of test/test_force_accuracy.py, from the cases of the benchmark."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ RENDERED_N = 2.0
 def main() -> None:
     """Write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("path", type=Path, nargs="?", default=DEFAULT, help="(%(default)s)")
+    parser.add_argument("path", type=Path, nargs="?", default=DEFAULT, help="output file")
     path = parser.parse_args().path
     sensor = load_sensor(SENSOR)
     cases = {(case.name, case.newton): case for case in load_cases(sensor)

@@ -1,6 +1,6 @@
-"""Frames of a pattern deformed by hand, with all that makes frames hard, and what is true of them.
+"""Frames of a pattern deformed by hand, with everything that makes tracking hard, and truth.
 
-They are for testing trackers: made in a tenth of a second, exact, and without any mechanics.
+They are for tests of trackers: exact, made in a tenth of a second, without mechanics.
 """
 
 from __future__ import annotations

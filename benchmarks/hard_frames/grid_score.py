@@ -1,4 +1,4 @@
-"""How good a tracked grid is, against the exact one."""
+"""Score of a tracked grid against the exact one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kinds of hard frames: lists and sequences of cases for any rig, bad images, and sample data."""
+"""Kinds of hard frames: lists and sequences of cases for any rig, bad images, sample data."""
 
 from __future__ import annotations
 

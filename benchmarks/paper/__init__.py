@@ -1,4 +1,4 @@
-"""The paper's experiments (sections IV and V) on this chain, its figures beside ours.
+"""The experiments of the paper (sections IV and V) with this software, compared with its figures.
 
 `make paper` runs them; see __main__.py.
 """

@@ -1,4 +1,4 @@
-"""Runs the paper's experiments and writes a page of them: `make paper`, or `python3 -m paper`."""
+"""Run the paper's experiments and write their page: `make paper`, or `python3 -m paper`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EXPERIMENTS = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 whether or not claims are met, 1 where something failed."""
+    """Run the command; returns 0 even if claims are not met, 1 if an experiment failed."""
     options = _parser().parse_args(arguments)
     modules = {key: import_module(f"paper.experiments.{key}") for key in EXPERIMENTS}
     if options.list:
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return run(chosen, lab, folder)
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; what is done is kept: the same command goes on from there\n")
+        sys.stderr.write("stopped: finished cases are kept, and the same command continues\n")
         return INTERRUPTED
 
 
@@ -57,29 +57,31 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="paper",
         description="Run the paper's experiments and write a page with figures and claims. "
-        "What an earlier run into the same folder has computed is not computed again.",
+        "Cases of an earlier run into the same folder are not computed again.",
     )
     parser.add_argument("--fast", action="store_true", help="fewer and smaller cases")
-    parser.add_argument("--only", nargs="+", choices=EXPERIMENTS, metavar="KEY", help="these alone")
-    parser.add_argument("--list", action="store_true", help="list the experiments")
     parser.add_argument(
-        "--output", type=Path, help="folder (default benchmark_output/paper or paper_fast)"
+        "--only", nargs="+", choices=EXPERIMENTS, metavar="KEY", help="run only these"
+    )
+    parser.add_argument("--list", action="store_true", help="list the experiments and their keys")
+    parser.add_argument(
+        "--output", type=Path, help="folder (default: benchmark_output/paper or paper_fast)"
     )
     cores = len(os.sched_getaffinity(0))
-    parser.add_argument("--jobs", type=int, default=cores, help="processes at once (%(default)d)")
-    parser.add_argument("--overwrite", action="store_true", help="compute everything again")
+    parser.add_argument("--jobs", type=int, default=cores, help="processes (default: %(default)d)")
+    parser.add_argument("--overwrite", action="store_true", help="compute all cases again")
     return parser
 
 
 def run(experiments: dict[str, ModuleType], lab: Lab, folder: Path) -> int:
-    """Run experiments and write their page; 1 where one failed, which is named there."""
+    """Run experiments and write their page; returns 1 if one failed, and the page names it."""
     began, body, failed = time.perf_counter(), Page(folder), []
     for key, module in experiments.items():
         print(f"{key}: {module.TITLE}", flush=True)
         body.heading(module.TITLE)
         try:
             module.run(lab, body)
-        except Exception as error:  # noqa: BLE001 - the others are of use without it
+        except Exception as error:  # noqa: BLE001 - the other experiments are useful without it
             failed.append(key)
             traceback.print_exc()
             body.text(f"This section is incomplete: {type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""A method's whole chain: split, track, triangulate, force; and how far what it measures is off."""
+"""The whole chain of a method: split, track, triangulate, force; and the errors of its results."""
 
 from __future__ import annotations
 

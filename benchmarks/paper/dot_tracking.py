@@ -1,4 +1,4 @@
-"""Numbers the dots of an image by the grid that they form, knowing no earlier image."""
+"""Numbers the dots of an image by the grid that they form, without an earlier image."""
 
 from __future__ import annotations
 

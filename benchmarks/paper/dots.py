@@ -1,7 +1,7 @@
 """Settings of the dot methods (DMP).
 
-Chosen on contacts that no experiment uses; benchmarks/results/paper_dot_tuning.md holds the tables
-that the reasons below refer to, and says how they were measured.
+They were chosen on contacts that no experiment uses. The reasons below refer to the tables of
+benchmarks/results/paper_dot_tuning.md, which also says how they were measured.
 """
 
 from __future__ import annotations

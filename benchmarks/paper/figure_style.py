@@ -1,4 +1,4 @@
-"""How figures look: one colour, marker and line for each method, whatever the figure."""
+"""Style of the figures: each method has one colour, marker and line in all figures."""
 
 from __future__ import annotations
 

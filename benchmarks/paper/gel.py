@@ -1,4 +1,4 @@
-"""What a scene's contact does to the gel, solved once and rendered with any print and camera."""
+"""The contact of a scene, solved once and rendered with any print and camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Computes the cases of an experiment in several processes; what is computed is kept."""
+"""Computes the cases of an experiment in several processes and keeps the results."""
 
 from __future__ import annotations
 

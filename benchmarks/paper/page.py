@@ -1,4 +1,4 @@
-"""The page of the experiments in Markdown: texts, tables, figures, claims, departures."""
+"""The page of the experiments in Markdown: texts, tables, figures, claims, differences."""
 
 from __future__ import annotations
 

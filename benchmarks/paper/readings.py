@@ -1,4 +1,4 @@
-"""What can be read of a contact: a method, with its virtual markers or by its corners alone."""
+"""Measurements of a contact by a method, with its virtual markers or by its corners alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Frames of a gel, as a camera sees any print on it, and what is true of them."""
+"""Frames of a gel with any print, as a camera sees it, and their truth."""
 
 from __future__ import annotations
 

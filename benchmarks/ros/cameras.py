@@ -1,4 +1,4 @@
-"""The graph of the benchmarks of this folder: a recording in place of each sensor's camera."""
+"""The graph of the benchmarks in this folder: a recording replaces the camera of each sensor."""
 
 from __future__ import annotations
 

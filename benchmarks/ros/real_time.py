@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""From frame to wrench at the rates of a gripper: latency, losses, processor time, memory, start.
+"""Live sensors at 30 to 200 Hz: latency to the wrench, losses, processor time, memory, start.
 
 setup/run python3 benchmarks/ros/real_time.py [--json FILE] [--input ...] [--only one_60 ...]
 
-The sensors of the graph in cameras.py run as `standalone` and the launch files run them: a process
-for each, the newest frame first.  A recording is published at the rate, stamped as it is, by each
-sensor's camera driver.  This process listens to the wrenches over DDS, as a gripper's controller
-does.  The time of a wrench is that at which it arrives here.  What the container adds is its
-processor time of a frame, the camera driver's included, less that of `Pipeline` in this process on
-the same frames at the same rate.
+The sensors of the graph in cameras.py run as with `standalone` and the launch files: one process
+for each, and the newest frame is processed. The camera driver of each sensor publishes a recording
+at the rate, with the present time as stamp. This process subscribes to the wrenches over DDS, like
+the controller of a gripper, and takes the time of their arrival. The container adds the difference
+of two processor times of a frame: that of the container, with the camera driver, and that of
+`Pipeline` in this process, on the same frames at the same rate.
 """
 
 from __future__ import annotations
@@ -295,7 +295,7 @@ def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, di
     """All cases of a recording, printed as they come; `beside` has what they are compared with."""
     found = {"beside": beside(recording, PACE_HZ)}
     opencv, pipeline = found["beside"].values()
-    print(f"\n{recording.name}: OpenCV {opencv:.1f} ms, Pipeline {pipeline:.1f} ms a frame\n")
+    print(f"\n{recording.name}: OpenCV {opencv:.1f} ms, Pipeline {pipeline:.1f} ms for a frame\n")
     print(
         "| case | Hz each | lost | median ms | p99 ms | cores | MB | first wrench s | ms a frame |"
     )
@@ -309,7 +309,7 @@ def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, di
         print(_row(key, found[key]), flush=True)
     if "one_30" in found:
         found["beside"]["container_adds_ms"] = found["one_30"]["frame_ms"] - pipeline
-        print(f"the container adds {found['beside']['container_adds_ms']:.1f} ms a frame")
+        print(f"the container adds {found['beside']['container_adds_ms']:.1f} ms to a frame")
     return found
 
 
@@ -317,9 +317,15 @@ def main() -> None:
     """Measure, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     add_options(parser)
-    parser.add_argument("--frames", type=int, default=600, help="of each sensor (%(default)d)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
-    parser.add_argument("--only", nargs="+", choices=cases(1), metavar="KEY", help="some of them")
+    parser.add_argument(
+        "--frames", type=int, default=600, help="frames of each sensor (default: %(default)d)"
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures into this file"
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=cases(1), metavar="KEY", help="run only these cases"
+    )
     options = parser.parse_args()
     rclpy.init()
     wanted = {

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""The page in the browser: first picture, updates, delay, cost, and what the sensor notices.
+"""The page in a browser: first picture, updates, delay, cost, and its effect on the sensor.
 
 setup/run python3 benchmarks/ros/viewer.py [--json FILE] [--only one two ...] [--minutes 60]
 
-A real headless Chromium counts the pictures: a corner of every published surface is lifted by an
-amount that numbers it, and is read back from the scene.  Without a graphics card Chromium draws in
-software, with the processors of the robot.  So costs are measured with readers, processes that take
-all that the page sends and draw nothing, as a browser on another machine.
+A headless Chromium counts the pictures. A corner of every published surface is lifted by an amount
+that encodes its number, and the number is read back from the scene. Without a graphics card,
+Chromium draws in software, on the processors of the robot. Therefore costs are measured with
+readers: processes that receive everything that the page sends and draw nothing, like a browser on
+another machine.
 """
 
 from __future__ import annotations
@@ -411,11 +412,20 @@ def _row(key: str, found: Mapping[str, float]) -> str:
 def main() -> None:
     """Measure, print, and keep."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--input", default="grasp", help="packaged scene (%(default)s)")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each case (%(default)g)")
-    parser.add_argument("--minutes", type=float, default=5.0, help="of the long one (%(default)g)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="file to write the figures into")
-    parser.add_argument("--only", nargs="+", metavar="KEY", help="some of them")
+    parser.add_argument("--input", default="grasp", help="packaged scene (default: %(default)s)")
+    parser.add_argument(
+        "--seconds", type=float, default=20.0, help="length of each case (default: %(default)g)"
+    )
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=5.0,
+        help="length of the case `long` (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures into this file"
+    )
+    parser.add_argument("--only", nargs="+", metavar="KEY", help="run only these cases")
     parser.add_argument("--reader", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--stalled", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Calibration from photographs of a board, against OpenCV's own.
+"""Calibrate from photographs of a board, and compare with OpenCV's calibration.
 
 FOLDER holds OpenCV's chessboard pairs (left01.jpg ... right14.jpg and left_intrinsics.yml, as in
-Debian's package opencv-doc, examples/data): reprojection error and intrinsics of OpenCV's
-calibration and of ours, each on OpenCV's corners and on ours; the images are not part of this
-repository.
+Debian's package opencv-doc, examples/data). They are not part of this repository. The tables have
+the reprojection error and the intrinsics of both calibrations, each with OpenCV's corners and with
+ours.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def main() -> None:
     given = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    given.add_argument("folder", type=Path, help="of OpenCV's chessboard pairs")
+    given.add_argument("folder", type=Path, help="folder of OpenCV's chessboard pairs")
     console = Console(width=130, record=True)
     photographs(given.parse_args().folder, console)
     OUTPUT.mkdir(exist_ok=True)

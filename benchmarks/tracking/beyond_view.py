@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Patterns that go on beyond the view: what of them is numbered, and whether a number is wrong.
+"""Patterns that go on beyond the view: which corners get a number, and which numbers are wrong.
 
-First recordings of a pattern with a border: its middle is numbered as a part of a larger one, from
-frame to frame, and the whole, numbered by its border, says which corner is which.  Then a sheet of
-60 x 60 corners of which each view shows some 1,900 and 25 x 25 are numbered, with the dots of a
-code and without, rendered with exact truth: slides, covers and knocks, each after a frame at rest.
+The first part uses recordings of a pattern with a border. Its middle is tracked as a part of a
+larger pattern. The whole pattern, which the border numbers, gives the truth. The second part
+renders a sheet of 60 x 60 corners with exact truth, with a code and without: slides, covers and
+knocks, each after a frame at rest. Each view shows some 1,900 corners, and 25 x 25 are numbered.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Broken frames: what is numbered in them must be right, or the view must report a fault.
+"""Broken frames: the numbers in them must be right, or the view must report a fault.
 
-Each kind of `BROKEN_KINDS` spoils good frames in its own way.  A new kind is a function from good
-frames of one rig and a random generator to a `Trial`, and a line in `BROKEN_KINDS`.
+Each kind of `BROKEN_KINDS` spoils good frames in another way. To add a kind, write a function from
+good frames of one rig and a random generator to a `Trial`, and add a line to `BROKEN_KINDS`.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Coded patterns: how many corners their dots number, how many wrongly, and what dots cost.
+"""Coded patterns: corners that the dots number, wrong numbers, and the cost of the dots.
 
-Pieces of a sheet with misread dots; then rendered frames with exact truth: occlusions of up to 80 %
-of the pattern, slides of any size, all kinds of hard frames; and how exact corners and virtual
-markers are with and without dots, by the size of checkers. Some ten minutes; name parts to run
-only these.
+`pieces` are parts of a sheet with misread dots. The other parts use rendered frames with exact
+truth: covers of up to 80 % of the pattern, slides of any size, all kinds of hard frames, and the
+errors of corners and virtual markers with and without dots, by the size of the checkers. All parts
+take some ten minutes.
 """
 
 from __future__ import annotations
@@ -117,12 +117,12 @@ def row(name: str, score: GridScore) -> None:
 
 def head(title: str) -> None:
     """The first line of such a table; far: two checkers from what hides or cuts off the rest."""
-    print(f"\n{title:30s} | views | far corners numbered | visible ones numbered | wrong")
+    print(f"\n{title:30s} | views | far corners numbered | visible corners numbered | wrong")
 
 
 def pieces() -> None:
     """Pieces of sheets with misread dots: how many are certain of their place, and wrong."""
-    print("\npieces of the sheet: share that is numbered (wrong ones of 500), by misread dots")
+    print("\npieces of the sheet, by misread dots: share with numbers (wrong numbers of 500)")
     for size in (21, 42, 61):
         sheet, rng = dot_map(size, size), np.random.default_rng(size)
         decoder = DotDecoder(sheet, dark_first=True)
@@ -203,7 +203,7 @@ def hard(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None
 
 def exactness(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None:  # noqa: ARG001
     """Corners and virtual markers with and without dots, by the size of checkers."""
-    print("\nsmallest checker, px | corner rms px without, with dots | virtual marker rms px")
+    print("\nsmallest checker, px | corner rms px, without and with dots | virtual marker rms px")
     for count in SIDES:
         rig = pattern_rig(count, count)
         side = min(float(values.min()) for values in checker_sides_px(rig).values())
@@ -258,7 +258,9 @@ def chosen_parts(names: list[str]) -> Iterator[str]:
 def main() -> int:
     """Measure the parts that are asked for."""
     given = argparse.ArgumentParser(description=__doc__)
-    given.add_argument("parts", nargs="*", metavar="PART", help=f"pieces, {', '.join(PARTS)}")
+    given.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"run only these: pieces, {', '.join(PARTS)}"
+    )
     asked = given.parse_args().parts
     if unknown := set(asked) - {"pieces", *PARTS}:
         given.error(f"found {', '.join(sorted(unknown))}, expected pieces, {', '.join(PARTS)}")

@@ -1,4 +1,4 @@
-"""What is compared, and how it is scored."""
+"""The detectors that are compared, and how they are scored."""
 
 from __future__ import annotations
 

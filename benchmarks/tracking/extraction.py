@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Gridline tracking against its peers: what is found, how exactly, how fast.
+"""Compare gridline tracking with other detectors: corners found, their errors, time.
 
-Frames are made by the simulator (patterns deformed by hand, exact truth) and, with --data or
-CMP_TACTILE_SAMPLE_DATA, taken from a folder of sample frames. Every view is an image of its own;
-OpenCV has one thread. Without options all kinds of cases, all sweeps and the steady state are
-measured (about a quarter of an hour).
+Frames are patterns deformed by hand, rendered with exact truth. With --data or
+CMP_TACTILE_SAMPLE_DATA, frames of a folder are added. Each view is a separate image, and OpenCV has
+one thread. Without options, all cases, all sweeps and the steady state are measured (about a
+quarter of an hour).
 """
 
 from __future__ import annotations
@@ -33,28 +33,44 @@ def parser() -> argparse.ArgumentParser:
     given = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    given.add_argument("--detector", default="saddle_lattice", help="ours with --limits")
-    given.add_argument("--seed", type=int, default=0, help="of the cases (%(default)s)")
-    given.add_argument("--seeds", type=int, default=1, help="seeds to go through (%(default)s)")
+    given.add_argument(
+        "--detector",
+        default="saddle_lattice",
+        help="our detector for --limits (default: %(default)s)",
+    )
+    given.add_argument(
+        "--seed", type=int, default=0, help="seed of the cases (default: %(default)s)"
+    )
+    given.add_argument(
+        "--seeds", type=int, default=1, help="number of seeds (default: %(default)s)"
+    )
     given.add_argument(
         "--limits",
         nargs="*",
         choices=LimitRun.PARTS,
         metavar="PART",
-        help=f"limit, measured, met: a row for each of these parts: {', '.join(LimitRun.PARTS)}; "
-        "all where none is named",
+        help="print a row for each limit of these parts: limit, measured, met (default: all of "
+        f"{', '.join(LimitRun.PARTS)})",
     )
     given.add_argument(
-        "--sweep", action="append", help="only sweeps that contain this text (default: all)"
+        "--sweep",
+        action="append",
+        help="only sweeps with this text in their name; may be repeated (default: all)",
     )
     given.add_argument(
-        "--peer-images", type=int, default=6, help="views of a level for a peer (%(default)s)"
+        "--peer-images",
+        type=int,
+        default=6,
+        help="views of each level for a peer (default: %(default)s)",
     )
     given.add_argument(
-        "--peer-seconds", type=float, default=60.0, help="of a peer for a sweep (%(default)s)"
+        "--peer-seconds",
+        type=float,
+        default=60.0,
+        help="time of a peer for a sweep (default: %(default)s)",
     )
     given.add_argument(
-        "--output", type=Path, default=OUTPUT, help="folder of the tables (%(default)s)"
+        "--output", type=Path, default=OUTPUT, help="folder for the tables (default: %(default)s)"
     )
     given.add_argument(
         "--data",

@@ -1,4 +1,4 @@
-"""What the tracker must reach, each limit with what was measured."""
+"""Limits of the tracker, each with what was measured."""
 
 from __future__ import annotations
 

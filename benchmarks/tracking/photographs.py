@@ -1,14 +1,13 @@
-"""Real pictures: what the tracker finds of a print that goes on beyond the picture.
+"""Real pictures: what the tracker finds on a print that goes on beyond the picture.
 
-Pictures of one size and side are taken for frames of one recording.
-
-python3 benchmarks/tracking/photographs.py                       the repository's, as a table
-python3 benchmarks/tracking/photographs.py --side 9.6 FILE...    others; side of a checker, px
+python3 benchmarks/tracking/photographs.py                       the pictures of the repository
+python3 benchmarks/tracking/photographs.py --side 9.6 FILE...    yours; side of a checker, px
 --overlays FOLDER writes each picture with its corners.
 
-Without truth three things can be checked: that numbers and colours agree everywhere, that what is
-numbered is dark and light as a corner is, and how smoothly corners lie along their gridlines.  The
-detector alone finds corners that get no number, too: those are checked as connected sets.
+Pictures of one size and side count as frames of one recording. Without truth, three things can be
+checked: that numbers and colours agree everywhere, that the image around a numbered corner is dark
+and light like a corner, and how smoothly corners lie along their gridlines. The detector alone also
+finds corners that get no number. They are checked as connected sets.
 """
 
 from __future__ import annotations
@@ -215,16 +214,21 @@ def overlay(image: Image, grid: Grid, unnumbered: Float) -> Image:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("files", nargs="*", type=Path, help="pictures of one print, in their order")
-    parser.add_argument("--side", type=float, help="side of a checker in them, px")
-    parser.add_argument("--overlays", type=Path, help="folder for pictures with corners")
+    parser.add_argument(
+        "files", nargs="*", type=Path, help="pictures of one print, in their order in time"
+    )
+    parser.add_argument("--side", type=float, help="side of a checker in the pictures, px")
+    parser.add_argument(
+        "--overlays", type=Path, help="write each picture with its corners into this folder"
+    )
     given = parser.parse_args()
     if bool(given.files) != (given.side is not None):
-        parser.error("files and --side go together")
+        parser.error("found only one of files and --side, expected both or none")
     files = given.files or [FOLDER / f"{name}.png" for name in SIDES_PX]
-    print("| picture | corners | numbers | colours that disagree | roughness | cornerSubPix's | "
-          "OpenCV classic / SB | time | found without a number | their colours that disagree | "
-          "pointers that close no loop |\n" + 11 * "|---" + "|")  # fmt: skip
+    print("| picture | corners | numbers | checkers of a wrong colour | roughness "
+          "| roughness of cornerSubPix | OpenCV classic / SB | time | corners without a number "
+          "| their checkers of a wrong colour | pointers that close no loop |\n"
+          + 11 * "|---" + "|")  # fmt: skip
     tracker, last = None, None
     for file in files:
         image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)

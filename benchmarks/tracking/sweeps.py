@@ -1,4 +1,4 @@
-"""From easy to impossible: one thing after another made worse, step by step; tables."""
+"""Sweeps: one property of the frames gets worse, step by step; tables."""
 
 from __future__ import annotations
 
