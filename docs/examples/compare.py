@@ -1,4 +1,4 @@
-"""What the pipeline finds in a simulated recording, beside what is true of it.
+"""Compares the results of the pipeline with the truth of a simulated recording.
 
 Run it in the environment of the repository: `setup/run python3 docs/examples/compare.py BAG`
 """

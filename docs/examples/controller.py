@@ -1,8 +1,8 @@
-"""What a gripper's controller needs of a sensor: zero, fresh and valid forces, a command a frame.
+"""The shortest controller: zeroes a sensor, checks age and flags of each force, prints a command.
 
-Beside a sensor that runs: `python3 docs/examples/controller.py --ros-args -p sensor:=my_sensor`;
-beside a replay also `-p use_sim_time:=true`.  The command is only printed: hold_force.py moves a
-gripper, and learns its stiffness.
+Start a sensor, then `python3 docs/examples/controller.py --ros-args -p sensor:=my_sensor`. With a
+replay, add `-p use_sim_time:=true`. hold_force.py is a complete controller: it moves a gripper and
+estimates the stiffness of the object.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from cmp_tactile_msgs.msg import ForceField
 TARGET_N = 2.0
 GAIN_M_PER_N = 0.05e-3  # less than 1 / (stiffness of gel, pads and object)
 OLDEST_S = 0.2
-# With these the force is not that of the object (docs/results.md, "Flags").
+# With these flags, do not use the force (docs/results.md, "Flags").
 UNUSABLE = (
     ForceField.FLAG_FEW_MARKERS
     | ForceField.FLAG_BEYOND_MARKERS
@@ -28,30 +28,30 @@ UNUSABLE = (
     | ForceField.FLAG_IMPLAUSIBLE
     | ForceField.FLAG_ZERO_DOUBTFUL
 )
-# Reliable, as results are published; of what waits only the newest counts.
+# Reliable, like the publisher; only the newest message waits.
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Controller(Node):
-    """Zeroes the open gripper, then says by how much to close for each force."""
+    """Zeroes the sensor, then prints for each force how far to close the gripper."""
 
     def __init__(self) -> None:
         super().__init__("controller")
         sensor = self.declare_parameter("sensor", "sample_rig").value
         self._oldest = self.declare_parameter("oldest", OLDEST_S).value
         self._zero = self.create_client(Trigger, f"/{sensor}/stereo_triangulator/set_reference")
-        # `wrench` has the same force without flags, for tools that know no ForceField.
+        # `wrench` has the same force without flags, for tools that do not know ForceField.
         self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, NEWEST)
         self._zeroed = False
 
     def zero(self) -> None:
-        """Count the force from now on; nothing may touch the gel yet.  Waits for the answer."""
+        """Take the present state as zero and wait for the answer; nothing may touch the gel."""
         print("waiting for the sensor", flush=True)
         self._zero.wait_for_service()
         while not self._zeroed:
             asked = self._zero.call_async(Trigger.Request())
             rclpy.spin_until_future_complete(self, asked)
-            # Refused while no frames come, as when the sensor has just started.
+            # Refused while no frames come, for example just after the start of the sensor.
             self._zeroed = asked.result().success
             print(f"zero: {asked.result().message}", flush=True)
 
@@ -60,7 +60,7 @@ class Controller(Node):
             print(self._command(message), flush=True)
 
     def _command(self, message: ForceField) -> str:
-        # The stamp is that of the camera frame: exposure, transfer and computing are in the age.
+        # The stamp is that of the camera frame: the age includes exposure, transfer and computing.
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         age = 1e-9 * self.get_clock().now().nanoseconds - stamp
         normal = -message.wrench.force.z  # the force on the gel: a press has a negative z

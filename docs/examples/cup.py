@@ -1,12 +1,13 @@
-"""A gripper that holds a cup which is being filled, for a simulated sensor to feel.
+"""Simulates a gripper that holds a cup while it is filled, and presses a simulated sensor.
 
-Start one first, with a ball: `cmp_tactile live ball:16mm --no-autoplay --set
-camera_driver.max_load_rate=100.0`.  Then, beside it, this and a controller:
-`python3 docs/examples/cup.py` and
-`python3 docs/examples/hold_force.py --ros-args -p sensor:=prototype`.
+Start three commands, each in a terminal:
 
-Time goes on with the forces that the sensor reports, and nothing is poured while those are behind,
-so that a slow computer changes little but the pace.
+    cmp_tactile live ball:16mm --no-autoplay --set camera_driver.max_load_rate=100.0
+    python3 docs/examples/hold_force.py --ros-args -p sensor:=prototype
+    python3 docs/examples/cup.py
+
+Time advances with the forces that the sensor reports. Pouring pauses while they are late, so a slow
+computer changes little except the pace.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ SLIDES_WITH = 0.95  # of the friction: the simulator solves no contact that carr
 
 @dataclass
 class Cup:
-    """A cup between two fingers that press it alike; forces are those on one finger.
+    """A cup between two fingers that press equally; forces are those on one finger, in SI units.
 
-    friction: of finger and cup.  stiffness: force per closing, N/m, of finger, gel and cup
-    together.  lag: time constant of the gripper, s.  In SI units.
+    friction: coefficient between finger and cup.  stiffness: force per distance closed, N/m, of
+    finger, gel and cup together.  lag: time constant of the gripper, s.
     """
 
     friction: float
@@ -54,11 +55,11 @@ class Cup:
     opening: float = 0.063
     empty: float = 0.04
     water: float = 0.20
-    pour: float = 8.0  # how long it is filled, s
-    knock: float = 1.3  # by what it weighs more for 0.2 s, 2 s after it is full
+    pour: float = 8.0  # time of filling, s
+    knock: float = 1.3  # factor of the weight for 0.2 s, 2 s after the end of filling
     time: float = 0.0
-    begin: float = math.inf  # of lifting: once the gripper stood still around it for a second
-    acted: float = 0.0  # time since then, without pauses
+    begin: float = math.inf  # time of lifting, after the gripper was still around it for a second
+    acted: float = 0.0  # time since lifting, without pauses
     slid: float = 0.0
     lost_after: float = 0.02
     _speed: float = field(default=0.0, repr=False)
@@ -67,41 +68,41 @@ class Cup:
 
     @property
     def held(self) -> bool:
-        """Whether all has happened and the cup is there."""
+        """Whether the cup was filled and knocked, and is still held."""
         return self.acted >= self.pour + 6.0 and not self.lost
 
     @property
     def lost(self) -> bool:
-        """Whether it slid out of the fingers."""
+        """Whether the cup slid out of the fingers."""
         return self.slid > self.lost_after
 
     @property
     def normal(self) -> float:
-        """How hard each finger presses."""
+        """Normal force of each finger, N."""
         return 0.0 if self.lost else self.stiffness * max(0.0, self.width - self.opening)
 
     @property
     def mass(self) -> float:
-        """Of cup and water."""
+        """Mass of cup and water, kg."""
         return self.empty + self.water * min(1.0, self.acted / self.pour)
 
     @property
     def asked(self) -> float:
-        """What each finger must carry so that the cup does not slide."""
+        """Load that each finger must carry to hold the cup, N."""
         if math.isinf(self.begin):
-            return 0.0  # it stands on the table
+            return 0.0  # the cup stands on the table
         knocked = 0 <= self.acted - (self.pour + 2.0) < 0.2
         return self.mass * G / 2 * (self.knock if knocked else 1.0)
 
     @property
     def tangential(self) -> float:
-        """What each finger does carry."""
+        """Load that each finger carries, N."""
         sliding = self._speed > 0 or self.asked > self.friction * self.normal
         most = (SLIDES_WITH if sliding else 1.0) * self.friction * self.normal
         return most if sliding else min(self.asked, SLIDES_WITH * self.friction * self.normal)
 
     def advance(self, command: float, duration: float, pause: bool = False) -> None:
-        """Go on for a while with that opening asked for; in a pause nothing is poured."""
+        """Advance the time by `duration` with this commanded opening; `pause`: pour nothing."""
         for _ in range(round(duration / STEP_S)):
             self.time += STEP_S
             self.acted += 0.0 if pause or math.isinf(self.begin) else STEP_S
@@ -121,7 +122,7 @@ class Cup:
 
 @dataclass(frozen=True)
 class Row:
-    """What was at one time; N, m, s."""
+    """State at one time; N, m, s."""
 
     time: float
     opening: float
@@ -140,7 +141,7 @@ class Row:
 
 
 class CupNode(Node):
-    """Moves the cup as the gripper does, and presses on the simulated sensor as the cup does."""
+    """Applies the commands to the cup, and the forces of the cup to the simulated sensor."""
 
     def __init__(self, cup: Cup, sensor: str) -> None:
         super().__init__("cup")
@@ -171,12 +172,12 @@ class CupNode(Node):
         self._state = message.data
 
     def wait_for_sensor(self) -> None:
-        """Until it runs."""
+        """Wait until the sensor runs."""
         while not self._zero.wait_for_service(timeout_sec=1.0):
             print("waiting for the sensor", flush=True)
 
     def take_reference(self) -> None:
-        """Let the sensor take what it feels now for nothing, and only then show the gripper."""
+        """Take a reference; only then publish the opening of the gripper."""
         self._zero.call_async(Trigger.Request()).add_done_callback(self._on_reference)
 
     def _on_reference(self, answer: Future) -> None:
@@ -191,7 +192,7 @@ class CupNode(Node):
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         duration, self._stamp = stamp - self._stamp, stamp
         if math.isfinite(self._command) and duration > 0 and not self.done:
-            # Who pours waits for a simulator that is slower than water.
+            # Pouring waits while the simulated sensor is behind.
             force = message.wrench.force
             behind = self.cup.tangential - math.hypot(force.x, force.y)
             pause = not (behind < AHEAD_N and abs(self.cup.normal + force.z) < GRIP_AHEAD_N)
@@ -206,7 +207,7 @@ class CupNode(Node):
         return self.cup.lost or self.cup.held
 
     def let_go(self) -> None:
-        """Take the load off the sensor."""
+        """Remove the load from the sensor."""
         self._reset.call_async(Trigger.Request())
 
     def _press(self) -> None:
@@ -248,7 +249,7 @@ class CupNode(Node):
 
 
 def write(rows: list[Row], path: Path) -> None:
-    """All rows as CSV."""
+    """Write all rows as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, list(asdict(rows[0])))
         table.writeheader()
@@ -256,17 +257,21 @@ def write(rows: list[Row], path: Path) -> None:
 
 
 def options() -> argparse.Namespace:
-    """What the command line says."""
-    parser = argparse.ArgumentParser(description="A cup that is being filled, held by a gripper.")
-    parser.add_argument("--scene", default="ball:16mm", help="of the simulated sensor")
-    parser.add_argument("--stiffness", type=float, default=Cup.stiffness, help="of the grip, N/m")
-    parser.add_argument("--pour", type=float, default=Cup.pour, help="how long it is filled, s")
-    parser.add_argument("--csv", type=Path, help="file to write all of it into")
+    """The options of the command line."""
+    parser = argparse.ArgumentParser(
+        description="Simulate a gripper that holds a cup while it is filled."
+    )
+    parser.add_argument("--scene", default="ball:16mm", help="scene of the simulated sensor")
+    parser.add_argument(
+        "--stiffness", type=float, default=Cup.stiffness, help="stiffness of the grip, N/m"
+    )
+    parser.add_argument("--pour", type=float, default=Cup.pour, help="time of filling, s")
+    parser.add_argument("--csv", type=Path, help="write every time step into this CSV file")
     return parser.parse_args(remove_ros_args()[1:])
 
 
 def main() -> int:
-    """Until the cup was filled and knocked, or lost, or Ctrl-C; 1 where it was not held."""
+    """Run until the cup was filled and knocked, or lost, or Ctrl-C; returns 1 if it is not held."""
     asked = options()
     scene = load_scene(asked.scene)
     cup = Cup(scene.indenter.friction, stiffness=asked.stiffness, pour=asked.pour)
@@ -278,7 +283,7 @@ def main() -> int:
         while not node.done:
             rclpy.spin_once(node)
         node.let_go()
-        for _ in range(20):  # the messages go out
+        for _ in range(20):  # so that the last messages are sent
             rclpy.spin_once(node, timeout_sec=0.05)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -1,6 +1,6 @@
 """Holds a normal force with a gripper, and grips harder before the object slips.
 
-Beside a sensor that runs: `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
+Start a sensor, then `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
 It takes the gripper's opening in m from `gripper/opening` and asks for one on `gripper/command`.
 docs/gripper.md shows how to connect it to a real gripper and tune it; docs/grip_controller.md
 explains how it works.
@@ -21,7 +21,7 @@ from std_msgs.msg import Float64, String
 
 from cmp_tactile_msgs.msg import ForceField
 
-# With these the force is not that of the object (docs/results.md, "Flags").
+# With these flags, do not use the force (docs/results.md, "Flags").
 UNUSABLE = (
     ForceField.FLAG_FEW_MARKERS
     | ForceField.FLAG_BEYOND_MARKERS
@@ -40,27 +40,27 @@ def setting(default: float, low: float, high: float, meaning: str) -> Any:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of the controller; all of them may be changed while it runs."""
+    """Settings of the controller; all may change while it runs."""
 
     target_force: float = setting(2.0, 0.1, 100, "normal force to hold while nothing slips [N]")
-    max_force: float = setting(8.0, 0.1, 100, "most that it grips with; it opens at 10 % more [N]")
-    stiffest: float = setting(3000, 10, 1e6, "force per closing of the stiffest object [N/m]")
-    softest: float = setting(300, 10, 1e6, "the same of the softest, gel and pads included [N/m]")
-    response_time: float = setting(0.1, 0, 2, "time in which the gripper follows a command [s]")
-    gain: float = setting(0.3, 0.01, 0.5, "share of the error that is undone in one delay")
-    approach_speed: float = setting(0.003, 1e-5, 0.1, "closing while nothing is touched [m/s]")
-    max_speed: float = setting(0.01, 1e-5, 0.5, "closing and opening otherwise [m/s]")
-    max_lead: float = setting(0.005, 1e-5, 0.5, "how far the command is ahead of the gripper [m]")
-    slip_margin: float = setting(0.7, 0.1, 1, "share of the friction that may be used")
-    slip_share: float = setting(0.5, 0, 1, "share of the contact that may slide, its rim")
-    boost: float = setting(1.25, 1, 3, "by what the target is multiplied where it slips; 1: never")
-    relax_rate: float = setting(0.1, 0, 5, "share of the excess that is given back each second")
-    timeout: float = setting(0.2, 0.02, 10, "age of a force after which it is none [s]")
+    max_force: float = setting(8.0, 0.1, 100, "largest target; the gripper opens at 10 % more [N]")
+    stiffest: float = setting(3000, 10, 1e6, "force per distance, of the stiffest object [N/m]")
+    softest: float = setting(300, 10, 1e6, "the same of the softest, with gel and pads [N/m]")
+    response_time: float = setting(0.1, 0, 2, "time constant of the gripper after a command [s]")
+    gain: float = setting(0.3, 0.01, 0.5, "share of the error to correct within one delay")
+    approach_speed: float = setting(0.003, 1e-5, 0.1, "closing speed before the touch [m/s]")
+    max_speed: float = setting(0.01, 1e-5, 0.5, "highest speed after the touch [m/s]")
+    max_lead: float = setting(0.005, 1e-5, 0.5, "largest difference of command and opening [m]")
+    slip_margin: float = setting(0.7, 0.1, 1, "largest share of the friction to use")
+    slip_share: float = setting(0.5, 0, 1, "share of the contact that may slide (its rim)")
+    boost: float = setting(1.25, 1, 3, "factor of the target at a slip; 1: no reaction")
+    relax_rate: float = setting(0.1, 0, 5, "share of the excess to remove each second")
+    timeout: float = setting(0.2, 0.02, 10, "age from which a force is not used [s]")
 
 
 @dataclass(frozen=True)
 class Felt:
-    """A force field in the numbers that count: N, and the friction as tangential over normal."""
+    """The values of a force field that the controller uses; normal in N, friction as a ratio."""
 
     normal: float
     ratio: float = math.nan
@@ -71,34 +71,34 @@ class Felt:
 
 
 class Grip:
-    """The controller, without ROS: from what is felt to the opening that is asked for, m."""
+    """The controller, without ROS: from the force to the opening to command, m."""
 
     def __init__(self, settings: Settings, opening: float) -> None:
         self.settings, self.opening = settings, opening
         self._factor = 1.0  # by which slip has raised the target
         self._touch = math.nan  # opening at which the object was touched first
-        self._limit = math.inf  # of tangential over normal force, as far as it is known
+        self._limit = math.inf  # of tangential over normal force; infinite until it is known
 
     @property
     def target(self) -> float:
-        """The normal force that is held, N."""
+        """The normal force to hold, N."""
         return min(self._factor * self.settings.target_force, self.settings.max_force)
 
     def update(self, felt: Felt, actual: float, dt: float, delay: float) -> str:
-        """Move the opening; returns what it does and why.
+        """Change the opening; returns the action and its reason.
 
-        actual: opening of the gripper, m.  dt: since the last force, s.  delay: from a command to
-        the force that shows it, s.
+        actual: opening of the gripper, m.  dt: time since the last force, s.  delay: time from a
+        command to the force that shows its effect, s.
         """
         s = self.settings
         if felt.flags & UNUSABLE or not math.isfinite(felt.normal):
             return f"still: the force is not usable, flags {felt.flags}"
-        if felt.normal <= 0:  # nothing is touched: what was known is of another object
+        if felt.normal <= 0:  # no contact: forget the values of the last object
             self._factor, self._touch, self._limit = 1.0, math.nan, math.inf
             self._move(-s.approach_speed * dt, actual)
             return "closing: nothing is touched"
         if math.isnan(self._touch):
-            # It went on closing until the touch was felt.
+            # The gripper continued to close until this force came.
             self._touch = actual + s.approach_speed * (delay - s.response_time)
         raised, why = self._aim(felt, dt)
         stiffness, gain = self._stiffness(felt.normal, actual), s.gain
@@ -110,24 +110,24 @@ class Grip:
         return why
 
     def _move(self, way: float, actual: float) -> None:
-        """Open by so much, not far ahead of a gripper that may be blocked: it would leap later."""
+        """Open by `way`, but stay near a gripper that may be blocked, or it would jump later."""
         lead = self.settings.max_lead
         self.opening = min(max(0.0, actual - lead, self.opening + way), actual + lead)
 
     def _stiffness(self, normal: float, actual: float) -> float:
-        """Force over the way since the touch, N/m; the stiffest where that is not known yet."""
+        """Force over the distance closed since the touch, N/m; `stiffest` until it is known."""
         way = self._touch - actual
         seen = normal / way if way > 0 else math.inf
         return max(self.settings.softest, min(seen, self.settings.stiffest))
 
     def _aim(self, felt: Felt, dt: float) -> tuple[float, str]:
-        """Set the target; by what it was raised, N, and why."""
+        """Set the target; returns by how much it was raised, N, and why."""
         s, before = self.settings, self.target
         rim = felt.slip == ForceField.SLIP_INCIPIENT and not felt.share < s.slip_share
         slips = rim or felt.slip == ForceField.SLIP_FULL
         if 0 < felt.friction < math.inf:
             self._limit = s.slip_margin * felt.friction
-        elif slips and felt.ratio > 0:  # a rim slides, long before all does
+        elif slips and felt.ratio > 0:  # the rim slides, long before the whole contact
             self._limit = min(self._limit, felt.ratio)
         why = "holding"  # a ratio that is NaN changes nothing
         if slips or felt.ratio > self._limit:
@@ -141,7 +141,7 @@ class Grip:
 
 
 class HoldForce(Node):
-    """Joins a `Grip` to a sensor and a gripper."""
+    """Connects a `Grip` with a sensor and a gripper."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("hold_force", **options)
@@ -181,7 +181,7 @@ class HoldForce(Node):
     def _on_opening(self, message: Float64) -> None:
         if math.isfinite(message.data):
             self._actual = message.data
-            # Begins where the gripper is, so that it does not jump.
+            # Begins at the present opening, so that the gripper does not jump.
             self._grip = self._grip or Grip(self._settings, message.data)
 
     def _on_force(self, message: ForceField) -> None:
@@ -218,7 +218,7 @@ class HoldForce(Node):
 
 
 def felt_in(message: ForceField) -> Felt:
-    """What counts of a force field; the force is that on the gel, so a press has a negative z."""
+    """The values that the controller uses; a press has a negative z."""
     return Felt(
         -message.wrench.force.z,
         message.traction_ratio,

@@ -1,7 +1,7 @@
-"""What a gripper's controller does: take the wrench of every frame and act on it.
+"""Subscribes to the force of every frame and prints when the grip becomes firm or loose.
 
-Start a source of frames first: `setup/run cmp_tactile replay grasp --loop`, or a camera.  Then,
-beside it: `setup/run python3 docs/examples/listen.py`.
+Start a sensor, such as `setup/run cmp_tactile replay grasp --loop`. Then, in another terminal:
+`setup/run python3 docs/examples/listen.py`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ UNKNOWN = (
 
 
 class GripGuard(Node):
-    """Says when the grip becomes firm and when it is lost."""
+    """Prints when the grip becomes firm and when it becomes loose."""
 
     def __init__(self, sensor: str) -> None:
         super().__init__("grip_guard")

@@ -1,7 +1,7 @@
-"""Presses, drags and lets go with the indenter of a live simulated sensor.
+"""Presses, drags and releases the indenter of a live simulated sensor.
 
-Start one first: `setup/run cmp_tactile live grasp`.  Then, beside it:
-`setup/run python3 docs/examples/move_indenter.py sample_rig`, the name of the scene's sensor.
+Start the sensor: `setup/run cmp_tactile live grasp`. Then, in another terminal:
+`setup/run python3 docs/examples/move_indenter.py sample_rig`, with the name of the scene's sensor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ PATIENCE_S = 120.0
 
 
 class Hand(Node):
-    """Moves the indenter, and pairs what the sensor felt with what is true of the same frame."""
+    """Moves the indenter, and pairs the measured force with the true force of the same frame."""
 
     def __init__(self, sensor: str) -> None:
         super().__init__("hand", namespace=sensor)
@@ -40,14 +40,14 @@ class Hand(Node):
         self.create_subscription(ForceField, "force_field", self._on_force, 10)
 
     def press(self, normal: float) -> None:
-        """Ask for a force straight into the gel, N."""
+        """Request this force into the gel, N."""
         message = WrenchStamped()
         message.header.frame_id = self.frame
         message.wrench.force.z = -normal
         self.load.publish(message)
 
     def move_by(self, x: float) -> None:
-        """Ask for a place beside the present one, m."""
+        """Request a place at this distance along x, m."""
         here = self.pose.pose
         target = PoseStamped()
         target.header.frame_id = self.frame
@@ -67,7 +67,7 @@ class Hand(Node):
         self._truths[stamp(message)] = message.wrench.force
 
     def _on_force(self, message: ForceField) -> None:
-        # All that comes of one frame bears its stamp; the truth comes first, being there first.
+        # All messages of a frame have its stamp. The truth comes first: it needs no processing.
         if stamp(message) in self._truths:
             self.felt, self.true = message.wrench.force, self._truths[stamp(message)]
             self.paired = stamp(message)
@@ -75,12 +75,12 @@ class Hand(Node):
 
 
 def stamp(message: ForceField | PoseStamped) -> tuple[int, int]:
-    """When the camera frame of a message was taken."""
+    """Stamp of the camera frame, as seconds and nanoseconds."""
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
 def wait(hand: Hand, condition: Callable[[], bool], what: str) -> None:
-    """Let messages come until the condition holds."""
+    """Receive messages until the condition is true."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
@@ -89,7 +89,7 @@ def wait(hand: Hand, condition: Callable[[], bool], what: str) -> None:
 
 
 def main(sensor: str = "sample_rig") -> None:
-    """Press with 2 N, drag by half a millimetre, let go."""
+    """Press with 2 N, drag by half a millimetre, release."""
     rclpy.init()
     hand = Hand(sensor)
     try:

@@ -1,4 +1,4 @@
-"""From recorded frames to force, in a script or a notebook, without any ROS.
+"""From recorded frames to force, in a script or a notebook, without ROS.
 
 Run it in the environment of the repository: `setup/run python3 docs/examples/offline.py`
 """
@@ -18,12 +18,12 @@ from cmp_tactile_simulation.recording.run import recording_of
 
 
 def main(bag: Path | None = None) -> None:
-    """Print depth and force of every fifth frame of a bag with its sensor.yaml beside it."""
-    bag = bag or recording_of("grasp")  # the first time, simulates it
+    """Print depth and force of every fifth frame; the bag has a sensor.yaml in its folder."""
+    bag = bag or recording_of("grasp")  # the first run simulates it
     frames = [recorded.image for recorded in BagReader(bag).frames()]
-    # The first time, builds the force model of the sensor.
+    # The first run builds the force model of the sensor.
     pipeline = Pipeline(SensorDescription.load(bag / "sensor.yaml"))
-    pipeline.set_reference(frames[:2])  # the gel is at rest there
+    pipeline.set_reference(frames[:2])  # the gel is at rest in these
 
     print("frame   corners   deepest / mm   force on the gel / N")
     for number, frame in islice(enumerate(frames), 0, None, 5):

@@ -1,8 +1,8 @@
-"""Feed force and slip with the markers that any other node publishes as an organised point cloud.
+"""Publish `surface` for force and slip, from markers that another node publishes as a point cloud.
 
-The cloud (sensor_msgs/PointCloud2) has a row of points for each row of markers, with x, y and,
-where depth is measured, z in m: x grows with the column, y with the row, z out of the gel.  NaN is
-a marker that is not seen.  The first cloud is the gel at rest.
+The cloud is an organised sensor_msgs/PointCloud2: each row of points is a row of markers. It has x,
+y and, if depth is measured, z, in m. x grows with the column, y with the row, z points out of the
+gel. A missing marker is NaN. The first cloud shows the gel at rest.
 
     python3 docs/examples/other_sensor.py my_sensor.yaml /my_tracker/points
     ros2 run cmp_tactile_processing force_reconstructor --ros-args -r __ns:=/my_sensor
@@ -38,7 +38,7 @@ def points_of(cloud: PointCloud2) -> NDArray[np.float64]:
             "names": list(fields),
             "formats": [end + NUMBERS[field.datatype] for field in fields.values()],
             "offsets": [field.offset for field in fields.values()],
-            "itemsize": cloud.point_step,  # points may be padded, and rows too
+            "itemsize": cloud.point_step,  # points and rows may have padding
         }
     )
     rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.row_step)

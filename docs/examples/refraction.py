@@ -1,4 +1,4 @@
-"""What ignoring refraction costs: a rig with plate and gel, triangulated as if there were none.
+"""Error of a rig with plate and gel if triangulation ignores their refraction.
 
 Run it in the environment of the repository: `setup/run python3 docs/examples/refraction.py`
 """
@@ -24,7 +24,7 @@ Views = dict[str, ViewGeometry]
 
 
 def main(name: str = "sample_rig") -> None:
-    """Print the errors of three models of the same light."""
+    """Print the errors of three models of the same rays."""
     sensor = load_sensor(name)
     thickness = sensor.elastomer.size[2] - sensor.elastomer.shading_layer.thickness
     layers = (
@@ -54,7 +54,7 @@ def main(name: str = "sample_rig") -> None:
 def _seen(
     true: Views, model: Views, points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points (N, 3) and ray gaps (N,) that the model makes of the true pixels."""
+    """Points (N, 3) and ray gaps (N,) that the model triangulates from the true pixels."""
     left, right = (model[name].rays(true[name].project(points)) for name in ("left", "right"))
     return common_normal(*left, *right)
 
@@ -62,7 +62,7 @@ def _seen(
 def _fitted(
     view: ViewGeometry, points: NDArray[np.float64], q: NDArray[np.float64]
 ) -> ViewGeometry:
-    """The view with the pose that shows these points best at pixels q (N, 2)."""
+    """The view with the pose that fits these points best to the pixels q (N, 2)."""
     start = view.T_view_gel
     _, turn, shift = cv2.solvePnP(
         points,

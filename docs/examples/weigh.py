@@ -1,4 +1,4 @@
-"""Weighs what rests on the gel: weight over the frames of a recording, with its error bar.
+"""Weighs objects on the gel: prints the weight in a recording, with its error bar.
 
 Run it in the environment of the repository:
 `setup/run python3 docs/examples/weigh.py BAG [SENSOR.yaml [PICTURE.png]]`
@@ -20,24 +20,24 @@ from cmp_tactile_simulation.recording.truth import read_truth
 
 GRAVITY = 9.80665
 GRAMS_PER_NEWTON = 1e3 / GRAVITY
-REST_FRAMES = 3  # nothing touches the gel in the first ones
+REST_FRAMES = 3  # nothing touches the gel in the first frames
 
 
 def weigh(bag: Path, sensor: SensorDescription) -> NDArray[np.float64]:
     """Weight and its standard deviation for each frame, (n, 2) g."""
     frames = list(BagReader(bag).frames())
-    pipeline = Pipeline(sensor)  # the first time, builds the force model of the sensor
+    pipeline = Pipeline(sensor)  # the first run builds the force model of the sensor
     pipeline.set_reference(frame.image for frame in frames[:REST_FRAMES])
     weights = []
     for frame in frames:
         force = pipeline.process(frame.image, frame.stamp_ns).force
-        # A weight pushes into the gel, along -z.
+        # A weight presses along -z, into the gel.
         weights.append((0 - force.wrench[2], force.wrench_std[2]))
     return GRAMS_PER_NEWTON * np.array(weights)
 
 
 def draw(read: NDArray[np.float64], true: NDArray[np.float64], picture: Path) -> None:
-    """The reading with twice its standard deviation, and what is true."""
+    """Plot the reading with twice its standard deviation, and the truth."""
     mpl.use("agg")
     from matplotlib import pyplot as plt
 
@@ -57,7 +57,7 @@ def draw(read: NDArray[np.float64], true: NDArray[np.float64], picture: Path) ->
 
 
 def main(bag: Path, sensor: Path | None = None, picture: Path | None = None) -> None:
-    """Print every third frame's weight beside the true one of a simulated recording."""
+    """Print the weight in every third frame of a simulated recording, and the true weight."""
     read = weigh(bag, SensorDescription.load(sensor or bag / "sensor.yaml"))
     true = 0 - GRAMS_PER_NEWTON * read_truth(bag).wrench[:, 2]
 

@@ -1,4 +1,4 @@
-// What a gripper's controller does: take the force of every frame and act on it.
+// Subscribes to the force of every frame and logs when the grip becomes firm or loose.
 //
 // In a workspace with cmp_tactile: copy the folder cpp_listener into src, then
 //   colcon build --packages-select cpp_listener
@@ -14,12 +14,12 @@
 using cmp_tactile_msgs::msg::ForceField;
 
 constexpr double grip_limit_n = 2.0;
-// With any of these flags the force is NaN, or that of something else.
+// With any of these flags, do not use the force (docs/results.md, "Flags").
 constexpr std::uint16_t unknown =
   ForceField::FLAG_FEW_MARKERS | ForceField::FLAG_BEYOND_MARKERS | ForceField::FLAG_POOR_FIT |
   ForceField::FLAG_IMPLAUSIBLE | ForceField::FLAG_ZERO_DOUBTFUL;
 
-// Says when the grip becomes firm and when it is lost.
+// Logs when the grip becomes firm and when it becomes loose.
 class GripGuard : public rclcpp::Node
 {
 public:
@@ -34,7 +34,7 @@ private:
   void on_force(const ForceField & field)
   {
     if ((field.flags & unknown) != 0) {
-      return;  // the grip is as it was
+      return;  // the grip has not changed
     }
     // The force that the object exerts on the gel: a press has a negative z.
     const bool firm = -field.wrench.force.z > grip_limit_n;
