@@ -224,7 +224,7 @@ def marker_displacement(
     markers = ElasticProblem.from_sensor(sensor).markers
     problem = replace(problem, markers=markers)
     if finer > 1:
-        # The plain problem's mesh, whose width under the loads is a choice.
+        # The mesh of the plain problem: its width under the loads can be chosen.
         density = replace(
             problem.density, across=2 * round(finer * problem.density.across / 2), depth=5
         )

@@ -238,7 +238,7 @@ def contact_errors(
 ) -> list[float]:
     """Largest error of the force through press, hold, shear, weight and release, as a share.
 
-    gels: whose relaxation is taken out, a figure for each.
+    gels: relaxations to correct, one figure for each.
     """
     elastomer = elastomer_of(sensor, CONTACT_NODES)
     simulation = ContactSimulation(elastomer, Sphere(0.006), 0.5)

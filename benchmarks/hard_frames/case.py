@@ -184,7 +184,7 @@ def deformation_of(kind: str, pattern: Pattern, seed: int = 0) -> Deformation:
     return DEFORMATIONS[kind](pattern, np.random.default_rng([len(kind), seed]))
 
 
-# What a camera sees beside the gel: parts of the housing, lamps.
+# What a camera sees around the gel: parts of the housing, lamps.
 
 # Sides of a part and spread of a lamp's light, px of the frame; light of a lamp, grey levels.
 PART_SIDES = (20.0, 130.0), (8.0, 45.0)
@@ -197,7 +197,7 @@ RIM = 1.0
 
 @dataclass(frozen=True)
 class Scenery:
-    """Number of flat parts that lie on the housing beside the skin, and of lamps there."""
+    """Number of flat parts on the housing next to the skin, and of lamps there."""
 
     parts: int = 0
     lamps: int = 0

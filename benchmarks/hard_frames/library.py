@@ -161,7 +161,7 @@ CASE_KINDS: dict[str, Callable[[SensorDescription, int], Cases]] = {
 
 
 def cases_of(kind: str, sensor: SensorDescription, seed: int = 0) -> Cases:
-    """The cases of that kind; those of "other rigs" have sensors of their own."""
+    """The cases of that kind; cases of "other rigs" have other sensors."""
     return CASE_KINDS[kind](sensor, seed)
 
 
@@ -184,7 +184,7 @@ def flawed_pairs(sensor: SensorDescription, seed: int = 0) -> list[tuple[Pattern
 
 # Sequences of frames of patterns deformed by hand: what a tracker that follows must survive.
 
-# Zones of a gel whose pattern is 14.5 mm wide, m: pressed, dragged, and dragged nearly as a whole.
+# Zones of a gel with a pattern of 14.5 mm, m: pressed, dragged, and dragged nearly as a whole.
 PRESSED, DRAGGED, SHIFTED = 4.5e-3, 8e-3, 9e-3
 DEPTH = 1e-3
 KNOCK = 1.5e-3

@@ -463,7 +463,7 @@ class GridOrderTracker(DotTracker):
 
 
 class NearestTracker(DotTracker):
-    """A dot is the marker whose place in the last frame is nearest."""
+    """Each dot is the marker with the nearest place in the last frame."""
 
     def _numbered(
         self,

@@ -20,7 +20,7 @@ from paper.sequence import DOT_DIAMETER
 
 @dataclass(frozen=True)
 class DotParameters:
-    """What all dot methods share, and what each has of its own.
+    """Settings of all dot methods, and of each method.
 
     Lengths are shares of the pitch as the view shows it, darkness of the dots' own.
     diameter: of the printed dots.
@@ -288,7 +288,7 @@ def _ellipses(
 
 # Percentiles of the grey values that ink and skin certainly reach.
 INK, SKIN = 2.0, 80.0
-# Pixels darker than their surroundings' median by more than this are no skin.
+# Pixels darker than the median around them by more than this share are not skin.
 NOT_SKIN = 0.3
 # Standard deviation of the matched filter, in radii of a dot, and of what it subtracts: a
 # Laplacian of this width answers a disc most.
@@ -297,7 +297,7 @@ MATCHED, SURROUND = 0.7, 1.6
 CALM_PER_NOISE, LITTLE_NOISE, CALM = 4.0, 0.03, 0.45
 # What salt and pepper leaves behind does as much harm as this noise, per squared share of pixels.
 LIKE_NOISE = 2.5
-# Dots are no nearer to each other than this share of the pitch.
+# Smallest distance of two dots, as a share of the pitch.
 APART = 0.4
 
 
@@ -407,7 +407,7 @@ def _blurred(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 def _light(grey: NDArray[np.uint8], side_px: float) -> NDArray[np.float32]:
-    """Grey of the skin around each pixel: the mean of the pixels that are no ink."""
+    """Grey of the skin around each pixel: the mean of the pixels that are not ink."""
     size = 2 * round(side_px) + 1
     typical = cv2.medianBlur(grey, size).astype(np.float32)
     skin = (grey > (1 - NOT_SKIN) * typical).astype(np.float32)

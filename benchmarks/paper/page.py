@@ -24,7 +24,7 @@ DOTS_PER_INCH = 110
 
 @dataclass(frozen=True)
 class Claim:
-    """A figure or sentence of the paper beside ours.
+    """A figure or sentence of the paper, compared with ours.
 
     section: of the paper.  met: None where the paper states nothing that could be missed.
     """

@@ -63,9 +63,9 @@ TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True)
 class Case:
-    """What is run.  rate: of each sensor, Hz.  frames: of each, 0 for the first wrench alone.
+    """A case.  rate: of each sensor, Hz.  frames: of each sensor; 0: only to the first wrench.
 
-    fresh: in a home of its own, with what was compiled and the force models of `make build`.
+    fresh: with a new home folder, the compiled code and the force models of `make build`.
     """
 
     names: tuple[str, ...]
@@ -94,7 +94,7 @@ def cases(frames: int) -> dict[str, Case]:
 class Wrenches(Node):
     """Keeps stamp and time of arrival of the wrenches of some sensors, and the stamps of frames.
 
-    The stamps of frames are those of camera_info, which is sent beside each.
+    The stamps of the frames come from camera_info, which is sent with each frame.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -134,7 +134,7 @@ def container(
     queue: str = "newest",
     environment: Mapping[str, str] | None = None,
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Sensors of these names, all of which get the frames of one recording."""
+    """Sensors of these names; each gets the frames of the recording."""
     with tempfile.TemporaryDirectory(prefix="frames_") as folder:
         bag = _plain_frames(recording, Path(folder) / "bag")
         given = {"input": bag, "sensor": recording.sensor_file, "names": " ".join(names)}
@@ -292,7 +292,7 @@ def _row(key: str, found: Mapping[str, float]) -> str:
 
 
 def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, dict[str, float]]:
-    """All cases of a recording, printed as they come; `beside` has what they are compared with."""
+    """All cases of a recording, printed one by one; `beside` has the times of the peers."""
     found = {"beside": beside(recording, PACE_HZ)}
     opencv, pipeline = found["beside"].values()
     print(f"\n{recording.name}: OpenCV {opencv:.1f} ms, Pipeline {pipeline:.1f} ms for a frame\n")

@@ -197,7 +197,7 @@ def processed(bag: Path) -> list[Processed]:
 
 @contextmanager
 def viewer(names: Sequence[str], description: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """The node in a process of its own."""
+    """The node in a separate process."""
     given = {
         "sensors": " ".join(f"/{name}" for name in names),
         "sensor_descriptions": ":".join([str(description)] * len(names)),
@@ -359,7 +359,7 @@ def _read_lines(reader: subprocess.Popen[str]) -> np.ndarray:
 def chain(
     scene: str, rate_hz: float, count: int, *, looked_at: bool, bag: Path
 ) -> dict[str, float]:
-    """Frames lost and latency of one sensor, with the viewer beside it or without."""
+    """Lost frames and latency of one sensor, with the viewer or without."""
     node = Wrenches(ONE)
     executor = SingleThreadedExecutor()
     executor.add_node(node)

@@ -93,7 +93,7 @@ class Ours:
 
 
 class Peer:
-    """A detector that knows the grid's size alone and gives corners, in an order of its own."""
+    """A detector that knows only the size of the grid and gives corners in any order."""
 
     def __init__(
         self,

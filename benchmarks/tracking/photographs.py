@@ -98,7 +98,7 @@ def roughness(corners: Float) -> tuple[float, float]:
 def colours_that_disagree(image: Image, corners: Float) -> tuple[int, int]:
     """Checkers with four known corners that are not as dark or light as their numbers say, of all.
 
-    A checker is dark where the middle third of it is darker than the four beside it.
+    A checker is dark if its middle third is darker than its four neighbours.
     """
     centre = (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:]) / 4
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0).astype(np.float64)

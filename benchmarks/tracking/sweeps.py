@@ -186,7 +186,7 @@ class SweepRun:
                     self.report(f"{sweep.name}: {detector.name} stopped at {level:g} after {cap}")
 
     def _cap(self, sweep: Sweep) -> int:
-        """Frames of a level for a peer: two views each, of which a jump counts the second's."""
+        """Frames of a level for a peer, two views each; of a jump only the second one counts."""
         count = self.image_cap if sweep.followed else self.image_cap // 2
         return max(2, count - count % 2 * (sweep.followed or sweep.paired))
 

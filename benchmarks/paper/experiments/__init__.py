@@ -1,1 +1,1 @@
-"""The experiments: for each a module that computes, and one that reports."""
+"""The experiments: one module for each."""

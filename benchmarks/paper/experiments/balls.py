@@ -284,7 +284,7 @@ def _table(fits: Mapping[Reading, BallFits], layer: float, page: Page) -> None:
 
 
 def claims(fits: Mapping[str, BallFits], page: Page) -> None:
-    """What the paper says of precision beside what was measured; fits by the readings' keys."""
+    """Compare the paper's claims on precision with the measurement; fits by the readings' keys."""
     cmp, corners, exact = fits["cmp"], fits["cmp_corners"], fits["exact"]
     dots = min((fits[key] for key in DOTS), key=lambda fit: _rms(fit.from_exact))
     raw = [fit.percent(fit.from_ball) for fit in (cmp, dots, exact)]

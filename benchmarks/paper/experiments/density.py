@@ -1,4 +1,4 @@
-"""Table I: how many markers a square centimetre holds, and how many of them are really measured."""
+"""Table I: markers per square centimetre, and how many of them are really measured."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def _row(data: Arrays, method: Method, state: str) -> tuple[str, ...]:
 
 
 def claims(data: Arrays, page: Page) -> None:
-    """The paper's densities beside ours."""
+    """Compare the paper's densities with ours."""
     corners, virtual = densities(data)
     measured = virtual * float(data[f"{CMP.key}_press"][:, 1].mean())
     values = {"corners": corners, "virtual": virtual, "measured": measured}

@@ -148,7 +148,7 @@ class _Shot:
 
 
 class _Stroke:
-    """A slow stroke, of which frames are rendered when they are first asked for."""
+    """A slow stroke; each frame is rendered at its first use."""
 
     def __init__(self, place: Workplace, direction: str, pattern_type: str) -> None:
         scene = stroke_scene(place, direction)
@@ -337,7 +337,7 @@ class KnockScore:
 
     @property
     def fails_from(self) -> float | None:
-        """The smallest jump whose force is off by more than LIMIT; None where none is."""
+        """The smallest jump with an error of the force above LIMIT; None if there is none."""
         return _smallest(self.jump, self.force > LIMIT)
 
     @property
@@ -376,7 +376,7 @@ def claims(
     jump: float,
     page: Page,
 ) -> None:
-    """What the paper says of the grasp and of knocks, beside ours; jump: of the grasp, pitches."""
+    """Compare the paper's claims on grasp and knocks with ours; jump: of the grasp, pitches."""
     most = {method: 100 * float(np.nanmax(grasp.force)) for method, grasp in grasps.items()}
     for method in (CMP, CMP_PAPER):
         grasp = grasps[method]

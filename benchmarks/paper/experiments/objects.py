@@ -1,4 +1,4 @@
-"""IV.C: five objects pressed on, and how far the markers' 3-D coordinates are off."""
+"""IV.C: five objects are pressed on the gel; errors of the markers' 3-D coordinates."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def _counts(results: Mapping[str, Arrays], method: Method) -> str:
 
 
 def claim(results: Mapping[str, Arrays], method: Method, page: Page) -> None:
-    """The paper's figure beside that of a method; results by object."""
+    """Compare the paper's figure with that of a method; results by object."""
     errors = [_distance(data, method) for data in results.values()]
     found = _counts(results, method).partition(" ")[0]
     page.claim(

@@ -1,6 +1,6 @@
-"""IV.D: a sphere under 50 N, 12 N and 50 N mm, and how far the displacements are off.
+"""IV.D: a sphere under 50 N, 12 N and 50 N mm; errors of the displacements.
 
-Beside the loads: what the dots' size does.
+Also: the effect of the size of the dots.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def _dots_table(data: Arrays, page: Page) -> None:
 
 
 def claims(ours: Summary, dots: Summary, method: Method, page: Page) -> None:
-    """What the paper says of CMP and DMP, beside ours."""
+    """Compare the paper's claims on CMP and DMP with ours."""
     values = {"method": method.label}
     for k, axis in enumerate(AXES):
         pair = np.array([[ours.rms[k], dots.rms[k]], [ours.largest[k], dots.largest[k]]])

@@ -1,4 +1,4 @@
-"""Section V.C: how much of a small probe's depth the markers capture, at 25 points."""
+"""Section V.C: share of a small probe's depth that the markers show, at 25 points."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ def _gain_table(points: Arrays, page: Page) -> None:
 
 
 def claims(points: Arrays, page: Page) -> None:
-    """The paper's claims beside what all points came to."""
+    """Compare the paper's claims with the results of all points."""
     ours = responses(points, "cmp")
     dots = np.max([responses(points, key) for key in DOTS], axis=0)
     of_probe = np.full_like(points["true"], PRESSED)
@@ -298,7 +298,7 @@ def claims(points: Arrays, page: Page) -> None:
         page.claim(f"probe.{name}", more, cmp=ours[n], dots=dots[n], true=true)
     for way, label in (("square", "a square of one pitch"), ("nearest", "the nine nearest")):
         own, best = gain(points, "cmp", way)[0], max(gain(points, key, way)[0] for key in DOTS)
-        # What takes away from the depth is no gain, even if DMP loses more.
+        # A loss of depth is not a gain, even if DMP loses more.
         larger = own > max(best, 0.0)
         page.claim("probe.gain", larger, markers=label, cmp=1e3 * own, dots=1e3 * best)
 

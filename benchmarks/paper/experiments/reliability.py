@@ -1,4 +1,4 @@
-"""IV.F: how much uneven light, weak contrast and impulses each method bears."""
+"""IV.F: uneven light, weak contrast and impulses up to which each method works."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Sweep:
 
     level: what it is called, with its unit.  camera: of a level; light_ratio: whether levels are
     darkest over brightest illumination of the pattern, both views together, instead.
-    repetitions: of a full run, each with noise and a direction of the light of its own.
+    repetitions: of a full run, each with other noise and another direction of the light.
     paper_limit: level up to which the paper's algorithm worked.
     """
 
@@ -290,7 +290,7 @@ def _limit(sweep: Sweep, endurance: Endurance) -> str:
 
 
 def claims(cmp: Mapping[str, Endurance], page: Page) -> None:
-    """The paper's limits beside ours, by sweep."""
+    """Compare the paper's limits with ours, by sweep."""
     light, noise = cmp["light"].bears, cmp["salt_and_pepper"].bears
     met = {
         "light": light is not None and light <= 0.4,

@@ -1,4 +1,4 @@
-"""IV.E: five small spheres, and how near two of them may be to be distinguished."""
+"""IV.E: five small spheres, and the distance at which two of them can be distinguished."""
 
 from __future__ import annotations
 
@@ -307,7 +307,7 @@ def _pair_table(pairs: Arrays, page: Page) -> None:
 
 
 def claims(spheres: Arrays, pairs: Arrays, page: Page) -> None:
-    """The paper's claims beside what spheres and joined pairs came to."""
+    """Compare the paper's claims with the results of spheres and joined pairs."""
     near = {r.key: 1e6 * float(spheres[f"{r.key}_near"].mean()) for r in MEASURED}
     least = {r.key: float(spheres[f"{r.key}_share"].mean(axis=0).min()) for r in MEASURED}
     apart = {r.key: resolved(pairs, r.key, RAYLEIGH_DIP)[0] for r in MEASURED}

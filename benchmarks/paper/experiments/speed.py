@@ -1,4 +1,4 @@
-"""V.A: how many frames a second each method takes in, alone and with force, on one core."""
+"""V.A: frames per second of each method, alone and with force, on one core."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _scene(name: str, frames: int, *, fast: bool) -> Scene:
 
 
 class _Clocked:
-    """A method's tracker and its whole chain, beside the clock."""
+    """Times the tracker of a method and its whole chain."""
 
     def __init__(self, sensor: SensorDescription, method: Method, shown: Exposure) -> None:
         self._frames = shown.frames
@@ -189,7 +189,7 @@ def _plain_chain(data: Arrays) -> NDArray[np.float64]:
 
 
 def claims(data: Arrays, page: Page) -> None:
-    """The paper's rates beside ours."""
+    """Compare the paper's rates with ours."""
     ours, plain = median_ms(data["cmp_chain"]), median_ms(_plain_chain(data))
     rate, nearest = 1e3 / ours, median_ms(data["dmp_nearest_chain"])
     page.claim("speed.rate", rate >= PAPER_CMP, rate=rate, processor=processor_name())

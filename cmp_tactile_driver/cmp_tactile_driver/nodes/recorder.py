@@ -50,7 +50,7 @@ class Recorder(ReportingNode):
     `compression` applies to frames.  With png and jpeg they are stored as `image_raw/compressed`;
     if only that topic is published, it is recorded in place of `image_raw`.  A topic is recorded
     reliably if its publishers are reliable when it is found.  The sensor description is stored
-    beside the files as `sensor.yaml`.  If the disk is too slow, messages are dropped and counted.
+    as `sensor.yaml` in the same folder.  If the disk is too slow, messages are dropped and counted.
     If the bag cannot be written, the recording ends; what was written is kept and the diagnostics
     say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.

@@ -181,6 +181,6 @@ class RecorderParameters(Parameters):
     )
     autostart: bool = parameter(True, "start recording at once, without a call of ~/record")
     sensor_description: str = parameter(
-        DEFAULT_SENSOR, "file or packaged name; stored beside the bag as sensor.yaml"
+        DEFAULT_SENSOR, "file or packaged name; stored as sensor.yaml in the bag's folder"
     )
     sensor_name: str = parameter("", SENSOR_NAME_HELP)

@@ -284,8 +284,8 @@ class TriangulationParameters(Parameters, section="triangulation"):
     )
     corner_noise: float = parameter(
         0.02,
-        "standard deviation of corners, and of virtual markers across their gridline, that have "
-        "none of their own",
+        "standard deviation of corners, and of virtual markers across their gridline, if none is "
+        "known",
         unit="px",
         within=(1e-4, 10.0),
     )

@@ -67,7 +67,7 @@ class WebViewer(ReportingNode):
 
     The log and the diagnostics give the address of the page.  Its buttons call the services of the
     sensor's nodes; `indenter/target` moves a simulated indenter.
-    Run it in a process of its own, so that it takes no time from the sensor's nodes.
+    Run it in a separate process, so that it takes no time from the sensor's nodes.
     While a browser looks, it subscribes to `surface`, `force_field`, `left/grid`, `right/grid` and
     `image_raw` of each sensor, and to `/diagnostics`.  If more messages come than `max_rate`, it
     reads only the newest.
