@@ -1,6 +1,7 @@
 """The command: files that it writes, errors in one line, exit codes."""
 
 import re
+import runpy
 import signal
 import subprocess
 import sys
@@ -12,6 +13,16 @@ from command_output import one_line_error
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_processing.sensor.description import find_sensor_description
+
+REPOSITORY = Path(__file__).resolve().parents[3]
+
+
+def test_the_readme_lists_every_command_and_exit_code():
+    readme = REPOSITORY / "cmp_tactile_bringup" / "README.md"
+    renew = runpy.run_path(str(REPOSITORY / "docs" / "command_table.py"))["renew"]
+    assert readme.read_text(encoding="utf-8") == renew(readme), (
+        "run: setup/run python3 docs/command_table.py cmp_tactile_bringup/README.md"
+    )
 
 
 @pytest.mark.parametrize(
