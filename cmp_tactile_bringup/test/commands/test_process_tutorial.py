@@ -5,6 +5,7 @@ import re
 import shlex
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 
 from cmp_tactile_bringup.command import main
@@ -22,6 +23,7 @@ MANY = (TUTORIAL.parents[1] / "recordings.md").read_text(encoding="utf-8")
 def test_the_commands_and_programs_of_the_tutorial_run(tmp_path, monkeypatch, capsys):
     pytest.importorskip("pyarrow")
     monkeypatch.chdir(tmp_path)
+    plt.switch_backend("agg")
     printed = []
     for kind, block in re.findall(r"^```(sh|python)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL):
         if kind == "sh":
@@ -29,7 +31,8 @@ def test_the_commands_and_programs_of_the_tutorial_run(tmp_path, monkeypatch, ca
             capsys.readouterr()
         elif "import pandas" not in block or importlib.util.find_spec("pandas"):
             exec(compile(block, str(TUTORIAL), "exec"), {})  # noqa: S102  what the reader runs
-            printed.append(capsys.readouterr().out.splitlines())
+            if out := capsys.readouterr().out:
+                printed.append(out.splitlines())
     strongest, *chosen, fields, columns = printed
     for lines in chosen:
         assert lines[0].split() == ["fx_N", "fz_N", "slip"]
@@ -37,6 +40,10 @@ def test_the_commands_and_programs_of_the_tutorial_run(tmp_path, monkeypatch, ca
     assert unit == "N"
     assert -20 < float(normal) < -1
     assert 0 < float(deviation) < 1
+    assert (tmp_path / "force.png").stat().st_size > 10_000
+    plotted = {line.get_label(): line.get_ydata() for line in plt.gca().lines}
+    assert min(plotted["Fz"]) == pytest.approx(float(normal), abs=0.01)
+    plt.close()
     assert len(fields) == 20
     # What the nodes' forces sum up to is the wrench.
     assert min(float(line.split()[1]) for line in fields) == pytest.approx(float(normal), abs=0.01)
@@ -54,8 +61,12 @@ def test_the_table_of_columns_is_that_of_the_files():
     for name, units in named:
         unit = unit_of(name).replace("1", "")
         assert unit in units.strip().split(", "), name
-    states = set(re.findall(r"`(\w+)`", listed[listed.index("by name: ") :].splitlines()[0]))
-    assert states == {state.name.lower() for state in SlipState}
+    names = re.findall(r"`(\w+)`", listed[listed.index("by name: ") :].splitlines()[0])
+    assert names == [state.name.lower() for state in sorted(SlipState)]
+    numbers = re.findall(r"(\d): ([\w ]+)", listed[listed.index("`slip_state`") :].splitlines()[0])
+    assert [(int(number), name.strip().replace(" ", "_")) for number, name in numbers] == [
+        (int(state), state.name.lower()) for state in sorted(SlipState)
+    ]
 
 
 def test_the_commands_that_are_shown_and_not_run_have_these_options():
