@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.report.sensor_facts import geometry_facts, position_errors
+from cmp_tactile_bringup.report.sensor_facts import (
+    geometry_facts,
+    pattern_margin,
+    position_errors,
+)
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
@@ -49,6 +53,31 @@ def test_the_scale_is_the_distance_between_projected_corners(sensor):
     expected = np.sqrt(abs(np.linalg.det(sides))) / (sensor.pattern.pitch * 1e3)
     low, high = _range(facts["Scale left"])
     assert low < expected < high
+    low, high = _range(facts["Pattern left"].partition("; checkers")[2])
+    assert low < expected * sensor.pattern.pitch * 1e3 < high
+
+
+def test_a_moved_view_leaves_the_pattern_as_far_from_its_edge_as_expected(sensor):
+    """The margin follows the roi pixel by pixel, and is negative once the pattern leaves it."""
+
+    def left_moved_right_by(px):
+        left = sensor.views["left"]
+        roi = replace(left.roi, x=left.roi.x + px)
+        views = {**sensor.views, "left": replace(left, roi=roi)}
+        return replace(sensor, views=views)
+
+    def margin(moved):
+        return pattern_margin(StereoRig(moved).views["left"], moved)
+
+    # The outer corners of the print, whose left end is the nearest to the edge once it is moved.
+    printed = replace(sensor.pattern, rows=22, cols=22).corners()
+    view = StereoRig(sensor).views["left"]
+    left_end = view.placement.to_frame(view.project(printed))[..., 0].min() + 0.5
+    for px in (int(left_end) - 3, int(left_end) + 4):
+        assert margin(left_moved_right_by(px)) == pytest.approx(left_end - px, abs=1e-9)
+    assert "inside the view, at least" in geometry_facts(sensor)["Pattern left"]
+    outside = geometry_facts(left_moved_right_by(int(left_end) + 4))["Pattern left"]
+    assert outside.startswith("not inside the view: ends up to")
 
 
 def _range(text):
