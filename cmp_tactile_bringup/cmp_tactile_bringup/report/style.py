@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -95,11 +96,12 @@ def arrows(
     return axes.quiver(*parts, angles="xy", scale_units="xy", scale=scale, **look)
 
 
-def colour_bar(image: ScalarMappable, axes: Sequence[Axes], label: str, **layout: Any) -> None:
+def colour_bar(image: ScalarMappable, axes: Sequence[Axes], label: str, **layout: Any) -> Colorbar:
     """A bar of colours beside the axes."""
     bar = axes[0].figure.colorbar(image, ax=axes, pad=0.02, **layout)
     bar.set_label(label)
     bar.outline.set_visible(False)
+    return bar
 
 
 def save_figure(figure: Figure, path: Path) -> Path:

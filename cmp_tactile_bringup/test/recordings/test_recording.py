@@ -23,7 +23,7 @@ from cmp_tactile_simulation.scenes.file import load_scene
 
 
 def test_a_recording_has_the_title_and_the_phases_of_its_scene(recording):
-    assert recording.title == "Short grasp of a hexagonal wrench with a knock"
+    assert recording.title == "Short grasp of a hex key with a knock"
     phases = {phase.name: phase.first_frame for phase in recording.phases}
     assert (len(phases), phases["rest"], phases["knock"], phases["rest again"]) == (8, 0, 10, 18)
 

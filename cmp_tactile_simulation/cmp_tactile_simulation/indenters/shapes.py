@@ -195,7 +195,7 @@ class Ring:
 
 @dataclass(frozen=True)
 class HexagonalBar:
-    """A hexagonal bar along the x axis, as the handle of a wrench: unturned it lies on a flat.
+    """A hexagonal bar along the x axis, as the handle of a hex key: unturned it lies on a flat.
 
     across_flats, length: m.  edge_radius: rounding of all edges, m.
     """

@@ -32,6 +32,10 @@ NOT_KNOWN: dict[str, Any] = {
     "hatch": "////",
     "lw": 0,
 }
+TIME_LABEL = (
+    "time of the recording, s\n"
+    "stripes: phases of the motion, named at the top; orange: a phase of a single frame"
+)
 MEASURED, TRUE = style.SERIES[0], style.MUTED
 Panel = Callable[[Axes, DemoResults], None]
 
@@ -41,24 +45,35 @@ def wrench_figure(results: DemoResults) -> Figure:
     figure = style.new_figure(13.4, 13.4)
     depth, *panels = figure.subplots(5, 1, sharex=True, height_ratios=[0.8, 1.2, 0.9, 1.0, 0.9])
     time_s = results.time_s
-    moved = np.stack([frame.surface.displacement for frame in results.frames]) * 1e3
-    _draw_line(depth, time_s, _largest(-moved[..., 2]), style.INK, "deepest")
-    sideways = np.linalg.norm(moved[..., :2], axis=-1)
-    _draw_line(depth, time_s, _largest(sideways), style.OBJECT, "largest sideways")
+    _draw_displacement(depth, results)
     _draw_wrench(panels[0], panels[1], results, _Part("F", "force, N", "N", slice(0, 3), 1.0))
     _draw_wrench(
         panels[2], panels[3], results, _Part("M", "moment, N mm", "N mm", slice(3, 6), 1e3)
     )
-    depth.set_ylabel("moved, mm")
     for axes in (depth, *panels):
         axes.axhline(0, color=style.MUTED, lw=0.8, zorder=0)
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
         _draw_phases(axes, results, names=axes is depth)
-    panels[-1].set_xlabel("time of the recording, s")
+    panels[-1].set_xlabel(TIME_LABEL)
     panels[-1].set_xlim(time_s[0] - 0.01, time_s[-1] + 0.01)
-    depth.set_title("Measured force of the object on the gel over time", pad=30)
+    depth.set_title("Displacement of the gel; force and moment of the object on the gel", pad=30)
     figure.align_ylabels()
     return figure
+
+
+def _draw_displacement(axes: Axes, results: DemoResults) -> None:
+    """Largest depth and largest displacement along the gel of all markers."""
+    positions = results.recording.truth.corners_m
+    true = (positions - positions[0]) * 1e3
+    measured = np.stack([frame.surface.displacement for frame in results.frames]) * 1e3
+    for part, colour, label in (
+        (lambda moved: -moved[..., 2], style.INK, "depth"),
+        (lambda moved: np.linalg.norm(moved[..., :2], axis=-1), style.OBJECT, "along the gel"),
+    ):
+        _draw_true(axes, results, _largest(part(true)), colour, "")
+        _draw_line(axes, results.time_s, _largest(part(measured)), colour, label)
+    axes.plot([], [], color=style.MUTED, lw=5, alpha=0.4, label="true")
+    axes.set_ylabel("largest\ndisplacement, mm")
 
 
 @dataclass(frozen=True)
@@ -151,7 +166,7 @@ def contact_figure(results: DemoResults) -> Figure:
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.4)
     rows[0].set_title("The contacts over time", pad=30)
-    rows[-1].set_xlabel("time of the recording, s")
+    rows[-1].set_xlabel(TIME_LABEL)
     rows[-1].set_xlim(results.time_s[0] - 0.01, results.time_s[-1] + 0.01)
     figure.align_ylabels()
     return figure
@@ -189,7 +204,7 @@ def _draw_states(axes: Axes, results: DemoResults) -> None:
     share = results.sensor.slip.incipient_ratio
     rules = {
         SlipState.INCIPIENT: f": {share:.0%} or more of the contact slides",
-        SlipState.FULL: ": all of it slides; measured once\nits tangential force stops rising",
+        SlipState.FULL: ": all of it slides; measured once\nthe tangential force no longer rises",
     }
     for state, colour in STATES.items():
         if state in shown:
@@ -221,11 +236,12 @@ def _draw_slip(axes: Axes, results: DemoResults) -> None:
 
 def _draw_friction(axes: Axes, results: DemoResults) -> None:
     truth = results.recording.truth
-    _draw_true(axes, results, truth.traction_ratio, style.SERIES[0], "true")
-    _draw_measured(axes, results, _slip(results, "traction_ratio"), "tangential over normal force")
+    ratio, name = _slip(results, "traction_ratio"), "tangential over normal force"
+    _draw_true(axes, results, truth.traction_ratio, style.SERIES[0], f"{name}, true")
+    _draw_measured(axes, results, ratio, f"{name}, measured")
     coefficient, std = _slip(results, "friction_coefficient"), _slip(results, "friction_std")
     colour = style.SERIES[1]
-    _draw_true(axes, results, truth.friction_coefficient, colour, "")
+    _draw_true(axes, results, truth.friction_coefficient, colour, "friction coefficient, true")
     known = np.isfinite(coefficient)
     if known.any():
         axes.errorbar(
@@ -237,11 +253,10 @@ def _draw_friction(axes: Axes, results: DemoResults) -> None:
             ms=4,
             ls="none",
             capsize=3,
-            label=f"coefficient, ±{BAND:g} std",
+            label=f"friction coefficient, measured, ±{BAND:g} std",
         )
     axes.set_ylabel("tangential / normal")
     finite = [v[np.isfinite(v)] for v in (truth.friction_coefficient, coefficient)]
-    ratio = _slip(results, "traction_ratio")
     highest = max([1.0, *np.concatenate([*finite, ratio[np.isfinite(ratio)]]).tolist()])
     axes.set_ylim(0, min(1.1 * highest, 2.5))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -19,7 +20,7 @@ from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult
 from cmp_tactile_processing.measured import ForceField, Surface, gridline_points
 
-WIDTH, HEIGHT = 9.0, 3.1
+WIDTH, HEIGHT = 10.0, 3.3
 # Slower than life, so that the knock can be followed by eye.
 MILLISECONDS_PER_FRAME = 80
 QUALITY = 55
@@ -29,6 +30,7 @@ ARROW_STEP = 2
 LONGEST_ARROW_PITCHES = 1.8
 # Share of the shear in contact that is smaller than the longest arrow.
 ARROW_SHARE = 0.9
+_CONTACT_WORDS = "blue: edge of a contact; cross: its centre of pressure"
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ class _Scales:
 def overview_figure(results: DemoResults, index: int) -> Figure:
     """One picture of the animation, larger."""
     figure = style.new_figure(WIDTH * 1.4, HEIGHT * 1.4)
-    _draw_panels(_panels(figure), results.frame(index), _Scales.from_results(results))
+    scales = _Scales.from_results(results)
+    _draw_panels(_panels(figure, scales), results.frame(index), scales)
     return figure
 
 
@@ -89,7 +92,8 @@ def write_animation(
 
 def _pictures(results: DemoResults, on_frame: Callable[[], None]) -> Iterator[Image.Image]:
     figure = style.new_figure(WIDTH, HEIGHT)
-    panels, scales = _panels(figure), _Scales.from_results(results)
+    scales = _Scales.from_results(results)
+    panels = _panels(figure, scales)
     for frame in results.frames:
         for axes in panels:
             # The ticks stay, which take longer to make than all the rest.
@@ -106,8 +110,27 @@ def _pictures(results: DemoResults, on_frame: Callable[[], None]) -> Iterator[Im
         on_frame()
 
 
-def _panels(figure: Figure) -> list[Axes]:
-    return list(figure.subplots(1, 3, width_ratios=[1.05, 1, 1]))
+def _panels(figure: Figure, scales: _Scales) -> list[Axes]:
+    """The axes of view, displacement and force, with all that is the same in every frame."""
+    panels = list(figure.subplots(1, 3, width_ratios=[1.15, 1.1, 1.1]))
+    _, displacement, force = panels
+    limits = (-scales.half_width, scales.half_width)
+    for axes, words in (
+        (displacement, "arrows: displacement along the gel, to scale"),
+        (force, f"arrows: tangential force; 1 mm is {scales.shear:.0f} kPa\n{_CONTACT_WORDS}"),
+    ):
+        axes.set(xlim=limits, ylim=limits, aspect="equal")
+        axes.tick_params(labelsize=8)
+        axes.set_xlabel(f"x, mm\n{words}", fontsize=8, labelpad=1)
+        axes.set_ylabel("y, mm", fontsize=8, labelpad=1)
+    for axes, norm, colours, words in (
+        (displacement, scales.depth, style.DEPTH_MAP, "depth, mm"),
+        (force, scales.pressure, style.PRESSURE_MAP, "pressure, kPa"),
+    ):
+        bar = style.colour_bar(ScalarMappable(norm, colours), [axes], words, shrink=0.8)
+        bar.ax.yaxis.label.set_fontsize(8)
+        bar.ax.tick_params(labelsize=8)
+    return panels
 
 
 def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) -> None:
@@ -118,11 +141,6 @@ def _draw_panels(panels: Sequence[Axes], frame: FrameResult, scales: _Scales) ->
     titles = f"left view, frame {frame.index}", "displacement and depth", "force and pressure"
     for axes, title in zip(panels, titles, strict=True):
         axes.set_title(title, fontsize=10, y=1.0)
-    limits = (-scales.half_width, scales.half_width)
-    for axes in (displacement, force):
-        axes.set(xlim=limits, ylim=limits, aspect="equal")
-        axes.tick_params(labelsize=8)
-        axes.set_xlabel("mm", fontsize=8, labelpad=1)
 
 
 def _draw_view(axes: Axes, frame: FrameResult, window: NDArray[np.float64]) -> None:
