@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 import pytest
 from command_output import output_of
-from documents import assert_printed, shown_after
+from documents import assert_printed, blocks, shown_after
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
 from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
+from cmp_tactile_processing.sensor.yaml_text import yaml_value
 from cmp_tactile_simulation.recording.truth import read_truth
 from cmp_tactile_simulation.scenes.file import packaged_scenes
 
@@ -70,13 +71,21 @@ def test_the_notebook_plots_force_and_slip(tmp_path):
     notebook = json.loads((EXAMPLES / "force_and_slip.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
     script = tmp_path / "notebook.py"
-    checked = "\nprint(*above.lines[2].get_ydata().round(3), max(below.lines[0].get_ydata()))"
+    checked = """
+print(output)
+print(*above.lines[2].get_ydata().round(3), max(below.lines[0].get_ydata()))
+print(*axes.lines[2].get_ydata().round(3))
+"""
     script.write_text("\n".join(cells) + checked, encoding="utf-8")
-    *normal, slip = map(float, output_of(script, MPLBACKEND="agg").split())
+    *_, output, pipeline, processed = output_of(script, MPLBACKEND="agg").splitlines()
+    shutil.rmtree(output)
+    *normal, slip = map(float, pipeline.split())
     # The scene presses with 1.1 N and then slides.
     assert min(normal) == pytest.approx(-1.1, abs=0.05)
     assert normal[0] == 0
     assert slip == SlipState.FULL
+    # Counts from the described surface, and not from the first frames: apart by the noise.
+    assert list(map(float, processed.split())) == pytest.approx(normal, abs=0.02)
 
 
 def test_refraction_example_prints_what_the_documentation_says():
@@ -89,6 +98,26 @@ def test_refraction_example_prints_what_the_documentation_says():
         documented = [float(item) for item in re.findall(r"(-?[\d.]+) um", line)]
         # Given to three digits or so.
         assert row == pytest.approx(documented, rel=0.02, abs=0.006)
+
+
+def test_two_mirrors_are_computed_from_angles_and_lengths(tmp_path):
+    """The page's angles and lengths are those of the sample rig, to 0.1 degrees and 0.01 mm."""
+    page = EXAMPLES.parent / "calibrate.md"
+    section = page.read_text(encoding="utf-8").partition("### Two mirrors")[2]
+    script = tmp_path / "mirrors.py"
+    script.write_text(blocks(section, "python")[0], encoding="utf-8")
+    printed = output_of(script)
+    assert_printed(shown_after(page, "It prints values to copy"), printed, absolute=1.1e-6)
+    found, sensor = yaml_value(printed), load_sensor("sample_rig")
+    compared = [(found["T_camera_gel"], sensor.optics.T_camera_gel[:3])]
+    for view in ("left", "right"):
+        mirror = sensor.views[view].mirror
+        compared.append((found[view]["normal"], mirror.normal))
+        assert found[view]["distance"] == pytest.approx(mirror.distance, abs=2e-5)
+    for ours, packaged in compared:
+        np.testing.assert_allclose(ours, packaged, atol=np.radians(0.1))
+    lengths = np.array(found["T_camera_gel"])[:, 3]
+    np.testing.assert_allclose(lengths, sensor.optics.T_camera_gel[:3, 3], atol=2e-5)
 
 
 def test_the_drawing_of_the_mirrors_is_made(tmp_path):
