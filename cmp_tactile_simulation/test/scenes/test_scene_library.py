@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import trimesh
 
 from cmp_tactile_simulation.errors import SceneError
-from cmp_tactile_simulation.scenes.description import Scene
+from cmp_tactile_simulation.scenes.description import INDENTERS, MESH, Scene
 from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names, packaged_scenes
 from cmp_tactile_simulation.scenes.simulation import Simulation
 from cmp_tactile_simulation.scenes.table import renew
@@ -98,6 +99,15 @@ def test_the_documents_tables_are_made_from_the_code():
     assert DOCUMENT.read_text() == renew(DOCUMENT), (
         "run: python3 -m cmp_tactile_simulation.scenes.table docs/scenes.md"
     )
+
+
+def test_the_documents_list_the_types_of_indenters_where_scenes_are_written():
+    """Besides the generated table, which is at the end of its page."""
+    (row,) = re.findall(r"^\| `indenter` \| (.*)", DOCUMENT.read_text(), re.MULTILINE)
+    tutorial = (DOCUMENT.parent / "tutorials" / "simulate.md").read_text()
+    (sentence,) = re.findall(r"The types are ([^(]*)", tutorial)
+    for listed in (row.partition(";")[0].removeprefix("`type`"), sentence):
+        assert re.findall(r"`(\w+)`", listed) == [*INDENTERS, MESH]
 
 
 def test_the_documents_example_can_be_simulated(tmp_path):
