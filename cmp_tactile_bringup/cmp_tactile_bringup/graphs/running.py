@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import sys
 import time
@@ -11,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, TextIO
 
 from std_srvs.srv import SetBool, Trigger
@@ -157,16 +159,25 @@ def next_steps(graph: Graph) -> str:
     """What to do with a sensor that runs, in lines."""
     sensor = _namespace(graph).lstrip("/")
     simulated = any(item.parameters.get("source") == "simulated" for item in graph.components)
+    press, listen = _example("move_indenter.py"), _example("listen.py")
     steps = [
-        *([(f"python3 docs/examples/move_indenter.py {sensor}", "press it")] if simulated else []),
-        (f"python3 docs/examples/listen.py {sensor}", "use the force in your own node"),
+        *([(f"python3 {press} {sensor}", "press it")] if simulated else []),
+        (f"python3 {listen} {sensor}", "use the force in your own node"),
         ("cmp_tactile record --output my_bag", "record it"),
         (f"ros2 topic echo /{sensor}/wrench", "with a full ROS 2"),
     ]
-    lines = [f"  {command:<58}{what}" for command, what in steps]
+    width = max(len(command) for command, _ in steps) + 2
+    lines = [f"  {command:<{width}}{what}" for command, what in steps]
     heading = "Ctrl-C ends it. Next, in another terminal (docs/tutorials/first_look.md):"
     ending = "Force on the gel (x, y, z), +- one standard deviation:"
     return "\n".join([heading, *lines, ending, ""])
+
+
+def _example(name: str) -> str:
+    """An example for a command line; in full outside the checkout, if the checkout is known."""
+    short = Path("docs", "examples", name)
+    full = Path(__file__).resolve().parents[3] / short
+    return shlex.quote(str(full if full.is_file() and not short.is_file() else short))
 
 
 def _namespace(graph: Graph) -> str:
