@@ -162,7 +162,8 @@ class Replay(_Graph):
     sensor: Annotated[
         str | None,
         option(
-            "sensor description, a file or a packaged name; not needed for simulated recordings"
+            "sensor description, a file or a packaged name; not needed for a packaged scene, or "
+            "with a sensor.yaml in the recording's folder"
         ),
     ] = None
     rate: Annotated[

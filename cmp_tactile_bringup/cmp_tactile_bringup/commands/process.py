@@ -64,7 +64,8 @@ class Process(Command):
     sensor: Annotated[
         str | None,
         option(
-            "sensor description: a file or a packaged name; not needed for simulated recordings"
+            "sensor description: a file or a packaged name; not needed for a packaged scene, or "
+            "with a sensor.yaml in the recording's folder"
         ),
     ] = None
     topic: Annotated[str, option("image topic, if the bag has several", group=READING)] = ""

@@ -38,8 +38,8 @@ class View(Command):
     sensor: Annotated[
         str | None,
         option(
-            "sensor description: a file or a packaged name; not needed for simulated recordings "
-            "and results"
+            "sensor description: a file or a packaged name; not needed for a packaged scene, for "
+            "results, or with a sensor.yaml in the recording's folder"
         ),
     ] = None
     topic: Annotated[str, option("image topic, if the bag has several")] = ""
