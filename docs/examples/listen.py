@@ -15,6 +15,7 @@ from rclpy.node import Node
 from cmp_tactile_msgs.msg import ForceField
 
 GRIP_LIMIT_N = 2.0
+REPORT_PERIOD_S = 1.0
 UNKNOWN = (
     ForceField.FLAG_FEW_MARKERS
     | ForceField.FLAG_BEYOND_MARKERS
@@ -25,16 +26,19 @@ UNKNOWN = (
 
 
 class GripGuard(Node):
-    """Prints when the grip becomes firm and when it becomes loose."""
+    """Prints when the grip becomes firm or loose, and the force once a second."""
 
     def __init__(self, sensor: str) -> None:
         super().__init__("grip_guard")
         self._firm = False
+        self._latest: ForceField | None = None
         topic = f"/{sensor}/force_field"
         self.create_subscription(ForceField, topic, self._on_force, 10)
+        self.create_timer(REPORT_PERIOD_S, self._report)
         print(f"listening to {topic}: firm is above {GRIP_LIMIT_N:g} N; Ctrl-C ends it", flush=True)
 
     def _on_force(self, msg: ForceField) -> None:
+        self._latest = msg
         if msg.flags & UNKNOWN:
             return  # the force is NaN or that of something else: the grip is as it was
         # The force that the object exerts on the gel: a press has a negative z.
@@ -44,6 +48,15 @@ class GripGuard(Node):
             what = "firm" if firm else "loose"
             area_mm2 = 1e6 * msg.contact_area
             print(f"grip {what}: {-msg.wrench.force.z:.1f} N over {area_mm2:.0f} mm2", flush=True)
+
+    def _report(self) -> None:
+        msg, self._latest = self._latest, None
+        if msg is None:
+            print("no force came: does a sensor of this name run?", flush=True)
+        elif msg.flags & UNKNOWN:
+            print(f"no force can be given: flags {msg.flags}", flush=True)
+        else:
+            print(f"normal force: {-msg.wrench.force.z:.1f} N", flush=True)
 
 
 def main(sensor: str = "sample_rig") -> None:

@@ -19,7 +19,8 @@ from cmp_tactile_msgs.msg import ForceField
 
 NORMAL_N = 2.0
 DRAG_M = 0.5e-3
-PATIENCE_S = 120.0
+PATIENCE_S = 30.0
+STARTING_S = 120.0  # for a simulator that still builds its gel
 
 
 class Hand(Node):
@@ -38,6 +39,15 @@ class Hand(Node):
         self.create_subscription(PoseStamped, "indenter/pose", self._on_pose, 10)
         self.create_subscription(ForceField, "truth/force_field", self._on_truth, 10)
         self.create_subscription(ForceField, "force_field", self._on_force, 10)
+
+    def is_ready(self) -> bool:
+        """Whether the simulator shows a pose and takes commands: one sent earlier is lost."""
+        taken = all(topic.get_subscription_count() for topic in (self.load, self.target))
+        return self.pose is not None and taken and self.reset.service_is_ready()
+
+    def is_pressed(self) -> bool:
+        """Whether the load is reached within 1 %."""
+        return abs(self.true.z + NORMAL_N) < 0.01 * NORMAL_N
 
     def press(self, normal: float) -> None:
         """Request this force into the gel, N."""
@@ -79,12 +89,14 @@ def stamp(message: ForceField | PoseStamped) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
-def wait(hand: Hand, condition: Callable[[], bool], what: str) -> None:
-    """Receive messages until the condition is true."""
-    deadline = time.monotonic() + PATIENCE_S
+def wait(
+    hand: Hand, condition: Callable[[], bool], failure: str, patience: float = PATIENCE_S
+) -> None:
+    """Receive messages until the condition is true; end the program after patience, in s."""
+    deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:
-            sys.exit(f"waited {PATIENCE_S:g} s without result for {what}")
+            sys.exit(f"{failure} within {patience:g} s")
         rclpy.spin_once(hand, timeout_sec=0.1)
 
 
@@ -93,18 +105,18 @@ def main(sensor: str = "sample_rig") -> None:
     rclpy.init()
     hand = Hand(sensor)
     try:
-        wait(hand, lambda: hand.pose is not None, "the live sensor")
+        wait(hand, hand.is_ready, f"found no live simulated sensor {sensor}", STARTING_S)
         hand.press(NORMAL_N)
-        wait(hand, lambda: abs(hand.true.z + NORMAL_N) < 0.01 * NORMAL_N, "the load")
+        wait(hand, hand.is_pressed, "the sensor did not take the load")
         hand.tell("pressed")
         end = hand.pose.pose.position.x + DRAG_M
         hand.move_by(DRAG_M)
-        wait(hand, lambda: hand.pose.pose.position.x > end - 1e-6, "the drag")
+        wait(hand, lambda: hand.pose.pose.position.x > end - 1e-6, "the indenter did not arrive")
         there = stamp(hand.pose)
-        wait(hand, lambda: hand.paired >= there, "its force")
+        wait(hand, lambda: hand.paired >= there, "the force did not follow")
         hand.tell("dragged")
         hand.reset.call_async(Trigger.Request())
-        wait(hand, lambda: hand.true.z == 0, "the release")
+        wait(hand, lambda: hand.true.z == 0, "the sensor was not released")
         hand.tell("released")
     finally:
         hand.destroy_node()
