@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.files import atomic_path
-from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
+from cmp_tactile_processing.force.advice import (
+    RECORDED_ADVICE,
+    UNUSABLE,
+    flag_names,
+    single_flags,
+)
 from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFault, SlipState
 
 WRENCH = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm")
@@ -42,11 +47,6 @@ COLUMN_TYPES = {
     "stamp_fault": "string",
 }
 UNITS = {"s": "s", "N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
-# These spoil the forces; too few markers are reported with the views' faults, and the others belong
-# to ordinary use.
-WARNED_OF = (
-    ForceFlag.NOT_CONVERGED | ForceFlag.POOR_FIT | ForceFlag.IMPLAUSIBLE | ForceFlag.ZERO_DOUBTFUL
-)
 # Longest name of a fault: an array of texts has one length.
 FAULT_TYPE = f"U{max(len(fault.value) for fault in GridFault)}"
 COPY_BYTES = 1 << 20
@@ -112,7 +112,7 @@ def unit_of(column: str) -> str:
 
 
 class ForceFlags:
-    """Counts the frames of a recording with a force that is not to be trusted."""
+    """Counts the frames of a recording with each flag."""
 
     def __init__(self) -> None:
         self._frames = 0
@@ -121,14 +121,16 @@ class ForceFlags:
     def add(self, force: ForceField) -> None:
         """Take the force field of a frame into account."""
         self._frames += 1
-        for flag in single_flags(force.flags & WARNED_OF):
+        for flag in single_flags(force.flags):
             self._flagged[flag] = self._flagged.get(flag, 0) + 1
 
     @property
     def doubts(self) -> Iterator[str]:
-        """A line for each flag that was set."""
-        for flag, count in self._flagged.items():
-            yield f"in {count} of {self._frames} frames {flag_names(flag)}: {ADVICE[flag]}"
+        """A line for each flag that was set; first those with which a force must not be used."""
+        for flag in sorted(self._flagged, key=lambda flag: not flag & UNUSABLE):
+            frames = f"in {self._flagged[flag]} of {self._frames} frames {flag_names(flag)}"
+            ban = "do not use their force; " if flag & UNUSABLE else ""
+            yield f"{frames}: {ban}{RECORDED_ADVICE[flag]}"
 
 
 def grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:

@@ -76,10 +76,21 @@ def test_unknown_deviations_are_nan_in_the_shape_of_known_ones(field):
     assert np.isnan(one["force_std"]).all()
 
 
-def test_only_what_spoils_the_force_is_reported(field):
+def test_each_flag_is_counted_and_a_recording_is_not_to_be_zeroed(field):
+    """First the flags that forbid to use a force, however late they come."""
     flags = ForceFlags()
-    flags.add(field)
     flags.add(replace(field, flags=ForceFlag.NO_DEPTH | ForceFlag.HIDDEN_CONTACT))
-    flags.add(replace(field, flags=ForceFlag.FEW_MARKERS))
-    (doubt,) = flags.doubts
-    assert doubt.startswith("in 1 of 3 frames poor_fit: no force explains how the markers moved")
+    flags.add(replace(field, flags=ForceFlag.NO_DEPTH | ForceFlag.BEYOND_MARKERS))
+    flags.add(replace(field, flags=ForceFlag.POOR_FIT))
+    begins = [doubt.partition(";")[0] for doubt in flags.doubts]
+    assert begins[:2] == [
+        "in 1 of 3 frames beyond_markers: do not use their force",
+        "in 1 of 3 frames poor_fit: do not use their force",
+    ]
+    assert [doubt.split(":")[0] for doubt in begins[2:]] == [
+        "in 1 of 3 frames hidden_contact",
+        "in 2 of 3 frames no_depth",
+    ]
+    fit = list(flags.doubts)[1]
+    assert "--reference first-N" in fit
+    assert "zero again" not in fit

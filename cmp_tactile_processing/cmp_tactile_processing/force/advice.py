@@ -6,9 +6,22 @@ from collections.abc import Iterator
 
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 
+# With these the force is not that of the object (docs/results.md, "Flags").
+UNUSABLE = (
+    ForceFlag.FEW_MARKERS
+    | ForceFlag.BEYOND_MARKERS
+    | ForceFlag.POOR_FIT
+    | ForceFlag.IMPLAUSIBLE
+    | ForceFlag.ZERO_DOUBTFUL
+)
+_ZERO = "zero again while nothing touches the gel"
+_REFERENCE = (
+    "process it again with a reference of frames in which nothing touches the gel, as "
+    "--reference first-N"
+)
 ADVICE: dict[ForceFlag, str] = {
     ForceFlag.FEW_MARKERS: (
-        "too few markers are seen to determine a force: see the diagnostics of the trackers"
+        "too few markers are seen to determine a force: see the faults of the views"
     ),
     ForceFlag.AT_BORDER: (
         "a load reaches the edge of the marker area: the part beyond the edge is measured only "
@@ -27,27 +40,28 @@ ADVICE: dict[ForceFlag, str] = {
         "if the camera looks at the gel from the side, it can be completely wrong"
     ),
     ForceFlag.LARGE_PRESS: (
-        "the press is too deep for the linear model: set force.large_press to auto or on, or "
-        "press less"
+        "the press is too deep for the linear model: set elastomer.model to neo_hookean with "
+        "force.large_press auto, or press less"
     ),
     ForceFlag.NOT_CONVERGED: (
         "the large-press correction has not settled: if the flag stays for more than a second "
         "while the press is still, check thickness and modulus, or press less"
     ),
     ForceFlag.POOR_FIT: (
-        "no force explains how the markers moved: zero again while nothing touches the gel, and "
-        "check that this is the description of the sensor"
+        f"no force explains how the markers moved: {_ZERO}, and check that this is the "
+        "description of the sensor"
     ),
     ForceFlag.IMPLAUSIBLE: (
         "the markers moved as no gel of this description can, so no force is given: check focus, "
-        "exposure and what covers the pattern; zero again while nothing touches the gel; check "
-        "pitch, size and modulus in the sensor description"
+        f"exposure and what covers the pattern; {_ZERO}; check pitch, size and modulus in the "
+        "sensor description"
     ),
     ForceFlag.ZERO_DOUBTFUL: (
-        "there is a force without a contact, or the reference was taken under load: zero again "
-        "while nothing touches the gel"
+        f"there is a force without a contact, or the reference was taken under load: {_ZERO}"
     ),
 }
+# The same for a recording, which cannot be zeroed.
+RECORDED_ADVICE = {flag: text.replace(_ZERO, _REFERENCE) for flag, text in ADVICE.items()}
 
 SLIP_WORDS: dict[SlipState, str] = {
     SlipState.UNKNOWN: "slip unknown",

@@ -94,7 +94,7 @@ def test_contact(model, truth, name):
     assert np.linalg.norm((field.centre_of_pressure - press.centre)[:2]) < 4e-4
     assert field.slip_state is SlipState.UNKNOWN
     assert field.valid_fraction == 1
-    assert field.flags == ForceFlag.NONE
+    assert not field.flags & ~ForceFlag.LARGE_PRESS
     assert field.noise_scale == pytest.approx(1, abs=0.6)
     # Beside the contacts the solution swings around zero, which belongs to none of them.
     total = sum(contact.wrench for contact in field.contacts)
@@ -182,7 +182,7 @@ def test_pulls_and_drags_are_measured_and_no_contacts(model, truth, name):
         np.testing.assert_allclose(
             field.wrench[:3], force, rtol=0, atol=0.01 * np.linalg.norm(force) + 0.01
         )
-        assert field.flags == ForceFlag.NONE
+        assert not field.flags & ~ForceFlag.LARGE_PRESS
         assert len(field.contacts) == (place is not None)
         assert field.contact.any() == (place is not None)
         if place is None:
@@ -234,6 +234,18 @@ def test_uncertain_material_widens_the_error_bars(sample_rig, model, truth, cach
     np.testing.assert_array_equal(field.wrench, known.wrench)
     expected = np.hypot(known.wrench_std[:3], np.abs(field.wrench[:3]) * [0.1, 0.1, 0.05])
     np.testing.assert_allclose(field.wrench_std[:3], expected, rtol=1e-2)
+
+
+def test_a_deep_press_of_a_linear_gel_is_flagged(sample_rig, model, truth):
+    """No rubber is linear at 16 % of the thickness, whatever its description says."""
+    press = truth["press"].displacement / -truth["press"].displacement[..., 2].min()
+    thickness = sample_rig.elastomer.size[2]
+    sure, deep = (
+        alone(model, noisy(share * thickness * press), MEASURED) for share in (0.14, 0.16)
+    )
+    assert sure.flags == ForceFlag.NONE
+    assert deep.flags == ForceFlag.LARGE_PRESS
+    assert deep.wrench[2] == pytest.approx(16 / 14 * sure.wrench[2], rel=0.01)
 
 
 def test_large_press_that_is_not_corrected_is_in_doubt(sample_rig, model, truth, cache_dir):

@@ -17,7 +17,7 @@ from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.force.advice import ADVICE, single_flags
+from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
 from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.ros.messages import reading
@@ -365,7 +365,7 @@ def snapshot_health(snapshot: Snapshot) -> Iterator[HealthLine]:
             yield HealthLine(Level.WARN, view, f"{grid.reason}{fault}")
     if snapshot.force is not None:
         for flag in single_flags(snapshot.force.flags):
-            yield HealthLine(Level.WARN, "force:", ADVICE[flag])
+            yield HealthLine(Level.WARN, "force:", RECORDED_ADVICE[flag])
 
 
 def open_source(

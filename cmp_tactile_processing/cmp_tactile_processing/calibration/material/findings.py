@@ -11,6 +11,7 @@ from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.calibration.material.options import MaterialOptions
 from cmp_tactile_processing.calibration.material.scale import LEAST_SIDEWAYS
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.force.model import LINEAR_DOUBT
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # A correlation as strong as this is that of the same axis.
@@ -24,9 +25,6 @@ LEAST_RANGE = 1.5
 # Standard deviations beyond which an offset is there.
 CLEAR = 3.0
 MOST_LISTED = 6
-# Taken as linear, a rubber-like gel that is pressed in by 2.3 % of its thickness shows 4 % too much
-# or too little force; the error grows with the depth.
-STRAIN_ERROR = 0.04 / 0.023
 
 
 def axis_findings(shown: NDArray[np.float64], given: NDArray[np.float64]) -> list[Finding]:
@@ -124,7 +122,7 @@ def range_findings(
         return []
     depth = max(float(np.nanmax(np.abs(sample.displacement[..., 2]))) for sample in samples)
     share = depth / sensor.elastomer.size[2]
-    error = STRAIN_ERROR * share
+    error = LINEAR_DOUBT * share
     if error <= options.strain_error:
         return []
     text = (
@@ -132,7 +130,7 @@ def range_findings(
         "the gel is modelled as linear. If it is rubber-like, forces are wrong by up to "
         f"{error:.0%} (limit {options.strain_error:.0%})."
     )
-    deep = options.strain_error / STRAIN_ERROR * sensor.elastomer.size[2]
+    deep = options.strain_error / LINEAR_DOUBT * sensor.elastomer.size[2]
     return [Finding(Severity.WARNING, text, _strain_advice(sensor, deep))]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
+from cmp_tactile_processing.force.advice import ADVICE, UNUSABLE, flag_names, single_flags
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.measured import (
     ForceField,
@@ -168,13 +168,7 @@ def reference_figures(keeper: ReferenceKeeper) -> dict[str, object]:
 
 
 # The others are reported, but belong to ordinary use.
-WARNED_OF = (
-    ForceFlag.FEW_MARKERS
-    | ForceFlag.NOT_CONVERGED
-    | ForceFlag.POOR_FIT
-    | ForceFlag.IMPLAUSIBLE
-    | ForceFlag.ZERO_DOUBTFUL
-)
+WARNED_OF = UNUSABLE & ~ForceFlag.BEYOND_MARKERS | ForceFlag.NOT_CONVERGED
 # A flag is reported once it holds in this share of a second's fields, and until it holds in less
 # than the other: one that comes and goes from frame to frame is reported without a break.
 REPORTED_FROM = 0.5
