@@ -198,7 +198,9 @@ def _read_views(
 
 
 def _read_roi(section: YamlSection, image: parts.ImageSize) -> parts.Roi:
-    expected = f"[x, y, width, height] in whole px inside {image.width} x {image.height}"
+    expected = (
+        f"[x, y, width, height] in whole px inside {image.width} x {image.height}, the size `image`"
+    )
     values = section.raw("roi", expected)
     whole = isinstance(values, list) and len(values) == 4
     whole = whole and all(isinstance(v, int) and not isinstance(v, bool) for v in values)

@@ -19,6 +19,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
     choice,
     meant,
     number,
+    or_else,
     part,
     positive,
     quantities,
@@ -242,6 +243,13 @@ def _read_code_seed(section: YamlSection, key: str) -> int:
     return seed
 
 
+def _read_corner_checker(section: YamlSection, key: str) -> str:
+    if key not in section:
+        expected = "dark or light, the checker outside corner (0, 0); `cmp_tactile init` finds it"
+        raise section.missing(key, expected)
+    return section.choice(key, ("dark", "light"))
+
+
 @dataclass(frozen=True)
 class Pattern:
     """A checkerboard of rows x cols inner corners, regular in x and y with the given pitch, m.
@@ -256,8 +264,8 @@ class Pattern:
     rows: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
     cols: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
     pitch: float = field(metadata=number(*PITCH_M, "m"))
-    corner_checker: str = field(metadata=choice("dark", "light"))
-    points_per_segment: int = field(metadata=whole(0, MAX_POINTS_PER_SEGMENT))
+    corner_checker: str = field(metadata=read_by(_read_corner_checker))
+    points_per_segment: int = field(metadata=or_else(6, whole(0, MAX_POINTS_PER_SEGMENT)))
     surface: PatternSurface = field(metadata=read_by(_read_surface))
     code: str = field(default="none", metadata=read_by(_read_code))
     code_seed: int = field(default=0, metadata=read_by(_read_code_seed))
@@ -331,6 +339,17 @@ class ShadingLayer:
     young: float = field(metadata=number(*YOUNG_PA, "Pa"))
 
 
+def _read_shading_layer(section: YamlSection, key: str) -> ShadingLayer:
+    """None is one of thickness 0; that has the modulus of the gel, where the file gives none."""
+    given = section.raw(key) if key in section else {"thickness": 0}
+    if not isinstance(given, dict):
+        expected = "{thickness: m, young: Pa}, or no such key for a gel without the layer"
+        raise section.error(key, given, expected)
+    if given == {"thickness": 0}:
+        return ShadingLayer(0.0, section.quantity("young", "Pa", *YOUNG_PA))
+    return read_fields(section.section(key), ShadingLayer)
+
+
 @dataclass(frozen=True)
 class GelRelaxation:
     """How the gel yields while it is held: E(t) = young (1 - share + share exp(-t / time)).
@@ -387,8 +406,8 @@ class Elastomer:
     size: tuple[float, float, float] = field(metadata=quantities(3, SIDE_M, "m"))
     young: float = field(metadata=number(*YOUNG_PA, "Pa"))
     poisson: float = field(metadata=number(0.0, 0.4999))
-    model: str = field(metadata=choice("linear", "neo_hookean"))
-    shading_layer: ShadingLayer = field(metadata=part(ShadingLayer))
+    model: str = field(metadata=or_else("linear", choice("linear", "neo_hookean")))
+    shading_layer: ShadingLayer = field(metadata=read_by(_read_shading_layer))
     relaxation: GelRelaxation | None = field(default=None, metadata=part(GelRelaxation))
     calibration: MaterialRecord | None = field(default=None, metadata=part(MaterialRecord))
 

@@ -22,6 +22,17 @@ OTHER_UNITS = {"m": (1e-3, 1e-6), "Pa": (1e3, 1e6)}
 _MISSING = object()
 
 
+class MissingKeysError(DescriptionError):
+    """A file lacks keys.
+
+    keys: for each of them its path, and that nothing was found and what is expected.
+    """
+
+    def __init__(self, path: Path, keys: Sequence[str]) -> None:
+        self.keys = tuple(dict.fromkeys(keys))
+        super().__init__(f"{path}: {'; '.join(self.keys)}")
+
+
 def read_yaml(path: Path) -> YamlSection:
     """The top-level mapping of a YAML file.
 
@@ -87,8 +98,11 @@ class YamlSection:
     def error(self, key: str, found: object, expected: str) -> DescriptionError:
         """The error for a key of this section."""
         where = ".".join(part for part in (self._key_path, key) if part) or "top level"
-        what = "nothing" if found is _MISSING else found_text(found)
-        msg = f"{self._path}: {where}: found {what}, expected {expected}"
+        if found is _MISSING:
+            return MissingKeysError(
+                self._path, [printable(f"{where}: found nothing, expected {expected}")]
+            )
+        msg = f"{self._path}: {where}: found {found_text(found)}, expected {expected}"
         return DescriptionError(printable(msg))
 
     def refused(self, problem: Exception) -> DescriptionError:
@@ -331,11 +345,22 @@ def part(kind: type[Any], **more: Any) -> Metadata:
     return read_by(lambda section, key: read_fields(section.section(key), kind), **more)
 
 
+def or_else(default: Any, metadata: Metadata) -> Metadata:
+    """As metadata, with a value for a file without the key; a file that is written has the key."""
+    read = metadata["read"]
+
+    def read_or_default(section: YamlSection, key: str) -> Any:
+        return read(section, key) if key in section else default
+
+    return {**metadata, "read": read_or_default}
+
+
 def read_fields(section: YamlSection, kind: type[Part], **given: Any) -> Part:
     """The dataclass of all keys of a section.
 
     given: values of the fields that are not read here.
-    Raises DescriptionError for a key that is absent, wrong, or none of the fields'.
+    Raises DescriptionError for a key that is wrong, or none of the fields', and MissingKeysError,
+    with all that are absent, here and below.
     """
     values = field_values(section, kind, **given)
     section.finish()
@@ -348,12 +373,17 @@ def read_fields(section: YamlSection, kind: type[Part], **given: Any) -> Part:
 
 def field_values(section: YamlSection, kind: type[Any], **given: Any) -> dict[str, Any]:
     """Values by field, for a dataclass that is made of more than them; else as `read_fields`."""
-    values = dict(given)
+    values, missing = dict(given), list[str]()
     for item in fields(kind):
         if item.name in given or "read" not in item.metadata:
             continue
         key = item.metadata["key"] or item.name
         default = item.default is not MISSING or item.default_factory is not MISSING
         if key in section or item.metadata["required"] or not default:
-            values[item.name] = item.metadata["read"](section, key)
+            try:
+                values[item.name] = item.metadata["read"](section, key)
+            except MissingKeysError as error:
+                missing += error.keys
+    if missing:
+        raise MissingKeysError(section.path, missing)
     return values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     load_sensor,
     packaged_sensors,
+    sensor_description_text,
 )
 from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.sensor.parts import RefractingLayer
@@ -131,7 +133,11 @@ def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(cont
             r"optics\.layers\[1\]\.z: found -0\.02, expected more than -0\.01",
         ),
         pytest.param("camera.fx", 10**400, r"camera\.fx: found 1000", id="no float so large"),
-        ("views.left.roi", [0, 0, 600, 900], r"views\.left\.roi: .*inside 1024 x 768"),
+        (
+            "views.left.roi",
+            [0, 0, 600, 900],
+            r"views\.left\.roi: .*inside 1024 x 768, the size `image`",
+        ),
         ("views.left.mirror.normal", [1, 1, 1], r"views\.left\.mirror\.normal: .*length is 1\.73"),
         ("pattern.surface.radius", 0.005, r"pattern\.surface: .*a radius"),
         (
@@ -209,6 +215,35 @@ def test_only_decimal_integers_are_numbers(load_sample, number):
     with pytest.raises(DescriptionError, match=expected):
         load_sample("roi: [512,", f"roi: [{number},")
     assert load_sample("name: sample_rig", f"name: '{number}'").name == number
+
+
+def test_all_missing_keys_are_named_at_once(content, load):
+    del content["name"], content["pattern"]["corner_checker"], content["pattern"]["rows"]
+    del content["elastomer"]["young"], content["elastomer"]["shading_layer"]
+    with pytest.raises(DescriptionError) as caught:
+        load(content)
+    found = re.findall(r"(\S+): found nothing, expected", str(caught.value))
+    assert found == ["name", "pattern.rows", "pattern.corner_checker", "elastomer.young"]
+
+
+def test_keys_with_a_default_may_be_left_out(content, load):
+    """A file that is written has them, so that another default would change nothing."""
+    del content["pattern"]["points_per_segment"], content["elastomer"]["model"]
+    for absent in (False, True):
+        content["elastomer"]["shading_layer"] = {"thickness": 0}
+        if absent:
+            del content["elastomer"]["shading_layer"]
+        sensor = load(content)
+        assert sensor.pattern.points_per_segment == 6
+        assert sensor.elastomer.model == "linear"
+        layer = sensor.elastomer.shading_layer
+        assert (layer.thickness, layer.young) == (0, sensor.elastomer.young)
+        written = yaml.safe_load(sensor_description_text(sensor))
+        assert written["pattern"]["points_per_segment"] == 6
+        assert written["elastomer"]["model"] == "linear"
+    content["elastomer"]["shading_layer"] = None
+    with pytest.raises(DescriptionError, match=r"shading_layer: found None, .*without the layer"):
+        load(content)
 
 
 def test_a_misspelt_key_is_named_where_the_right_one_is_missing(load_sample):
