@@ -24,6 +24,8 @@ PAGES = {
     "process": "#process",
     "zero": "../docs/reference.md",
     "call": "../docs/nodes.md",
+    "topics": "../docs/launch.md",
+    "echo": "../docs/launch.md",
     "record": "../docs/recordings.md",
     "replay": "../docs/recordings.md",
     "view": "../docs/viewer.md",

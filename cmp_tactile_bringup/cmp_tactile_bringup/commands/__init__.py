@@ -34,6 +34,8 @@ SUBCOMMANDS = {
     "process": ("process.Process", "process recordings without ROS"),
     "zero": ("call.Zero", "set displacement and force of a running sensor to zero"),
     "call": ("call.Call", "call a service of a running node, such as a replay's pause"),
+    "topics": ("topics.Topics", "list the topics of running nodes"),
+    "echo": ("topics.Echo", "print the messages of a topic"),
     "record": ("record.Record", "record a running sensor"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),

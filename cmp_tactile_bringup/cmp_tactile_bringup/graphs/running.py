@@ -117,9 +117,12 @@ class RunningLine(Listener):
         if now - self._shown < (REWRITTEN_S if self._in_place else APPENDED_S):
             return
         self._shown = now
-        line = f"{rate_of(self._arrivals)}   {line_of(message)}"
-        # The cursor waits at the beginning, so that the next line of a log stands by itself.
+        rate = rate_of(self._arrivals)
+        line = f"{rate}   {line_of(message)}"
         width = shutil.get_terminal_size().columns - 1
+        if self._in_place and len(line) > width:
+            line = f"{rate}   {line_of(message, with_std=False)}"
+        # The cursor waits at the beginning, so that the next line of a log stands by itself.
         with suppress(OSError):  # the reader of a pipe has gone; the sensor runs on
             self._out.write(f"{line[:width]}{CLEAR_LINE}\r" if self._in_place else f"{line}\n")
             self._out.flush()
@@ -164,7 +167,7 @@ def next_steps(graph: Graph) -> str:
         *([(f"python3 {press} {sensor}", "press it")] if simulated else []),
         (f"python3 {listen} {sensor}", "use the force in your own node"),
         ("cmp_tactile record --output my_bag", "record it"),
-        (f"ros2 topic echo /{sensor}/wrench", "with a full ROS 2"),
+        (f"cmp_tactile echo /{sensor}/wrench", "see all of a topic, as with ros2 topic echo"),
     ]
     width = max(len(command) for command, _ in steps) + 2
     lines = [f"  {command:<{width}}{what}" for command, what in steps]
@@ -186,7 +189,7 @@ def _namespace(graph: Graph) -> str:
     return next(found, "").rstrip("/")
 
 
-def line_of(field: ForceField) -> str:
+def line_of(field: ForceField, *, with_std: bool = True) -> str:
     """Force on the gel with its standard deviations, contacts, slip, flags."""
     flags = ForceFlag(field.flags)
     named = f"   [{flag_names(flags)}]" if flags else ""
@@ -199,7 +202,8 @@ def line_of(field: ForceField) -> str:
     count = len(field.contacts)
     slip = f", {SLIP_WORDS[SlipState(field.slip_state)]}" if count else ""
     contacts = f"{count} contact{'' if count == 1 else 's'}{slip}"
-    return f"{values} N, +- {deviations}   {contacts}{named}"
+    std = f", +- {deviations}" if with_std else ""
+    return f"{values} N{std}   {contacts}{named}"
 
 
 def rate_of(arrivals: Sequence[float]) -> str:

@@ -1,4 +1,4 @@
-"""`cmp_tactile zero` and `call` beside nodes that run."""
+"""`cmp_tactile zero`, `call`, `topics` and `echo` beside nodes that run."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 import rclpy
+import yaml
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -205,3 +207,24 @@ def test_a_name_that_several_have_is_asked_about_and_one_that_comes_late_is_foun
     with pytest.raises(ServiceError, match=f"several, .*: {ros.namespace}/a/go, .*/b/go"):
         run("call", "go")
     assert run("call", "b/go") == 0
+
+
+def test_topics_are_listed_and_one_is_printed_as_it_comes(ros, run, capsys):
+    """By the end of its name; the field that is long is cut, the publisher is best effort."""
+    field = ForceField(position=[0.5] * 600, contacts=[Contact(area=2e-5)])
+    field.wrench.force.z = -1.5
+    publisher = ros.node.create_publisher(ForceField, "force_field", qos_profile_sensor_data)
+    ros.node.create_timer(0.05, lambda: publisher.publish(field))
+    assert run("topics") == 0
+    listed = dict(line.split() for line in capsys.readouterr().out.splitlines())
+    assert listed[f"{ros.namespace}/force_field"] == "cmp_tactile_msgs/msg/ForceField"
+    assert run("echo", "force_field", "--once") == 0
+    text, _, rest = capsys.readouterr().out.partition("---")
+    shown = yaml.safe_load(text)
+    assert rest == "\n"
+    assert shown["wrench"]["force"]["z"] == -1.5
+    assert shown["contacts"][0]["area"] == pytest.approx(2e-5)
+    assert shown["position"][0] == 0.5
+    assert len(shown["position"]) < 20
+    with pytest.raises(ServiceError, match=r"force_feld: found no such .*mean '/force_field'"):
+        run("echo", "force_feld")

@@ -117,6 +117,29 @@ def test_the_running_line_shows_force_error_contacts_and_slip():
     assert line_of(unknown) == "force unknown   [few_markers]"
 
 
+class Terminal(io.StringIO):
+    """Takes lines that are written again in their place."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_line_too_long_for_the_terminal_does_without_the_deviations(ros, monkeypatch):
+    """What is seen of 80 columns must say that the contact slips, and which flags are set."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("TERM", "xterm")
+    graph = load_graph("simulate", {"sensor": "sample_rig", "namespace": "watched"})
+    flags = ForceField.FLAG_AT_BORDER
+    slips = field(-1.5, contacts=[Contact()], slip_state=ForceField.SLIP_INCIPIENT, flags=flags)
+    out = Terminal()
+    with RunningLine(graph, out):
+        ros.publisher(ForceField, "/watched/force_field").publish(slips)
+        ros.wait(lambda: "Hz" in out.getvalue(), "the line")
+    line = out.getvalue().splitlines()[-1].partition("\x1b")[0]
+    assert line.endswith("-1.500 N   1 contact, begins to slip   [at_border]")
+    assert len(line) < 80
+
+
 def test_the_running_line_begins_with_what_to_do_next(ros, tmp_path, monkeypatch):
     """In a pipe, a line at once; then every few seconds.  Its examples are found anywhere."""
     monkeypatch.chdir(tmp_path)

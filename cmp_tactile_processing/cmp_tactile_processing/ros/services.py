@@ -104,13 +104,13 @@ def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str
         expected = (
             f"one of {', '.join(there)}" if there else "running nodes; is ROS_DOMAIN_ID the same?"
         )
-        msg = f"{name}: found no such service, expected {expected}{_meant(ends, there)}"
+        msg = f"{name}: found no such service, expected {expected}{did_you_mean_end(ends, there)}"
         raise ServiceError(msg)
     return next(iter(found.items()))
 
 
-def _meant(ends: str, there: Iterable[str]) -> str:
-    """A question after the service that is like what was typed, by as many parts of its name."""
+def did_you_mean_end(ends: str, there: Iterable[str]) -> str:
+    """A question after the name that is like what was typed, by as many parts at its end."""
     count = ends.count("/")
     return did_you_mean(ends, ["/" + "/".join(full.split("/")[-count:]) for full in there])
 
@@ -135,16 +135,24 @@ def call(node: Node, service: str, kind: str, words: Iterable[str]) -> Any:
     owner = service.removesuffix(SET_PARAMETERS)
     if owner != service:
         return _set_parameters(node, owner, _values(words))
-    package, _, name = kind.rpartition("/")
-    try:
-        loaded = getattr(import_module(package.replace("/", ".")), name)
-    except (ImportError, AttributeError):
-        msg = f"{service}: found the type {kind}, which is not installed here"
-        raise ServiceError(msg) from None
+    loaded = interface_of(kind, service)
     request = loaded.Request(check_fields=True)
     for field, text in _values(words).items():
         _set_field(request, field, text)
     return answer_of(node, loaded, service, request, service_s=SEARCH_S)
+
+
+def interface_of(kind: str, user: str) -> Any:
+    """The class of a message or service type, as std_msgs/msg/String.
+
+    user: service or topic that has it.  Raises ServiceError where the type is not installed.
+    """
+    package, _, name = kind.rpartition("/")
+    try:
+        return getattr(import_module(package.replace("/", ".")), name)
+    except (ImportError, AttributeError):
+        msg = f"{user}: found the type {kind}, which is not installed here"
+        raise ServiceError(msg) from None
 
 
 def _values(words: Iterable[str]) -> dict[str, str]:
