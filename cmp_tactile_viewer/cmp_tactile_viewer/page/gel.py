@@ -83,7 +83,7 @@ class Gel:
         surface, force = snapshot.surface, snapshot.force
         if surface is not None:
             surface = laid_on_known_surface(surface, self._known)
-            self._draw_surface(surface, force, look)
+            self._draw_surface(surface, force, look, snapshot.stamp_ns)
             self._draw_ghost(surface, look.at_rest)
         self._draw_arrows(surface, force, look)
         contacts = force.contacts if force is not None and look.contacts else ()
@@ -93,9 +93,11 @@ class Gel:
             else:
                 drawn.hide()
 
-    def _draw_surface(self, surface: Surface, force: ForceField | None, look: Look) -> None:
+    def _draw_surface(
+        self, surface: Surface, force: ForceField | None, look: Look, stamp_ns: int
+    ) -> None:
         values = _values(surface, force, look.colour)
-        self.range.take(values)
+        self.range.take(values, stamp_ns)
         points = surface_mesh.refined_surface(surface)
         meshes = surface_mesh.colour_bands(points, surface_mesh.refined(values), self.range.top)
         for handle, mesh in zip(self._bands, meshes, strict=True):

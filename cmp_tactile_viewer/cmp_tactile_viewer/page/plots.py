@@ -29,7 +29,7 @@ QUANTITIES: tuple[tuple[str, float, str, RGB, bool], ...] = (
 # Height of a plot of one quantity, by that of the forces.
 LOW = 0.55
 CONTACT_COLOUR = (86, 180, 233)
-TIME_AXIS_PX, TICK_SPACE_PX = 30, 24
+TIME_AXIS_PX, TICK_SPACE_PX, DOT_PX = 30, 24, 3
 PADDING_PX = (10, 14, 0, 0)
 BANDS_SIGMA = 2.0
 LEGEND_STYLE = "font-size:0.8em;display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em"
@@ -66,7 +66,7 @@ class Plots:
                 gui.add_html(_legend(label, ()))
                 plot = gui.add_uplot(
                     (empty["time_s"], empty[name]),
-                    series=(uplot.Series(label="s"), _line(label, colour, ())),
+                    series=(uplot.Series(label="s"), _dots(label, colour)),
                     **_common(round(LOW * height_px)),
                 )
                 self._others.append((plot, name, factor))
@@ -124,6 +124,12 @@ def _css(colour: RGB, opacity: float = 1.0) -> str:
 
 def _line(label: str, colour: RGB, dash: Dash) -> uplot.Series:
     return uplot.Series(label=label, stroke=_css(colour), width=2, dash=dash)
+
+
+def _dots(label: str, colour: RGB) -> uplot.Series:
+    """A line would join what lies before and after an unknown value: uPlot draws NaN so."""
+    points = uplot.Series_Points(show=True, size=DOT_PX, width=0, fill=_css(colour))
+    return uplot.Series(label=label, stroke=_css(colour), width=0, points=points)
 
 
 def _legend(title: str, lines: Iterable[tuple[Any, Any, str, RGB, Dash]]) -> str:

@@ -14,6 +14,8 @@ from cmp_tactile_processing.measured import ForceField, Surface
 MM = 1e3
 # The page's meshes have one colour each: so many steps are told apart, and read on the legend.
 BANDS = 14
+# In which the peak that sets the end of the colours fades to half.
+HALF_LIFE_S = 5.0
 
 
 def band_colours() -> NDArray[np.uint8]:
@@ -122,25 +124,35 @@ def pressure_at(surface: Surface, force: ForceField) -> NDArray[np.float64]:
 
 
 class ColourRange:
-    """The value at which the colours end: grows to the next of 1, 2, 5, 10 ... and stays there.
+    """The value at which the colours end: the next of 1, 2, 5, 10 ... above the peak of late.
 
-    A range that followed every frame would make two frames look alike that are not.
+    The peak of the values fades slowly: frames that follow one another have the same colours, and
+    a knock is forgotten.
     """
 
     def __init__(self, kind: str, least: float) -> None:
-        self._kind, self.top = kind, least
+        """kind: of the values.  least: below which the colours never end."""
+        self._kind = kind
+        self._begin(least)
 
-    def take(self, values: NDArray[np.float64]) -> bool:
-        """Grow where a value is above; whether it did."""
+    def _begin(self, least: float) -> None:
+        self.top = self._least = self._peak = least
+        self._stamp_ns = 0
+
+    def take(self, values: NDArray[np.float64], stamp_ns: int) -> None:
+        """Take the values of a frame into account."""
+        # A recording may be gone back in.
+        passed_s = max(stamp_ns - self._stamp_ns, 0) * 1e-9
+        self._stamp_ns = stamp_ns
         known = values[np.isfinite(values)]
-        largest = float(known.max()) if known.size else 0.0
-        if largest <= self.top:
-            return False
-        power = 10.0 ** np.floor(np.log10(largest))
-        self.top = float(next(step * power for step in (1, 2, 5, 10) if step * power >= largest))
-        return True
+        faded = self._peak * 0.5 ** (passed_s / HALF_LIFE_S)
+        self._peak = max(self._least, faded, float(known.max()) if known.size else 0.0)
+        power = 10.0 ** np.floor(np.log10(self._peak))
+        steps = (step * power for step in (1, 2, 5, 10))
+        self.top = float(next(top for top in steps if top >= self._peak))
 
     def start(self, kind: str, least: float) -> None:
         """Begin at the least again where the values are of another kind from now on."""
         if kind != self._kind:
-            self._kind, self.top = kind, least
+            self._kind = kind
+            self._begin(least)

@@ -108,12 +108,22 @@ def test_pressure_is_the_force_of_a_node_on_its_area_and_linear_between_the_node
     assert found[1, 4] == 0.0  # outside of all nodes
 
 
-def test_the_colours_end_at_a_round_number_that_stays_until_another_quantity():
-    colours = ColourRange("depth", 1e-4)
-    assert not colours.take(np.array([5e-5, np.nan]))
-    assert colours.take(np.array([0.0013]))
+def test_the_colours_end_at_a_round_number_that_forgets_a_knock():
+    """And stays above what is pressed now, also where a recording is gone back in."""
+    press = np.array([0.0003, np.nan])
+    colours, second = ColourRange("depth", 1e-4), 10**9
+    colours.take(np.array([5e-5]), 100 * second)
+    assert colours.top == pytest.approx(1e-4)
+    colours.take(np.array([0.0013]), 101 * second)
     assert colours.top == pytest.approx(0.002)
+    for stamp_ns in (101 * second + second // 20, 50 * second):
+        colours.take(press, stamp_ns)
+        assert colours.top == pytest.approx(0.002)
+    for later in range(1, 61):
+        colours.take(press, (50 + later) * second)
+        assert colours.top >= 0.0003
+    assert colours.top == pytest.approx(5e-4)
     colours.start("depth", 1e-4)
-    assert colours.top == pytest.approx(0.002)
+    assert colours.top == pytest.approx(5e-4)
     colours.start("pressure", 5e3)
     assert colours.top == pytest.approx(5e3)
