@@ -271,3 +271,13 @@ def test_settings_change_while_it_runs_but_not_to_nan(ros):
     for value, taken in ((3.5, True), (math.nan, False), (-1.0, False), (1e9, False)):
         (changed,) = node.set_parameters([Parameter("target_force", value=value)])
         assert changed.successful == taken
+
+
+@pytest.mark.parametrize("name", ["controller", "hold_force"])
+def test_asking_for_help_starts_no_controller(name):
+    """A gripper that closes would be a surprise."""
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert "-p sensor:=" in done.stdout
+    assert done.stderr == ""
+    assert name == "controller" or "  target_force: " in done.stdout

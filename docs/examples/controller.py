@@ -7,12 +7,14 @@ estimates the stiffness of the object.
 
 from __future__ import annotations
 
+import argparse
 import math
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.utilities import remove_ros_args
 from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import ForceField
@@ -74,6 +76,7 @@ class Controller(Node):
 
 def main() -> None:
     """Zero, then command until Ctrl-C."""
+    argparse.ArgumentParser(description=__doc__).parse_args(remove_ros_args()[1:])
     rclpy.init()
     node = Controller()
     try:

@@ -8,6 +8,7 @@ explains how it works.
 
 from __future__ import annotations
 
+import argparse
 import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -17,6 +18,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Float64, String
 
 from cmp_tactile_msgs.msg import ForceField
@@ -231,6 +233,16 @@ def felt_in(message: ForceField) -> Felt:
 
 def main() -> None:
     """Hold until Ctrl-C."""
+    explained = [
+        f"  {item.name}: {item.metadata['meaning']}, default {item.default:g}"
+        for item in fields(Settings)
+    ]
+    parser = argparse.ArgumentParser(
+        description=__doc__,
+        epilog="\n".join(["parameters, each as -p NAME:=VALUE:", *explained]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.parse_args(remove_ros_args()[1:])
     rclpy.init()
     node = HoldForce()
     try:

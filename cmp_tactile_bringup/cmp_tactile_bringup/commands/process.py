@@ -234,6 +234,7 @@ def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
         return False
     before = ", finished before" if result.finished_before else ""
     print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}{before}")
+    print_line(console, f"{job.label}: sensor description: {job.sensor}")
     print_line(console, f"{job.label}: displacement is relative to: {result.reference}")
     for doubt in result.doubts:
         print_line(console, f"warning: {job.label}: {doubt}", "yellow")

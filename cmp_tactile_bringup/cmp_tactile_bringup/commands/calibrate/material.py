@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     )
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-OWN_SENSOR = f"{sources.SENSOR}; not needed for simulated recordings"
+OWN_SENSOR = f"{sources.SENSOR}; not needed if sensor.yaml is in the recording's folder"
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
