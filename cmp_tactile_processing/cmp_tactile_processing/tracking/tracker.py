@@ -18,6 +18,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
+from cmp_tactile_processing.tracking.corners.bends import with_bends
 from cmp_tactile_processing.tracking.corners.measured_markers import (
     MeasuredCorners,
     MeasuredMarkers,
@@ -258,6 +259,7 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault, self._kind)
+        position = with_bends(position, corners.std, corners.pull)
         std, predicted = corners.std, corners.predicted
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:

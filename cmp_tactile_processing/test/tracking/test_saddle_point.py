@@ -40,8 +40,9 @@ def rms(error):
         ({"side_px": 9.0}, ATOL_CLEAN_PX),
         ({"side_px": 40.0, "n": 3}, ATOL_CLEAN_PX),
         ({"squeeze": 0.7}, ATOL_CLEAN_PX),
-        # 5 % of light from checker to checker would move the saddle point by 0.06 px.
-        ({"light": 0.05}, ATOL_CLEAN_PX),
+        # 5 % of light from checker to checker would move the saddle point by 0.06 px.  The model
+        # has a slope of the light, but one contrast: a tenth is left beside the rounding.
+        ({"light": 0.05}, ATOL_CLEAN_PX + 0.006),
         # Twice the turn from checker to checker of a firm press.  Without the curvatures in the
         # model the corner would go by 0.03 rad / 17 px * (5 px)^2 / 2.
         ({"bend": 0.03}, 0.015),
@@ -61,7 +62,10 @@ def test_no_bias_whatever_the_checkers_look_like(seen, atol, checkers):
 @pytest.mark.parametrize("side_px", [5.0, 17.0])
 @pytest.mark.parametrize("noise", [0.5, 1.0, 4.0, 16.0])
 def test_standard_deviation_is_honest(side_px, noise, checkers):
-    """Errors over 10 seeds are what `std` says, within a factor of 1.5."""
+    """Errors over 10 seeds are what `std` says, within a quarter.
+
+    On images with little noise rounding to grey levels is a third of the error, which is not white.
+    """
     image = checkers(side_px=side_px)
     ratio = []
     for seed in range(10):
@@ -72,7 +76,7 @@ def test_standard_deviation_is_honest(side_px, noise, checkers):
     z = np.concatenate(ratio)
     z = z[np.isfinite(z).all(axis=1)]
     assert len(z) > 0.98 * 250 if noise < 16 or side_px > 10 else len(z) > 100
-    assert 1 / 1.5 < np.sqrt(np.mean(z**2)) < 1.5
+    assert 0.8 < np.sqrt(np.mean(z**2)) < 1.25
 
 
 def test_error_follows_the_noise(checkers):

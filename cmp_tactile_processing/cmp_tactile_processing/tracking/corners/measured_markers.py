@@ -58,11 +58,13 @@ class MeasuredCorners:
     """position (rows, cols, 2) px, std (rows, cols) px per coordinate; NaN where not measured.
 
     predicted (rows, cols): the position is what the corners around leave room for, no more.
+    pull (rows, cols, 2, 4): as of `SaddlePoints`.
     """
 
     position: NDArray[np.float64]
     std: NDArray[np.float64]
     predicted: NDArray[np.bool_]
+    pull: NDArray[np.float64]
 
     @property
     def missing(self) -> int:
@@ -72,25 +74,30 @@ class MeasuredCorners:
     def without(self, lost: NDArray[np.bool_]) -> MeasuredCorners:
         """The corners less those of a mask (rows, cols)."""
         position = np.where(lost[..., None], np.nan, self.position)
-        return MeasuredCorners(position, np.where(lost, np.nan, self.std), self.predicted & ~lost)
+        std, predicted = np.where(lost, np.nan, self.std), self.predicted & ~lost
+        return MeasuredCorners(position, std, predicted, self.pull)
 
     def none(self) -> MeasuredCorners:
         """A grid of the same size of which no corner is known."""
         nowhere, unknown = np.full_like(self.position, np.nan), np.full_like(self.std, np.nan)
-        return MeasuredCorners(nowhere, unknown, np.zeros_like(self.predicted))
+        return MeasuredCorners(nowhere, unknown, np.zeros_like(self.predicted), self.pull)
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """Saddle points of a grid: position (rows, cols, 2), std (rows, cols), hessian (n, 3)."""
+    """Saddle points of a grid: position (rows, cols, 2), std (rows, cols), hessian (n, 3),
+    pull (rows, cols, 2, 4).
+    """
 
     position: NDArray[np.float64]
     std: NDArray[np.float64]
     hessian: NDArray[np.float64]
+    pull: NDArray[np.float64]
 
     @classmethod
     def from_saddles(cls, saddles: SaddlePoints, shape: tuple[int, ...]) -> _Fitted:
-        return cls(saddles.position.reshape(shape), saddles.std.reshape(shape[:2]), saddles.hessian)
+        position, std = saddles.position.reshape(shape), saddles.std.reshape(shape[:2])
+        return cls(position, std, saddles.hessian, saddles.pull.reshape(*shape[:2], 2, 4))
 
 
 @dataclass(frozen=True)
@@ -148,7 +155,8 @@ class MeasuredMarkers:
         reach = REFINE_REACH * self._nominal.side_px
         found = _Fitted.from_saddles(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
         good = self._in_sight(image, found.position, found.hessian).alike
-        corners = MeasuredCorners(found.position, found.std, np.zeros(shape, dtype=bool))
+        predicted = np.zeros(shape, dtype=bool)
+        corners = MeasuredCorners(found.position, found.std, predicted, found.pull)
         return corners.without(~good)
 
     def complete(
@@ -164,7 +172,7 @@ class MeasuredMarkers:
         print: a lesser likeness will do for it, or else it is the crossing of its gridlines, or
         predicted, if the pattern shows around the flaw.
         """
-        position, std = corners.position.copy(), corners.std.copy()
+        position, std, pull = corners.position.copy(), corners.std.copy(), corners.pull.copy()
         tried = np.zeros(position.shape[:2], dtype=bool)
         for _ in range(MAX_ROUNDS):
             places = predicted_places(position)
@@ -175,11 +183,12 @@ class MeasuredMarkers:
             found = self._looked_for(image, position, places, wanted)
             taken = wanted & self._in_sight(image, found.position, found.hessian).alike
             position[taken], std[taken] = found.position[taken], found.std[taken]
+            pull[taken] = found.pull[taken]
             # A corner next to a newly found one has a better prediction than before.
             tried &= ~_beside(taken)
         if np.isnan(position).any():
             self._take_enclosed(image, position, std, seen)
-        return self._spoilt(image, position, std)
+        return self._spoilt(image, position, std, pull)
 
     def repair_outliers(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
         """The corners with those that a spot pulls aside measured as crossings of gridlines."""
@@ -203,7 +212,7 @@ class MeasuredMarkers:
         pulled: NDArray[np.bool_],
     ) -> MeasuredCorners:
         side = self._nominal.side_px
-        position, std = corners.position.copy(), corners.std.copy()
+        position, std, pull = corners.position.copy(), corners.std.copy(), corners.pull.copy()
         without = np.where(pulled[..., None], np.nan, position)
         crossing = self._around(image, without).crossings(image, guess, pulled)
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
@@ -211,14 +220,14 @@ class MeasuredMarkers:
         better, doubtful = pulled.copy(), pulled.copy()
         better[pulled] = (away > ELSEWHERE) & (left < off[pulled])
         position[better] = crossing[better[pulled]]
-        std[better] = CROSSING_STD * side
+        std[better], pull[better] = CROSSING_STD * side, 0.0
         # What cannot be measured otherwise stays, with half of what it is off as its deviation,
         # or gives way to where its neighbours have it.
         doubtful[pulled] = ~(away <= ELSEWHERE) & ~better[pulled]
         std[doubtful] = np.maximum(std[doubtful], off[doubtful] * side / 2)
         given_up = doubtful & (off > FARTHEST_PULLED)
-        position[given_up] = guess[given_up]
-        return MeasuredCorners(position, std, corners.predicted | given_up)
+        position[given_up], pull[given_up] = guess[given_up], 0.0
+        return MeasuredCorners(position, std, corners.predicted | given_up, pull)
 
     def without_rims(self, corners: MeasuredCorners) -> MeasuredCorners:
         """The corners less those beside missing ones that are not where the others predict them.
@@ -323,12 +332,16 @@ class MeasuredMarkers:
         std[taken] = np.fmax(found.std[taken], BETWEEN_STD * self._nominal.side_px)
 
     def _spoilt(
-        self, image: PreparedImage, position: NDArray[np.float64], std: NDArray[np.float64]
+        self,
+        image: PreparedImage,
+        position: NDArray[np.float64],
+        std: NDArray[np.float64],
+        pull: NDArray[np.float64],
     ) -> MeasuredCorners:
         predicted = np.zeros(std.shape, dtype=bool)
         hole = np.isnan(position[..., 0]) & _enclosed(np.isfinite(position[..., 0]))
         if not hole.any():
-            return MeasuredCorners(position, std, predicted)
+            return MeasuredCorners(position, std, predicted, pull)
         guess = place_between(position)
         around = self._around(image, position)
         rings = ring_evidence(
@@ -345,7 +358,7 @@ class MeasuredMarkers:
         position[hole] = np.where(shown[:, None], taken, np.nan)
         std[hole] = np.where(shown, spread, np.nan)
         predicted[hole] = shown & ~measured
-        return MeasuredCorners(position, std, predicted)
+        return MeasuredCorners(position, std, predicted, pull)
 
     def _around(self, image: PreparedImage, known: NDArray[np.float64]) -> _Surroundings:
         """What the known corners (rows, cols, 2) px say about each place in the grid."""

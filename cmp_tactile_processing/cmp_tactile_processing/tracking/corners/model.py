@@ -387,37 +387,72 @@ def _converge(
     return np.nan, np.nan, np.nan
 
 
+@kernel(fastmath=True)
+def _by_noise(pixels: NDArray[np.float32], count: int, side: NDArray[np.float64]) -> None:
+    """What each pixel's noise does to an unknown, of which `side` is its row of the inverse normal
+    matrix, into the scratch row.
+    """
+    s0, s1, s2 = np.float32(side[0]), np.float32(side[1]), np.float32(side[2])
+    s3, s4, s5 = np.float32(side[3]), np.float32(side[4]), np.float32(side[5])
+    for k in range(count):
+        odd = s0 * pixels[0, k] + s1 * pixels[1, k] + s2 * pixels[2, k]
+        odd += s3 * pixels[3, k] + s4 * pixels[4, k] + s5 * pixels[5, k]
+        pixels[SCRATCH, k] = pixels[WEIGHT, k] * odd
+
+
 @kernel
-def _deviation(work: WorkSpace, variance: float) -> float:
-    """Standard deviation of the corner per coordinate under noise of that variance, px."""
-    _, _, normal, side, p = work
-    side[:] = 0
-    side[OFFSET] = 1
-    _solve(normal, 0, ODD, side)
-    first, both = side[OFFSET], side[OFFSET + 1]
-    side[:] = 0
-    side[OFFSET + 1] = 1
-    _solve(normal, 0, ODD, side)
+def _deviation(work: WorkSpace, count: int, variance: float) -> float:
+    """Standard deviation of the corner per coordinate under noise of that variance, px.
+
+    The window's weights are not those of the noise: what each pixel's noise does is added up.
+    """
+    _, pixels, normal, side, p = work
+    for line in range(2):
+        side[:] = 0
+        side[OFFSET + line] = 1
+        _solve(normal, 0, ODD, side)
+        _by_noise(pixels, count, side)
+        if line == 0:
+            for k in range(count):
+                pixels[PRODUCT, k] = pixels[SCRATCH, k]
+    first = _product(pixels, count, PRODUCT, PRODUCT)
+    second = _product(pixels, count, SCRATCH, SCRATCH)
+    both = _product(pixels, count, PRODUCT, SCRATCH)
     cosine = p[P_COS] * p[P_COS + 1] + p[P_SIN] * p[P_SIN + 1]
-    spread = (first + side[OFFSET + 1] - 2 * cosine * both) / (1 - cosine * cosine)
+    spread = (first + second - 2 * cosine * both) / (1 - cosine * cosine)
     return float(np.sqrt(variance * spread / 2))
+
+
+@kernel
+def _set_pull(work: WorkSpace, prior: CornerPrior, pull: NDArray[np.float64]) -> None:
+    """Of both edges: direction, and the corner's move per 1/px by which the edge should bend."""
+    _, _, normal, side, p = work
+    firm_bend = ((prior.noise + prior.misfit * abs(p[P_HALF])) / prior.bend) ** 2
+    for line in range(2):
+        side[:] = 0
+        side[BEND + line] = -firm_bend
+        _solve(normal, 0, ODD, side)
+        pull[line, 0], pull[line, 1] = p[P_COS + line], p[P_SIN + line]
+        pull[line, 2], pull[line, 3] = _move(p, side)
 
 
 @kernel
 def refine_by_model(
     image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     prior: CornerPrior,
-    saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    saddles: tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+    ],
     blur: float,
     work: WorkSpace,
 ) -> None:
-    """Replace position and standard deviation of saddle points by those of the fitted model.
+    """Replace position, standard deviation and pull of saddle points by those of the fitted model.
 
     image: grey levels (H, W) and which of them are unknown, (H, W) or (0, 0) where none is;
-    saddles: position (n, 2), hessian (n, 3), std (n,).  Saddle points that the model does not fit
-    stay as they are.  blur: that is expected of the first corner, px.
+    saddles: position (n, 2), hessian (n, 3), std (n,), pull (n, 2, 4).  Saddle points that the
+    model does not fit stay as they are.  blur: that is expected of the first corner, px.
     """
-    position, hessian, std = saddles
+    position, hessian, std, pull = saddles
     disc, pixels, _, _, p = work
     for k in range(disc.shape[1]):
         disc[2, k] = disc[1, k] * image[0].shape[1] + disc[0, k]
@@ -441,5 +476,6 @@ def refine_by_model(
             blur *= (p[P_BLUR] / blur) ** max(1 / known, LATEST_SHARE)
             # What the model's shape leaves is even about the corner and moves it little.
             variance -= (prior.misfit * p[P_HALF]) ** 2 / 2
-            deviation = _deviation(work, max(variance, prior.noise**2))
+            deviation = _deviation(work, count, max(variance, prior.noise**2))
             std[n] = np.hypot(deviation, prior.bias)
+            _set_pull(work, prior, pull[n])

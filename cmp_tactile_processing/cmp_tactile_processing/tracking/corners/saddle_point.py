@@ -24,8 +24,9 @@ BIAS_PX, MODEL_BIAS_PX = 0.006, 0.003
 # Corners of checkers of at least this side are refined by the corner model.
 LEAST_SIDE_OF_MODEL_PX = 8.0
 MODEL_PER_SIDE, MOST_MODEL_PX = 0.42, 10.0
-# Typical turn of a gridline and change of the light, in half contrasts, from checker to checker.
-TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.02, 0.05
+# Typical turn of a gridline from checker to checker, beside what its neighbours say of it, and
+# typical change of the light, in half contrasts.
+TURN_PER_CHECKER, LIGHT_PER_CHECKER = 0.012, 0.05
 # Half contrasts by which the model may differ from a clean image, and beyond how many times this
 # and the noise together a pixel counts as an outlier.
 MISFIT, OUTLIER = 0.015, 2.5
@@ -40,12 +41,15 @@ NONE_UNKNOWN = np.zeros((0, 0), np.bool_)
 @dataclass(frozen=True)
 class SaddlePoints:
     """position (n, 2) px, NaN where the fit failed; hessian (n, 3): xx, xy, yy, grey / px^2;
-    std (n,): standard deviation of the position, px per coordinate.
+    std (n,): standard deviation of the position, px per coordinate; pull (n, 2, 4) of both edges:
+    direction (x, y), and by how much the position moves (x, y) for each 1/px that the edge should
+    bend more than not at all; 0 where no model was fitted.
     """
 
     position: NDArray[np.float64]
     hessian: NDArray[np.float64]
     std: NDArray[np.float64]
+    pull: NDArray[np.float64]
 
 
 class SaddlePointFit:
@@ -90,6 +94,7 @@ class SaddlePointFit:
         first, reach = np.array(start, dtype=np.float64, order="C"), np.empty(n)
         reach[:] = reach_px
         saddles = np.empty((n, 2)), np.empty((n, 3)), np.empty(n)
+        pull = np.zeros((n, 2, 4))
         arrived = ROUGHLY_PX if self._by_model else CONVERGED_PX
         error = image.noise * gradient_gain(self._window, image.smoothing_px)
         limits = (self._wide, self._window, arrived, error)
@@ -99,18 +104,20 @@ class SaddlePointFit:
             self._prior = self._prior._replace(noise=image.noise)
             unknown = NONE_UNKNOWN if image.replaced is None else image.replaced
             pixels = np.ascontiguousarray(image.grey), unknown
-            modelled = saddles[0].copy(), saddles[1], saddles[2].copy()
+            modelled = saddles[0].copy(), saddles[1], saddles[2].copy(), pull
             refine_by_model(pixels, self._prior, modelled, FIRST_BLUR_PX, self._work)
             # Salt and pepper, which the model knows about, is not a flaw of the print.
             if image.replaced is not None:
                 return SaddlePoints(*modelled)
             _take_where_alike(modelled, saddles)
-        return SaddlePoints(*saddles)
+        return SaddlePoints(*saddles, pull)
 
 
 @kernel
 def _take_where_alike(
-    modelled: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
+    modelled: tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+    ],
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
 ) -> None:
     """Replace saddle points by the model's corners where noise alone sets the two apart.
@@ -119,13 +126,14 @@ def _take_where_alike(
     saddle point is then off by more, but by the same.
     """
     position, _, std = saddles
-    by_model, _, std_by_model = modelled
+    by_model, _, std_by_model, pull = modelled
     for n in range(len(position)):
         x, y = by_model[n, 0], by_model[n, 1]
         apart = np.hypot(x - position[n, 0], y - position[n, 1])
         if apart > max(APART_PX, APART_STD * std[n]):
             # What the flaw may pull it by.
             std[n] = np.hypot(std[n], apart)
+            pull[n] = 0.0
         else:
             position[n, 0], position[n, 1], std[n] = x, y, std_by_model[n]
 
