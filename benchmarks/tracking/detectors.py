@@ -232,7 +232,7 @@ def run_frames(detector: Detector, frames: Sequence[PatternFrame]) -> Result:
         if not detector.able(frame.sensor):
             continue
         for view, truth in frame.truth.items():
-            found = detector.detect(frame.sensor, view, _view(frame, view), truth)
+            found = detector.detect(frame.sensor, view, view_image(frame, view), truth)
             scores.append(score_grid(found.grid, truth, frame.visible[view], frame.far[view]))
             seconds.append(found.seconds)
     return Result(join_scores(scores), tuple(seconds))
@@ -250,7 +250,7 @@ def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> N
     errors = [np.empty(0)]
     for view, truth in first.truth.items():
         grids = [
-            (detector.detect(frame.sensor, view, _view(frame, view), at).grid, at)
+            (detector.detect(frame.sensor, view, view_image(frame, view), at).grid, at)
             for frame, at in ((first, truth), (second, second.truth[view]))
         ]
         visible = first.visible[view] & second.visible[view]
@@ -258,7 +258,8 @@ def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> N
     return np.concatenate(errors)
 
 
-def _view(frame: PatternFrame, view: str) -> Image:
+def view_image(frame: PatternFrame, view: str) -> Image:
+    """A view (H, W) of a frame.  Raises GeometryError where the truth does not say where it is."""
     placement = frame.truth[view].placement
     if placement is None:
         msg = f"{frame.name}: the truth does not say where the {view} view lies"

@@ -1,0 +1,232 @@
+#!/usr/bin/env python3
+"""How far corners and virtual markers are from the best that the pixels allow.
+
+The bound of Cramer and Rao is the smallest standard deviation that an unbiased estimate can have.
+For a corner it is that of a shift, along x and y, of the pixels within half a checker of it; for a
+virtual marker, of a shift across its gridline of the pixels in its share of the segment. An
+estimate that also uses what lies farther away can be better than this bound. The pixels' gradients
+come from the rendered frame without noise, the noise from the camera's settings.
+
+setup/run python3 benchmarks/tracking/bound.py                    all kinds, ours and the peers
+setup/run python3 benchmarks/tracking/bound.py --kind clean       one kind
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import cv2
+import numpy as np
+from detectors import Detector, ours, peers, view_image
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+
+from cmp_tactile_processing.measured import Grid, Status
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
+from hard_frames.case import PatternCase, PatternStudio, pattern_rig
+from hard_frames.library import CLEAN, cases_of
+
+SENSOR = "sample_rig"
+# Rounding to grey levels adds the variance of numbers spread evenly over one level.
+ROUNDING = 1 / 12
+# Half the side of the square of pixels that is looked at, in checkers.
+REACH = 0.75
+# Corners along a side of patterns of one size: the checkers' size changes.
+CORNERS = (12, 30, 40)
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Squares:
+    """Squared errors and squared bounds of the same markers, px^2; missing: not found."""
+
+    error: list[Array] = field(default_factory=list)
+    bound: list[Array] = field(default_factory=list)
+    missing: int = 0
+
+    def add(self, error: Array, bound: Array) -> None:
+        """Those of one view; NaN for what is not found."""
+        found = np.isfinite(error) & np.isfinite(bound)
+        self.error.append(error[found])
+        self.bound.append(bound[found])
+        self.missing += int(np.count_nonzero(np.isfinite(bound) & ~found))
+
+    def __str__(self) -> str:
+        error, bound = np.concatenate(self.error), np.concatenate(self.bound)
+        if not len(error):
+            return "-"
+        ratio = np.sqrt(error.mean() / bound.mean())
+        missing = f", {self.missing} missing" if self.missing else ""
+        return f"{np.sqrt(error.mean()):.4f} px, {ratio:.2f}{missing}"
+
+
+class View:
+    """Gradients of a view without noise, its truth, and the noise to come, grey levels."""
+
+    def __init__(self, image: NDArray[np.uint8], truth: Grid, noise: float) -> None:
+        self.truth = truth
+        self._noise = noise
+        height, width = image.shape
+        y, x = np.arange(height, dtype=float), np.arange(width, dtype=float)
+        spline = RectBivariateSpline(y, x, image.astype(float), kx=5, ky=5)
+        self._slopes = np.stack([spline(y, x, dy=1), spline(y, x, dx=1)], axis=-1)
+        self._shape = height, width
+
+    def of_corners(self) -> Array:
+        """Squared bounds (rows, cols) of the distance, px^2; NaN outside the view."""
+        corners = self.truth.corners
+        side = self._sides()
+        found = np.full(corners.shape[:2], np.nan)
+        for place in np.ndindex(found.shape):
+            offset, slope = self._around(corners[place], side[place])
+            near = np.linalg.norm(offset, axis=-1) < side[place] / 2
+            found[place] = _variance(slope[near], self._noise)
+        return found
+
+    def of_markers(self, lines: Array, axis: int) -> tuple[Array, Array]:
+        """Squared bounds (a, b, n) across the gridlines along an axis, px^2, and normals."""
+        corners = self.truth.corners
+        way = np.diff(corners, axis=axis)
+        length = np.linalg.norm(way, axis=-1)
+        normal = np.stack([-way[..., 1], way[..., 0]], axis=-1) / length[..., None]
+        found = np.full(lines.shape[:3], np.nan)
+        for place in np.ndindex(found.shape):
+            i, j, _ = place
+            offset, slope = self._around(lines[place], length[i, j])
+            share = length[i, j] / (lines.shape[2] + 1)
+            along = offset @ (way[i, j] / length[i, j])
+            across = offset @ normal[i, j]
+            near = (np.abs(along) < share / 2) & (np.abs(across) < length[i, j] / 2)
+            energy = float(((slope[near] @ normal[i, j]) ** 2).sum())
+            found[place] = self._noise**2 / energy if energy > 0 else np.nan
+        return found, normal
+
+    def _sides(self) -> Array:
+        """Side of the checkers at the corners (rows, cols), px."""
+        steps = [np.gradient(self.truth.corners, axis=axis) for axis in (0, 1)]
+        return np.asarray(np.mean([np.linalg.norm(step, axis=-1) for step in steps], axis=0))
+
+    def _around(self, point: Array, side: float) -> tuple[Array, Array]:
+        """Offsets and gradients (m, 2) of the pixels around a point; none near the view's edge."""
+        reach = int(np.ceil(REACH * side)) if np.isfinite(point).all() else 0
+        x, y = np.rint(np.nan_to_num(point)).astype(int)
+        inside = reach <= x < self._shape[1] - reach and reach <= y < self._shape[0] - reach
+        if not reach or not inside:
+            return np.empty((0, 2)), np.empty((0, 2))
+        rows, cols = np.mgrid[y - reach : y + reach + 1, x - reach : x + reach + 1]
+        offset = np.stack([cols.ravel(), rows.ravel()], axis=-1) - point
+        return offset, self._slopes[rows.ravel(), cols.ravel()]
+
+
+def _variance(slope: Array, noise: float) -> float:
+    """Trace of the smallest covariance of a shift of pixels with these gradients (m, 2), px^2."""
+    information = slope.T @ slope
+    if np.linalg.det(information) <= 0:
+        return np.nan
+    return float(noise**2 * np.trace(np.linalg.inv(information)))
+
+
+def _seen(**camera: float) -> Callable[[SensorDescription, int], list[PatternCase]]:
+    def cases(sensor: SensorDescription, seed: int) -> list[PatternCase]:
+        seen = replace(CLEAN, **camera)
+        return [replace(case, camera=seen) for case in cases_of("clean", sensor, seed)]
+
+    return cases
+
+
+def _sized(side: int) -> Callable[[SensorDescription, int], list[PatternCase]]:
+    def cases(sensor: SensorDescription, seed: int) -> list[PatternCase]:
+        del sensor
+        rig = pattern_rig(side, side)
+        return [replace(case, sensor=rig) for case in cases_of("clean", rig, seed)]
+
+    return cases
+
+
+KINDS: dict[str, Callable[[SensorDescription, int], list[PatternCase]]] = {
+    "clean": _seen(),
+    "small spheres": lambda sensor, seed: cases_of("small spheres", sensor, seed),
+    **{f"noise {noise:g}": _seen(read_noise=noise) for noise in (4.0, 16.0)},
+    **{f"blur {blur:g}": _seen(blur=blur) for blur in (1.5, 3.0)},
+    "low contrast": lambda sensor, seed: cases_of("low contrast", sensor, seed),
+    **{f"{side} x {side} corners": _sized(side) for side in CORNERS},
+}
+
+
+def _views(
+    case: PatternCase, studio: PatternStudio
+) -> Iterator[tuple[str, NDArray[np.uint8], View]]:
+    """Each view of a case: its name, its image, and what it allows."""
+    frame = studio.photograph(case)
+    quiet = studio.photograph(replace(case, camera=replace(case.camera, read_noise=0.0)))
+    noise = float(np.sqrt(case.camera.read_noise**2 + ROUNDING))
+    for name, truth in frame.truth.items():
+        view = View(view_image(quiet, name), truth, noise)
+        yield name, view_image(frame, name), view
+
+
+def corner_error(grid: Grid, truth: Grid) -> Array:
+    """Squared distance (rows, cols) of the measured corners from their true places, px^2."""
+    error = ((grid.corners - truth.corners) ** 2).sum(axis=-1)
+    return np.where(grid.corner_status == Status.MEASURED, error, np.nan)
+
+
+def marker_errors(grid: Grid, view: View) -> Iterator[tuple[Array, Array]]:
+    """Squared errors across the gridlines and bounds of measured virtual markers, px^2."""
+    lines = (
+        (1, grid.row_lines, view.truth.row_lines, grid.row_line_status),
+        (0, grid.col_lines, view.truth.col_lines, grid.col_line_status),
+    )
+    for axis, found, true, status in lines:
+        bound, normal = view.of_markers(true, axis)
+        error = np.einsum("ijkd,ijd->ijk", found - true, normal) ** 2
+        yield error, np.where(status == Status.MEASURED, bound, np.nan)
+
+
+def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
+    """A row of the table: kind, bound of a corner, each detector, our virtual markers."""
+    sensor, studio = load_sensor(SENSOR), PatternStudio()
+    corners = {detector.name: Squares() for detector in detectors}
+    markers, bounds = Squares(), []
+    for seed in range(seeds):
+        for case in KINDS[kind](sensor, seed):
+            for name, image, view in _views(case, studio):
+                bound = view.of_corners()
+                bounds.append(bound[np.isfinite(bound)])
+                for number, detector in enumerate(detectors):
+                    found = detector.detect(case.sensor, name, image, view.truth).grid
+                    corners[detector.name].add(corner_error(found, view.truth), bound)
+                    if number == 0:
+                        for pair in marker_errors(found, view):
+                            markers.add(*pair)
+    limit = f"{np.sqrt(np.concatenate(bounds).mean()):.4f} px"
+    return [kind, limit, *map(str, corners.values()), str(markers)]
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kind", action="append", choices=KINDS, help="default: all kinds")
+    parser.add_argument("--seeds", type=int, default=2, help="of the cases (%(default)s)")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    detectors: list[Detector] = [ours()[0], *peers()]
+    names = [detector.name for detector in detectors]
+    print("RMS error, and how many times the bound that is")
+    print("| " + " | ".join(["frames", "bound", *names, "our virtual markers"]) + " |")
+    print("|" + "---|" * (len(names) + 3))
+    for kind in arguments.kind or KINDS:
+        print("| " + " | ".join(measure(kind, arguments.seeds, detectors)) + " |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""What the corners around a corner say of how its edges bend, and what that moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.tracking.corners.bends import with_bends
+
+SIDE_PX = 20.0
+# How far a corner moves for each 1/px of its edges' bends, px^2: as of a window of 8 px.
+PULL = 12.0
+CERTAIN = 1e-6
+# The parabola leans by up to 0.04; what is seen across it is less by the square.
+LEAN = 0.06
+
+
+def grid(rows=9, cols=11):
+    """Corners of a straight grid, x along j, and the pull of edges along x and along y."""
+    i, j = np.indices((rows, cols), dtype=np.float64)
+    pull = np.zeros((rows, cols, 2, 4))
+    # An edge along x that bends towards +y is expected on the +y side: the corner moves to -y.
+    pull[..., 0, :] = (1, 0, 0, -PULL)
+    pull[..., 1, :] = (0, 1, PULL, 0)
+    return SIDE_PX * np.stack([j, i], axis=-1), pull
+
+
+def moved(corners, pull, std=CERTAIN):
+    return with_bends(corners, np.full(corners.shape[:2], std), pull) - corners
+
+
+def test_straight_gridlines_move_nothing():
+    corners, pull = grid()
+    turned = corners @ np.array([[0.8, 0.6], [-0.6, 0.8]])
+    np.testing.assert_allclose(moved(turned, pull), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_parabola_moves_its_corners_by_its_bend(backwards):
+    """Whichever way the fit's edges point, also at both ends of a gridline."""
+    corners, pull = grid()
+    bend = 1e-4
+    corners[..., 1] += bend * corners[..., 0] ** 2
+    if backwards:
+        pull = -pull
+    shift = moved(corners, pull)
+    np.testing.assert_allclose(shift[..., 1], -PULL * bend, rtol=LEAN**2)
+    np.testing.assert_allclose(shift[..., 0], 0.0, atol=1e-4 * PULL * bend)
+
+
+def test_a_crest_is_not_flattened():
+    """A wave 3.7 checkers long, of which plain second differences see 0.79 of the bend."""
+    corners, pull = grid(cols=21)
+    wave = 2 * np.pi / (3.7 * SIDE_PX)
+    corners[..., 1] += 0.01 * np.sin(wave * corners[..., 0] + 1.0)
+    bend = -0.005 * wave**2 * np.sin(wave * corners[..., 0] + 1.0)
+    inner = np.s_[:, 2:-2]
+    shift = moved(corners, pull)[..., 1]
+    np.testing.assert_allclose(
+        shift[inner], -PULL * bend[inner], atol=0.02 * PULL * 0.005 * wave**2
+    )
+
+
+def test_noise_is_not_taken_for_bends():
+    """Of white noise, the means over five corners move a corner by a third of what bends would."""
+    corners, pull = grid(rows=40, cols=40)
+    noise = np.random.default_rng(3).normal(0, 0.05, corners.shape)
+    believed = moved(corners + noise, pull, std=CERTAIN)
+    known_as_noise = moved(corners + noise, pull, std=0.05)
+    inner = np.s_[2:-2, 2:-2]
+    assert known_as_noise[inner].std() < believed[inner].std() / 3
+    # A corner's own error is not made larger by what it does to its own bend.
+    own = np.corrcoef(known_as_noise[inner].ravel(), noise[inner].ravel())[0, 1]
+    assert abs(own) < 0.1
+
+
+def test_beside_missing_corners_the_next_ones_say_it():
+    corners, pull = grid()
+    bend = 1e-4
+    corners[..., 1] += bend * corners[..., 0] ** 2
+    corners[4, 5] = np.nan
+    corners[7, 2:] = np.nan
+    shift = moved(corners, pull)
+    known = np.isfinite(corners[..., 0])
+    assert np.isnan(shift[~known]).all()
+    # Two corners that are left of a gridline say nothing of its bend.
+    known[7] = False
+    np.testing.assert_allclose(shift[known][:, 1], -PULL * bend, rtol=LEAN**2)
+    np.testing.assert_allclose(shift[7, :2, 1], 0.0, atol=1e-12)
+
+
+def test_corners_without_a_model_stay():
+    corners, pull = grid()
+    corners[..., 1] += 1e-4 * corners[..., 0] ** 2
+    pull[3, 3] = 0.0
+    assert not moved(corners, pull)[3, 3].any()
