@@ -16,8 +16,10 @@ from cmp_tactile_processing.surface.displacement import Reference
 
 # Clean frames give 0.6 um; the issue for a lab is 10 um.
 MEAN_ERROR_M = 1.0e-6
-# Between two fits of the same image that start at other places: followed, or detected again.
-REFIT_PX, REFIT_M = 0.01, 1e-6
+# Between two fits of the same image that start at other places: followed, or detected again.  A
+# gridline that is at the limit of kinking at a corner may have a say in one of them: the worst of
+# 400 corners then differs by a deviation or two, 2.5 um in depth.
+REFIT_PX, REFIT_M, WORST_REFIT_M = 0.01, 1e-7, 2.5e-6
 
 
 def test_frame_to_force(pipeline, stills):
@@ -87,7 +89,9 @@ def test_displacement_is_relative_to_the_reference_which_a_reset_keeps(sensor, s
     assert not pressed.left.followed
     assert not pressed.right.followed
     assert pressed.surface.reference_id == 1
-    assert np.abs(pressed.surface.displacement).max() < REFIT_M
+    again = np.abs(pressed.surface.displacement)
+    assert np.sqrt(np.mean(again**2)) < REFIT_M
+    assert again.max() < WORST_REFIT_M
     released = pipeline.process(stills["rest"].frame).surface
     expected = stills["rest"].truth["corners_m"] - stills["press"].truth["corners_m"]
     assert np.abs(released.displacement - expected).mean() < 2 * MEAN_ERROR_M

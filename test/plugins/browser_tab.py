@@ -48,7 +48,7 @@ MESHES = """() => {
 # Of all points of all gels: where they are in the window, px, and whether nothing covers them.
 SEEN_POINTS = """() => {
   const points = [];
-  for (const gel of window.gels()) {
+  for (const gel of window.camera ? window.gels() : []) {
     const at = gel.geometry.attributes.position, place = gel.position.clone();
     for (let i = 0; i < at.count; i++) {
       place.fromBufferAttribute(at, i).applyMatrix4(gel.matrixWorld).project(window.camera);

@@ -425,15 +425,23 @@ def _deviation(work: WorkSpace, count: int, variance: float) -> float:
 
 @kernel
 def _set_pull(work: WorkSpace, prior: CornerPrior, pull: NDArray[np.float64]) -> None:
-    """Of both edges: direction, and the corner's move per 1/px by which the edge should bend."""
+    """Of both edges: direction, and the corner's move per 1/px by which the edge should bend.
+
+    None where the edges hardly cross, as on a flaw of the print: a bend would then move the corner
+    by more than any in the window is off its edge.
+    """
     _, _, normal, side, p = work
     firm_bend = ((prior.noise + prior.misfit * abs(p[P_HALF])) / prior.bend) ** 2
     for line in range(2):
         side[:] = 0
         side[BEND + line] = -firm_bend
         _solve(normal, 0, ODD, side)
+        x, y = _move(p, side)
+        if not np.hypot(x, y) < prior.radius**2:
+            pull[:] = 0.0
+            return
         pull[line, 0], pull[line, 1] = p[P_COS + line], p[P_SIN + line]
-        pull[line, 2], pull[line, 3] = _move(p, side)
+        pull[line, 2], pull[line, 3] = x, y
 
 
 @kernel
