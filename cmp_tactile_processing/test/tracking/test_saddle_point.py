@@ -96,6 +96,21 @@ def test_error_follows_the_noise(checkers):
     assert 3 < error[16.0] / error[4.0] < 5
 
 
+def test_corners_of_one_image_share_its_light(checkers):
+    """A blurred edge alone could be a slope of the light; those before show that there is none.
+
+    The first four corners find that out for themselves.
+    """
+    image = checkers(blur_px=3.0)
+    together, alone = [], []
+    for seed in range(4):
+        grey, true = image.render(2.0, seed), image.corners()
+        together.append(fitted(image, grey).position - true)
+        each = [fitted(image, grey, corner[None]).position[0] for corner in true]
+        alone.append(np.array(each) - true)
+    assert rms(np.array(together)[:, 4:]) < 0.9 * rms(np.array(alone)[:, 4:])
+
+
 def test_a_blob_within_the_window_moves_the_corner_little(checkers):
     """Missing ink of 4 px on an edge, 6.5 px from the corner: outliers to the model."""
     image = checkers(n=3)

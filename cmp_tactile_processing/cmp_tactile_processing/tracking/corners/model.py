@@ -22,8 +22,9 @@ DISC_X, DISC_Y, ROWS = 19, 20, 21
 # State of the model: curvatures (1/px), slope of the light (1/px), angles of the edges, mean, half
 # contrast, blur (px), cosines and sines of the angles.
 P_BEND, P_LIGHT, P_ANGLE, P_MEAN, P_HALF, P_BLUR, P_COS, P_SIN = 0, 2, 4, 6, 7, 8, 9, 11
-# Blur that is expected, from the corners before, and its standard deviation as a logarithm.
-P_USUAL, P_SPREAD, STATE = 13, 14, 15
+# What the corners before let expect: blur and its standard deviation as a logarithm, slope of the
+# light in half contrasts and the share of its standard deviation that is left.
+P_USUAL, P_SPREAD, P_SLOPE, P_LEFT, STATE = 13, 14, 15, 17, 18
 # An edge's profile is the integral of (1 - z^2)^3, z = distance / (3 blur): close to a Gaussian's
 # integral, without its tails, and made of products alone, which compile to vectors.
 PROFILE_REACH, PROFILE_SCALE = 3.0, 35 / 16
@@ -38,7 +39,8 @@ ARRIVED_PX, FIRST_ARRIVED_PX, SAME_BLUR, CLEAN = 0.004, 0.03, 0.1, 1.3
 FARTHEST = 0.15
 # The blur of a corner's edges is expected to be that of the corners before it, of which the last
 # one counts by LATEST_SHARE, within a standard deviation of its logarithm; once some are known.
-BLUR_SPREAD, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.2, 4
+# So is the slope of the light: a blurred edge alone could as well be one.
+BLUR_SPREAD, SLOPE_LEFT, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.4, 0.2, 4
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 
 WorkSpace = tuple[
@@ -299,7 +301,7 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool
     _, pixels, normal, side, p = work
     variance = (prior.noise + prior.misfit * abs(p[P_HALF])) ** 2
     firm_bend = variance / prior.bend**2
-    firm_light = variance / (prior.light * p[P_HALF]) ** 2
+    firm_light = variance / (prior.light * p[P_LEFT] * p[P_HALF]) ** 2
     firm_blur = variance / p[P_SPREAD] ** 2
     _scale(pixels, count, RESIDUAL)
     for i in range(ODD if renew else ALL):
@@ -315,7 +317,7 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool
     weights = _product(pixels, count, WEIGHT, ONE)
     for line in range(2):
         side[BEND + line] += firm_bend * p[P_BEND + line]
-        side[X + line] -= firm_light * p[P_LIGHT + line]
+        side[X + line] -= firm_light * (p[P_LIGHT + line] - p[P_HALF] * p[P_SLOPE + line])
         if renew:
             normal[BEND + line, BEND + line] += firm_bend
             normal[X + line, X + line] += firm_light
@@ -465,13 +467,17 @@ def refine_by_model(
     for k in range(disc.shape[1]):
         disc[2, k] = disc[1, k] * image[0].shape[1] + disc[0, k]
     known = 0
+    right = down = 0.0
     for n in range(len(position)):
         if not np.isfinite(position[n, 0]):
             continue
         count = _gather(image, position[n], disc, pixels)
         p[:] = 0
         p[P_BLUR] = p[P_USUAL] = blur
-        p[P_SPREAD] = BLUR_SPREAD if known >= ENOUGH_CORNERS else 1.0
+        enough = known >= ENOUGH_CORNERS
+        p[P_SPREAD] = BLUR_SPREAD if enough else 1.0
+        p[P_SLOPE], p[P_SLOPE + 1] = right, down
+        p[P_LEFT] = SLOPE_LEFT if enough else 1.0
         _set_directions(hessian[n], p)
         _profile(pixels, count, 0, p)
         _profile(pixels, count, 1, p)
@@ -481,7 +487,10 @@ def refine_by_model(
             position[n, 0] += dx
             position[n, 1] += dy
             known += 1
-            blur *= (p[P_BLUR] / blur) ** max(1 / known, LATEST_SHARE)
+            share = max(1 / known, LATEST_SHARE)
+            blur *= (p[P_BLUR] / blur) ** share
+            right += share * (p[P_LIGHT] / p[P_HALF] - right)
+            down += share * (p[P_LIGHT + 1] / p[P_HALF] - down)
             # What the model's shape leaves is even about the corner and moves it little.
             variance -= (prior.misfit * p[P_HALF]) ** 2 / 2
             deviation = _deviation(work, count, max(variance, prior.noise**2))
