@@ -12,6 +12,8 @@ FORCE_S = 3.0
 MOST_VALUES = 12
 OF_ALL_NODES = "/parameter_events", "/rosout"
 WAIT_S = 0.5
+# Nodes are discovered one after the other; on a busy machine a second may pass between two.
+SETTLED_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +180,7 @@ def _topics(node: Any, end: str = "") -> dict[str, str]:
         topics = node.get_topic_names_and_types()
         return {t: kinds[0] for t, kinds in topics if t.endswith(end) and t not in OF_ALL_NODES}
 
-    topics = settled(found)
+    topics = settled(found, settled_s=SETTLED_S)
     if not topics and not end:
         msg = "found no topics, expected running nodes; is ROS_DOMAIN_ID the same?"
         raise ServiceError(msg)

@@ -34,6 +34,7 @@ COLUMNS = (
     *SLIP_FIGURES,
     "flags",
     "flag_names",
+    "usable",
     "stamp_fault",
 )
 # The types of the columns that are not floating-point numbers.
@@ -44,6 +45,7 @@ COLUMN_TYPES = {
     "slip": "string",
     "flags": "uint16",
     "flag_names": "string",
+    "usable": "uint8",
     "stamp_fault": "string",
 }
 UNITS = {"s": "s", "N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
@@ -102,6 +104,7 @@ def table_row(
         *slip,
         int(force.flags),
         flag_names(force.flags, " "),
+        int(not force.flags & UNUSABLE),
         stamp_fault,
     ]
 
@@ -115,22 +118,27 @@ class ForceFlags:
     """Counts the frames of a recording with each flag."""
 
     def __init__(self) -> None:
-        self._frames = 0
+        self._frames = self._unusable = 0
         self._flagged: dict[ForceFlag, int] = {}
 
     def add(self, force: ForceField) -> None:
         """Take the force field of a frame into account."""
         self._frames += 1
+        self._unusable += bool(force.flags & UNUSABLE)
         for flag in single_flags(force.flags):
             self._flagged[flag] = self._flagged.get(flag, 0) + 1
 
     @property
     def doubts(self) -> Iterator[str]:
-        """A line for each flag that was set; first those with which a force must not be used."""
+        """In how many frames the force must not be used, and a line for each flag that was set."""
+        if self._unusable:
+            yield (
+                f"do not use the force of {self._unusable} of {self._frames} frames (column usable)"
+            )
         for flag in sorted(self._flagged, key=lambda flag: not flag & UNUSABLE):
             frames = f"in {self._flagged[flag]} of {self._frames} frames {flag_names(flag)}"
-            ban = "do not use their force; " if flag & UNUSABLE else ""
-            yield f"{frames}: {ban}{RECORDED_ADVICE[flag]}"
+            use = "not usable" if flag & UNUSABLE else "use with care"
+            yield f"{frames}: {use}; {RECORDED_ADVICE[flag]}"
 
 
 def grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:

@@ -42,7 +42,7 @@ def test_the_commands_and_programs_of_the_tutorial_run(tmp_path, monkeypatch, ca
     assert 0 < float(deviation) < 1
     assert (tmp_path / "force.png").stat().st_size > 10_000
     plotted = {line.get_label(): line.get_ydata() for line in plt.gca().lines}
-    assert min(plotted["Fz"]) == pytest.approx(float(normal), abs=0.01)
+    assert min(plotted["fz_N"]) == pytest.approx(float(normal), abs=0.01)
     plt.close()
     assert len(fields) == 20
     # What the nodes' forces sum up to is the wrench.

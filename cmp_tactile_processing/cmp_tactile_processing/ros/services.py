@@ -63,11 +63,11 @@ def answer_of(
         node.destroy_client(client)
 
 
-def settled(ask: Callable[[], T], search_s: float = SEARCH_S) -> T:
+def settled(ask: Callable[[], T], search_s: float = SEARCH_S, settled_s: float = SETTLED_S) -> T:
     """What `ask` returns once that is not empty and stays the same, or when the time is up."""
     now = begin = since = time.monotonic()
     answer = ask()
-    while now - begin < search_s and not (answer and now - since > SETTLED_S):
+    while now - begin < search_s and not (answer and now - since > settled_s):
         time.sleep(POLL_S)
         now, before = time.monotonic(), answer
         answer = ask()

@@ -65,7 +65,9 @@ class Check(FrameInput):
         with output.shown_count() as count:
             grids = track_frames(sensor, frames.images, count)
         report = check_grids(sensor, grids)
-        truth = truth_of(self.input) if self.input is not None else None
+        # One view measures no places in 3-D.
+        in_3d = len(sensor.views) > 1
+        truth = truth_of(self.input) if self.input is not None and in_3d else None
         if truth is not None:
             errors = truth_errors(sensor, grids, frames.stamps_ns, truth)
         rows = [_row(figure) for figure in report.figures] + (errors.rows() if errors else [])
