@@ -11,9 +11,10 @@ from cmp_tactile_bringup.commands.options import Command, argument, option
 FORCE_S = 3.0
 MOST_VALUES = 12
 OF_ALL_NODES = "/parameter_events", "/rosout"
+RUNNING_NODES = "running nodes; is ROS_DOMAIN_ID the same?"
 WAIT_S = 0.5
 # Nodes are discovered one after the other; on a busy machine a second may pass between two.
-SETTLED_S = 2.0
+ALL_TOPICS_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +97,7 @@ class Topics(Command):
         from cmp_tactile_processing.ros.process import Listener
 
         with Listener("topics") as asking:
-            topics = _topics(asking.node)
+            topics = _all_topics(asking.node)
         width = max(map(len, topics))
         print("\n".join(f"{name:<{width}}  {topics[name]}" for name in sorted(topics)))
         return 0
@@ -172,32 +173,40 @@ def _say(asked: str, answer: Any) -> int:
     return 0
 
 
-def _topics(node: Any, end: str = "") -> dict[str, str]:
-    """Topics whose names end so, with their types; but those that every node has."""
+def _topics(node: Any) -> dict[str, str]:
+    """Topics that are known by now, with their types; but those that every node has."""
+    topics = node.get_topic_names_and_types()
+    return {topic: kinds[0] for topic, kinds in topics if topic not in OF_ALL_NODES}
+
+
+def _all_topics(node: Any) -> dict[str, str]:
+    """Topics of all nodes that run; ServiceError where there are none."""
     from cmp_tactile_processing.ros.services import ServiceError, settled
 
-    def found() -> dict[str, str]:
-        topics = node.get_topic_names_and_types()
-        return {t: kinds[0] for t, kinds in topics if t.endswith(end) and t not in OF_ALL_NODES}
-
-    topics = settled(found, settled_s=SETTLED_S)
-    if not topics and not end:
-        msg = "found no topics, expected running nodes; is ROS_DOMAIN_ID the same?"
+    topics = settled(lambda: _topics(node), settled_s=ALL_TOPICS_S)
+    if not topics:
+        msg = f"found no topics, expected {RUNNING_NODES}"
         raise ServiceError(msg)
     return topics
 
 
 def _topic(node: Any, name: str) -> tuple[str, str]:
     """Full name and type of the topic whose name ends so, with the fewest names before it."""
-    from cmp_tactile_processing.ros.services import ServiceError, did_you_mean_end
+    from cmp_tactile_processing.ros.services import ServiceError, did_you_mean_end, settled
 
     end = f"/{name.strip('/')}"
-    found = _topics(node, end)
+
+    def called_so() -> dict[str, str]:
+        return {topic: kind for topic, kind in _topics(node).items() if topic.endswith(end)}
+
+    found = settled(called_so)
     least = min((topic.count("/") for topic in found), default=0)
     nearest = sorted(topic for topic in found if topic.count("/") == least)
     if not nearest:
-        msg = f"{name}: found no such topic, expected one that `cmp_tactile topics` lists"
-        raise ServiceError(msg + did_you_mean_end(end, _topics(node)))
+        there = _topics(node)
+        wanted = "one that `cmp_tactile topics` lists" if there else RUNNING_NODES
+        msg = f"{name}: found no such topic, expected {wanted}"
+        raise ServiceError(msg + did_you_mean_end(end, there))
     if len(nearest) > 1:
         msg = f"{name}: found several, expected the name of one of: {', '.join(nearest)}"
         raise ServiceError(msg)

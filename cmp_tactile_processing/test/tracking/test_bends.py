@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.tracking.corners.bends import with_bends
+from cmp_tactile_processing.tracking.corners.measured_markers import MeasuredCorners
 
 SIDE_PX = 20.0
 # How far a corner moves for each 1/px of its edges' bends, px^2: as of a window of 8 px.
@@ -94,3 +95,15 @@ def test_corners_without_a_model_stay():
     corners[..., 1] += 1e-4 * corners[..., 0] ** 2
     pull[3, 3] = 0.0
     assert not moved(corners, pull)[3, 3].any()
+
+
+def test_a_corner_that_was_lost_and_found_otherwise_stays():
+    """What a rejected fit says of its edges is not that of the place which was found since."""
+    corners, pull = grid()
+    corners[..., 1] += 1e-4 * corners[..., 0] ** 2
+    lost = np.zeros(corners.shape[:2], dtype=bool)
+    lost[3, 3] = True
+    std = np.full(corners.shape[:2], CERTAIN)
+    left = MeasuredCorners(corners, std, np.zeros_like(lost), pull).without(lost)
+    assert not moved(corners, left.pull)[3, 3].any()
+    np.testing.assert_array_equal(moved(corners, left.pull)[~lost], moved(corners, pull)[~lost])

@@ -75,12 +75,13 @@ class MeasuredCorners:
         """The corners less those of a mask (rows, cols)."""
         position = np.where(lost[..., None], np.nan, self.position)
         std, predicted = np.where(lost, np.nan, self.std), self.predicted & ~lost
-        return MeasuredCorners(position, std, predicted, self.pull)
+        # What is found at its place otherwise was not fitted with these edges.
+        pull = np.where(lost[..., None, None], 0.0, self.pull)
+        return MeasuredCorners(position, std, predicted, pull)
 
     def none(self) -> MeasuredCorners:
         """A grid of the same size of which no corner is known."""
-        nowhere, unknown = np.full_like(self.position, np.nan), np.full_like(self.std, np.nan)
-        return MeasuredCorners(nowhere, unknown, np.zeros_like(self.predicted), self.pull)
+        return self.without(np.ones_like(self.predicted))
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,9 @@ FARTHEST = 0.15
 BLUR_SPREAD, SLOPE_LEFT, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.4, 0.2, 4
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 
+Saddles = tuple[
+    NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
+]
 WorkSpace = tuple[
     NDArray[np.int64],
     NDArray[np.float32],
@@ -293,13 +296,19 @@ def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64])
 
 
 @kernel_part
+def _expected_residual(prior: CornerPrior, p: NDArray[np.float64]) -> float:
+    """Of noise and of what the model's shape leaves, grey levels."""
+    return float(prior.noise + prior.misfit * abs(p[P_HALF]))
+
+
+@kernel_part
 def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool) -> float:
     """Step of least squares with the prior, with a new normal matrix or the last one.
 
     Returns the weighted mean square of the residuals that the step leaves, NaN without one.
     """
     _, pixels, normal, side, p = work
-    variance = (prior.noise + prior.misfit * abs(p[P_HALF])) ** 2
+    variance = _expected_residual(prior, p) ** 2
     firm_bend = variance / prior.bend**2
     firm_light = variance / (prior.light * p[P_LEFT] * p[P_HALF]) ** 2
     firm_blur = variance / p[P_SPREAD] ** 2
@@ -368,7 +377,7 @@ def _converge(
         for line in range(2):
             _by_edge(pixels, count, line, p)
         _by_blur(pixels, count, p)
-        scale = prior.noise + prior.misfit * abs(p[P_HALF])
+        scale = _expected_residual(prior, p)
         limit = prior.outlier * scale * (FIRST_LIMIT if n == 0 else 1.0)
         _weigh(pixels, count, p, prior.radius, limit)
         variance = _solve_for_step(work, count, prior, n in (0, 2, 5))
@@ -433,7 +442,7 @@ def _set_pull(work: WorkSpace, prior: CornerPrior, pull: NDArray[np.float64]) ->
     by more than any in the window is off its edge.
     """
     _, _, normal, side, p = work
-    firm_bend = ((prior.noise + prior.misfit * abs(p[P_HALF])) / prior.bend) ** 2
+    firm_bend = (_expected_residual(prior, p) / prior.bend) ** 2
     for line in range(2):
         side[:] = 0
         side[BEND + line] = -firm_bend
@@ -450,9 +459,7 @@ def _set_pull(work: WorkSpace, prior: CornerPrior, pull: NDArray[np.float64]) ->
 def refine_by_model(
     image: tuple[NDArray[np.uint8], NDArray[np.bool_]],
     prior: CornerPrior,
-    saddles: tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
-    ],
+    saddles: Saddles,
     blur: float,
     work: WorkSpace,
 ) -> None:

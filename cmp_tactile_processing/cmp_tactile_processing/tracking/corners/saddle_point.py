@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.tracking.corners.model import CornerPrior, refine_by_model, work_space
+from cmp_tactile_processing.tracking.corners.model import (
+    CornerPrior,
+    Saddles,
+    refine_by_model,
+    work_space,
+)
 
 # Half the width of the window, in checker sides and at least.  Its weights fall to zero there.
 WINDOW_PER_SIDE, LEAST_WINDOW_PX, MOST_WINDOW_PX = 0.3, 2.2, 6.0
@@ -115,9 +120,7 @@ class SaddlePointFit:
 
 @kernel
 def _take_where_alike(
-    modelled: tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
-    ],
+    modelled: Saddles,
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
 ) -> None:
     """Replace saddle points by the model's corners where noise alone sets the two apart.
