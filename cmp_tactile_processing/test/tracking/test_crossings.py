@@ -20,13 +20,11 @@ def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
     curve = np.zeros((1, 2, 4, 2))
     curve[0, :, 1] = LENGTH_PX, slope * LENGTH_PX
     fits = Fits.from_shape(2, 1)
-    fits.evidence[:] = 1.0
-    fits.share[:] = 1 / 3
     # As posteriors, in which the saddle is one of two measurements.
     weight, own = 1 / LINE_STD**2, 1 / STD**2
-    fits.variance[:] = 1 / (weight + own)
-    fits.deviation[:] = 0.0
-    fits.deviation[:, -1, 0], fits.deviation[:, 0, 1] = np.array(offsets) * weight / (weight + own)
+    fits.spread[:] = 1 / (weight + own)
+    fits.mean[:] = 0.0
+    fits.mean[-1, 0], fits.mean[0, 1] = np.array(offsets) * weight / (weight + own)
     found = np.empty((1, 3, ENTRIES))
     counts, size = np.array([5, 5]), np.array([[LENGTH_PX] * 2, [1.0] * 2])
     gather_lines(curve, counts, size, np.full((2, 2), STD), fits, np.empty((1, 3, 2, 4)), found)
@@ -36,7 +34,8 @@ def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
 def test_a_line_moves_a_corner_across_itself_alone():
     """Two segments and the saddle are three measurements: their weighted mean, in closed form."""
     lines = _gathered((0.004, 0.008))
-    corners, std = fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines)
+    corners, std = np.empty((1, 3, 2)), np.empty((1, 3))
+    fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines, corners, std)
     weight, own = 1 / LINE_STD**2, 1 / STD**2
     assert corners[0, 1] == pytest.approx((0.0, weight * 0.012 / (2 * weight + own)), rel=1e-9)
     variances = 1 / own, 1 / (2 * weight + own)

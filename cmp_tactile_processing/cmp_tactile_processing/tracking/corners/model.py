@@ -19,6 +19,8 @@ ODD, ALL = 6, 11
 # product, and the pixels' places in the window.
 RESIDUAL, GREY, WEIGHT, VALUE, SLOPE, SCRATCH = 11, 12, 13, 14, 16, 18
 DISC_X, DISC_Y, ROWS = 19, 20, 21
+# Pixels are taken by so many at once; a rest would be taken one by one.
+VECTOR = 32
 # State of the model: curvatures (1/px), slope of the light (1/px), angles of the edges, mean, half
 # contrast, blur (px), cosines and sines of the angles.
 P_BEND, P_LIGHT, P_ANGLE, P_MEAN, P_HALF, P_BLUR, P_COS, P_SIN = 0, 2, 4, 6, 7, 8, 9, 11
@@ -43,9 +45,7 @@ FARTHEST = 0.15
 BLUR_SPREAD, SLOPE_LEFT, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.4, 0.2, 4
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 
-Saddles = tuple[
-    NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
-]
+Saddles = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 WorkSpace = tuple[
     NDArray[np.int64],
     NDArray[np.float32],
@@ -82,8 +82,9 @@ def work_space(radius_px: float) -> WorkSpace:
     reach = int(radius_px)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = np.stack([x, y, y])[:, x**2 + y**2 <= radius_px**2].astype(np.int64)
-    pixels = np.ones((ROWS, disc.shape[1]), np.float32)
-    pixels[DISC_X], pixels[DISC_Y] = disc[0], disc[1]
+    total = disc.shape[1]
+    pixels = np.ones((ROWS, -(-total // VECTOR) * VECTOR), np.float32)
+    pixels[DISC_X, :total], pixels[DISC_Y, :total] = disc[0], disc[1]
     return disc, pixels, np.zeros((ALL + 1, ALL + 1)), np.zeros(ALL), np.zeros(STATE)
 
 
@@ -121,6 +122,16 @@ def _gather(
             pixels[Y, count] = pixels[DISC_Y, k] - down
             count += 1
     return count
+
+
+@kernel_part
+def _fill_up(pixels: NDArray[np.float32], count: int, radius: float) -> int:
+    """Add pixels that have no weight, up to whole vectors of the processor; their number."""
+    full = -(-count // VECTOR) * VECTOR
+    for k in range(count, full):
+        pixels[X, k] = pixels[Y, k] = np.float32(radius)
+        pixels[GREY, k] = np.float32(0)
+    return full
 
 
 @kernel_part
@@ -264,34 +275,54 @@ def _set_light(pixels: NDArray[np.float32], count: int, p: NDArray[np.float64]) 
 
 
 @kernel_part
-def _factor(a: NDArray[np.float64], first: int, end: int) -> bool:
-    """Cholesky factor of a block into its lower half; False if it is not positive definite."""
-    for j in range(first, end):
-        for k in range(first, j):
-            a[j, j] -= a[j, k] * a[j, k]
-        if not a[j, j] > 0:
-            return False
-        a[j, j] = np.sqrt(a[j, j])
-        for i in range(j + 1, end):
-            for k in range(first, j):
-                a[i, j] -= a[i, k] * a[j, k]
-            a[i, j] /= a[j, j]
-    return True
+def _factor(a: NDArray[np.float64], first: int, size: int) -> bool:
+    """Factors of a block L D L^T: 1 / D on its diagonal, L below, D L^T above.
+
+    False if it is not positive definite.  Unsigned: no index could count from the end.
+    """
+    positive = True
+    for j in range(size):
+        jj = np.uint64(first + j)
+        pivot = a[jj, jj]
+        for k in range(j):
+            kk = np.uint64(first + k)
+            pivot -= a[jj, kk] * a[kk, jj]
+        positive &= pivot > 0
+        a[jj, jj] = 1 / pivot
+        for i in range(j + 1, size):
+            ii = np.uint64(first + i)
+            value = a[ii, jj]
+            for k in range(j):
+                kk = np.uint64(first + k)
+                value -= a[ii, kk] * a[kk, jj]
+            a[jj, ii] = value
+            a[ii, jj] = value * a[jj, jj]
+    return positive
 
 
 @kernel
-def _solve(a: NDArray[np.float64], first: int, end: int, b: NDArray[np.float64]) -> float:
+def _solve(a: NDArray[np.float64], first: int, size: int, b: NDArray[np.float64]) -> float:
     """Solution in place of the right side; by how much it lowers the sum of squares."""
     gain = 0.0
-    for i in range(first, end):
-        for k in range(first, i):
-            b[i] -= a[i, k] * b[k]
-        b[i] /= a[i, i]
-        gain += b[i] * b[i]
-    for i in range(end - 1, first - 1, -1):
-        for k in range(i + 1, end):
-            b[i] -= a[k, i] * b[k]
-        b[i] /= a[i, i]
+    for i in range(size):
+        ii = np.uint64(first + i)
+        value = b[ii]
+        for k in range(i):
+            kk = np.uint64(first + k)
+            value -= a[ii, kk] * b[kk]
+        b[ii] = value
+    for i in range(size):
+        ii = np.uint64(first + i)
+        value = b[ii]
+        b[ii] = value * a[ii, ii]
+        gain += value * b[ii]
+    for i in range(size - 1, -1, -1):
+        ii = np.uint64(first + i)
+        value = b[ii]
+        for k in range(i + 1, size):
+            kk = np.uint64(first + k)
+            value -= a[kk, ii] * b[kk]
+        b[ii] = value
     return gain
 
 
@@ -333,9 +364,9 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool
     side[BLUR] -= firm_blur * np.log(p[P_BLUR] / p[P_USUAL])
     if renew:
         normal[BLUR, BLUR] += firm_blur
-    if renew and not (_factor(normal, 0, ODD) and _factor(normal, ODD, ALL)):
+    if renew and not (_factor(normal, 0, ODD) and _factor(normal, ODD, ALL - ODD)):
         return np.nan
-    squares -= _solve(normal, 0, ODD, side) + _solve(normal, ODD, ALL, side)
+    squares -= _solve(normal, 0, ODD, side) + _solve(normal, ODD, ALL - ODD, side)
     return max(squares, 0.0) / max(weights, 1.0)
 
 
@@ -478,7 +509,8 @@ def refine_by_model(
     for n in range(len(position)):
         if not np.isfinite(position[n, 0]):
             continue
-        count = _gather(image, position[n], disc, pixels)
+        seen = _gather(image, position[n], disc, pixels)
+        count = _fill_up(pixels, seen, prior.radius)
         p[:] = 0
         p[P_BLUR] = p[P_USUAL] = blur
         enough = known >= ENOUGH_CORNERS
@@ -488,7 +520,7 @@ def refine_by_model(
         _set_directions(hessian[n], p)
         _profile(pixels, count, 0, p)
         _profile(pixels, count, 1, p)
-        _set_light(pixels, count, p)
+        _set_light(pixels, seen, p)
         dx, dy, variance = _converge(work, count, prior, std[n])
         if np.isfinite(dx):
             position[n, 0] += dx

@@ -18,7 +18,6 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LEAST_CORNER,
     UNKNOWN_CORNER,
     Fits,
-    mixture,
 )
 
 Array = NDArray[np.float64]
@@ -76,15 +75,14 @@ def gather_lines(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
     """
     sides[:] = 0.0
     found[:] = 0.0
-    deviation, variance, evidence, share = fits
-    last = deviation.shape[1] - 1
+    last = len(fits.mean) - 1
     for i in range(curve.shape[0]):
         for j in range(curve.shape[1]):
             s = i * curve.shape[1] + j
             if counts[s] == 0 or not math.isfinite(curve[i, j, 3, 0] + curve[i, j, 3, 1]):
                 continue
             for end in range(2):
-                mean, spread = mixture(deviation, variance, evidence, share, (end * last, s))
+                mean, spread = fits.mean[end * last, s], fits.spread[end * last, s]
                 std = end_std[end, s]
                 std = max(std, LEAST_CORNER) if math.isfinite(std) else UNKNOWN_CORNER
                 seen = (mean, spread, (std * size[1, s]) ** 2)
@@ -103,15 +101,19 @@ def gather_lines(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
                 found[i, j, 4] += weight * offset * y
 
 
-def fused_corners(corners: Array, std: Array, lines: Array) -> tuple[Array, Array]:
+@kernel
+def fused_corners(corners: Array, std: Array, lines: Array, fused: Array, fused_std: Array) -> None:
     """Corners (rows, cols, 2) px and their deviations per coordinate, with the lines' information.
 
     std (rows, cols) px of the saddles; lines (rows, cols, ENTRIES): the sum of `gather_lines` of
-    rows and columns.  Missing corners stay missing.
+    rows and columns.  Missing corners stay missing.  fused, fused_std: are set.
     """
-    own = 1 / np.where(np.isfinite(std), np.maximum(std, LEAST_CORNER), UNKNOWN_CORNER) ** 2
-    xx, xy, yy, x, y = np.moveaxis(lines, -1, 0)
-    xx, yy = xx + own, yy + own
-    determinant = xx * yy - xy * xy
-    shift = np.stack([yy * x - xy * y, xx * y - xy * x], axis=-1) / determinant[..., None]
-    return corners + shift, np.sqrt((xx + yy) / (2 * determinant))
+    for i in range(len(corners)):
+        for j in range(corners.shape[1]):
+            own = max(std[i, j], LEAST_CORNER) if math.isfinite(std[i, j]) else UNKNOWN_CORNER
+            xx, yy = lines[i, j, 0] + 1 / own**2, lines[i, j, 2] + 1 / own**2
+            xy, x, y = lines[i, j, 1], lines[i, j, 3], lines[i, j, 4]
+            scale = 1 / (xx * yy - xy * xy)
+            fused[i, j, 0] = corners[i, j, 0] + (yy * x - xy * y) * scale
+            fused[i, j, 1] = corners[i, j, 1] + (xx * y - xy * x) * scale
+            fused_std[i, j] = math.sqrt((xx + yy) * scale / 2)

@@ -3,28 +3,31 @@
 The gridline deviates from the curve by a line (the corners' own errors) and a sine series whose
 amplitudes have a prior: one of several roughnesses.  How likely each roughness is, in the frame
 and in the segment, follows from how strongly the measurements contradict the curve.  The segments
-are fitted side by side: the last axis of every array counts them, so that each step runs over
-neighbouring numbers.
+are fitted side by side, in blocks: the last axis of every array counts them, so that each step runs
+over neighbouring numbers.  Arrays are long enough for whole blocks.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.measured import Status
+from cmp_tactile_processing.tracking.virtual_markers.ridge import NAN_SAFE
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 Index = NDArray[np.int64]
 # Roughness: standard deviation of the first sine's amplitude, as a share of the segment's length;
-# the k-th one's is k^-DECAY of it.
+# the k-th one's is k^-DECAY of it; of its square, SHARE_OF_SINE.
 ROUGHNESS = np.array([0.0004, 0.005, 0.04])
 MODELS = len(ROUGHNESS)
 MODES, DECAY = 5, 1.5
+SHARE_OF_SINE = np.arange(1.0, MODES + 1) ** (-2 * DECAY)
 UNKNOWNS = MODES + 2
 ENTRIES = UNKNOWNS * (UNKNOWNS + 1) // 2
 # Before a frame is seen: how likely each roughness is, and the number of segments this counts for.
@@ -36,50 +39,63 @@ OUTLIER = 4.0
 LEAST_COLUMNS = 3
 # Standard deviation of a corner that came without one, and the least of any, px.
 UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
-# Segments that are fitted side by side.
+# Segments that are fitted side by side, a block; in single precision, which halves the time and
+# changes a marker by 1e-8 px.
 LANES = 64
+
+
+def blocks_of(segments: int) -> int:
+    """How many blocks hold so many segments."""
+    return -(-segments // LANES)
 
 
 class Fits(NamedTuple):
     """Of every segment s, under every roughness m, at every marker k and at the corners.
 
     deviation, variance (m, k, s) px across; evidence (m, s): relative to the likeliest roughness,
-    1 where nothing was measured; share (m,): how likely each roughness is in the frame.
+    1 where nothing was measured; share (m,): how likely each roughness is in the frame; mean,
+    spread (k, s): deviation and its variance over the roughnesses.
     """
 
     deviation: Array
     variance: Array
     evidence: Array
     share: Array
+    mean: Array
+    spread: Array
 
     @classmethod
     def from_shape(cls, segments: int, markers: int) -> Fits:
         """Buffers for so many segments with so many markers each."""
-        each = (MODELS, markers + 2, segments)
-        return cls(np.empty(each), np.empty(each), np.empty((MODELS, segments)), np.empty(MODELS))
+        lanes = blocks_of(segments) * LANES
+        deviation, variance = np.empty((2, MODELS, markers + 2, lanes))
+        mean, spread = np.empty((2, markers + 2, lanes))
+        evidence, share = np.empty((MODELS, lanes)), np.empty(MODELS)
+        return cls(deviation, variance, evidence, share, mean, spread)
 
 
 class FitScratch(NamedTuple):
-    """Of LANES segments: normal equations, prior variances, covariance, its determinant.
+    """Of a block: normal equations, prior variances, covariance, its determinant.
 
     energy: weighted sum of the squared measurements.
     """
 
-    normal: Array
-    right: Array
-    prior: Array
-    covariance: Array
+    normal: Single
+    right: Single
+    prior: Single
+    covariance: Single
+    solution: Single
+    row: Single
+    pivot: Single
+    energy: Single
     determinant: Array
-    solution: Array
-    row: Array
-    pivot: Array
-    energy: Array
 
     @classmethod
     def new(cls) -> FitScratch:
         """Buffers of their own."""
-        rows = (ENTRIES, UNKNOWNS, UNKNOWNS, ENTRIES, 1, UNKNOWNS, UNKNOWNS, UNKNOWNS + 1, 1)
-        return cls(*(np.empty((count, LANES)) for count in rows))
+        rows = (ENTRIES, UNKNOWNS, UNKNOWNS, ENTRIES, UNKNOWNS, UNKNOWNS, UNKNOWNS + 1, 1)
+        arrays: list[Any] = [np.empty((count, LANES), np.float32) for count in rows]
+        return cls(*[*arrays, np.empty((1, LANES))])
 
 
 class MarkerBasis(NamedTuple):
@@ -87,25 +103,25 @@ class MarkerBasis(NamedTuple):
     variance from their covariance, products of the values, those beside the diagonal twice.
     """
 
-    values: Array
-    pairs: Array
+    values: Single
+    pairs: Single
 
     @classmethod
     def from_count(cls, count: int) -> MarkerBasis:
         """Of `count` markers, equally spaced between two corners, and these first and last."""
         t = np.arange(count + 2.0) / (count + 1)
         sines = [np.sin(np.pi * t * k) for k in range(1, MODES + 1)]
-        values = np.ascontiguousarray(np.stack([1 - t, t, *sines], axis=1))
+        values = np.stack([1 - t, t, *sines], axis=1)
         a, b = np.tril_indices(UNKNOWNS)
         pairs = values[:, a] * values[:, b] * np.where(a == b, 1.0, 2.0)
-        return cls(values, np.ascontiguousarray(pairs))
+        return cls(*(np.require(each, np.float32, "C") for each in (values, pairs)))
 
 
 @kernel_part(fastmath=True)
-def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -> None:
+def _set_rows(columns: Single, column: int, row: Single) -> None:
     """What a measured column sees of each unknown."""
-    for s in range(lanes):
-        t = columns[0, column, first + s]
+    for s in range(LANES):
+        t = columns[0, column, s]
         # Cosine and sine of pi (t - 1/2) as power series, to 1e-6.
         x = (t - 0.5) * math.pi
         z = x * x
@@ -114,8 +130,8 @@ def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -
         row[0, s] = 1 - t
         row[1, s] = t
         # Blur flattens the k-th sine by exp(-x k^2); the crossing gridline's pull sees its slope.
-        x = columns[3, column, first + s]
-        lean = columns[4, column, first + s]
+        x = columns[3, column, s]
+        lean = columns[4, column, s]
         share = 1 / (1 + x * (1 + x * (1 / 2 + x / 6)))
         ratio, flattened = share, 1.0
         row[0, s] -= lean
@@ -130,24 +146,24 @@ def _set_rows(columns: Array, column: int, first: int, lanes: int, row: Array) -
 
 
 @kernel_part(fastmath=True)
-def _accumulate(columns: Array, longest: int, first: int, lanes: int, work: FitScratch) -> None:
+def _accumulate(columns: Single, longest: int, work: FitScratch) -> None:
     """Normal equations of the measured columns."""
     normal, right, row, scale = work.normal, work.right, work.row, work.pivot
     normal[:] = 0.0
     right[:] = 0.0
     work.energy[:] = 0.0
     for column in range(longest):
-        _set_rows(columns, column, first, lanes, row)
-        for s in range(lanes):
-            value = columns[1, column, first + s]
-            work.energy[0, s] += columns[2, column, first + s] * value * value
+        _set_rows(columns, column, row)
+        for s in range(LANES):
+            value = columns[1, column, s]
+            work.energy[0, s] += columns[2, column, s] * value * value
         entry = 0
         for a in range(len(work.right)):
-            for s in range(lanes):
-                scale[0, s] = columns[2, column, first + s] * row[a, s]
-                right[a, s] += scale[0, s] * columns[1, column, first + s]
+            for s in range(LANES):
+                scale[0, s] = columns[2, column, s] * row[a, s]
+                right[a, s] += scale[0, s] * columns[1, column, s]
             for b in range(a + 1):
-                for s in range(lanes):
+                for s in range(LANES):
                     normal[entry, s] += scale[0, s] * row[b, s]
                 entry += 1
 
@@ -159,64 +175,64 @@ def _entry(a: int, b: int) -> int:
 
 
 @kernel_part(fastmath=True)
-def _sweep(k: int, lanes: int, work: FitScratch) -> None:
+def _sweep(k: int, work: FitScratch) -> None:
     """Solve the symmetric matrix for its k-th unknown; all swept, it is its negative inverse."""
     matrix, pivot, determinant = work.covariance, work.pivot, work.determinant
     diagonal = _entry(k, k)
-    for s in range(lanes):
+    for s in range(LANES):
         determinant[0, s] *= matrix[diagonal, s] * work.prior[k, s]
         pivot[-1, s] = -1 / matrix[diagonal, s]
     for a in range(len(work.right)):
         entry = _entry(a, k)
-        for s in range(lanes):
+        for s in range(LANES):
             pivot[a, s] = matrix[entry, s]
             matrix[entry, s] *= -pivot[-1, s]
     for a in range(len(work.right)):
         for b in range(a + 1):
             if k not in (a, b):
                 entry, beside = _entry(a, b), _entry(a, k)
-                for s in range(lanes):
+                for s in range(LANES):
                     matrix[entry, s] -= matrix[beside, s] * pivot[b, s]
-    for s in range(lanes):
+    for s in range(LANES):
         matrix[diagonal, s] = pivot[-1, s]
 
 
 @kernel_part(fastmath=True)
-def _invert(lanes: int, work: FitScratch) -> None:
+def _invert(work: FitScratch) -> None:
     """Covariance, the inverse of normal + 1 / prior, by sweeping one unknown after the other.
 
     determinant: of (normal + 1 / prior) times the priors.
     """
     matrix = work.covariance
     for entry in range(len(work.normal)):
-        for s in range(lanes):
+        for s in range(LANES):
             matrix[entry, s] = work.normal[entry, s]
     work.determinant[:] = 1.0
     for k in range(len(work.right)):
-        for s in range(lanes):
+        for s in range(LANES):
             matrix[_entry(k, k), s] += 1 / work.prior[k, s]
     for k in range(len(work.right)):
-        _sweep(k, lanes, work)
+        _sweep(k, work)
     for entry in range(len(work.normal)):
-        for s in range(lanes):
+        for s in range(LANES):
             matrix[entry, s] = -matrix[entry, s]
 
 
 @kernel_part(fastmath=True)
-def _solve(lanes: int, work: FitScratch) -> None:
+def _solve(work: FitScratch) -> None:
     for a in range(len(work.right)):
-        for s in range(lanes):
+        for s in range(LANES):
             work.solution[a, s] = 0.0
         for b in range(len(work.right)):
             entry = _entry(a, b)
-            for s in range(lanes):
+            for s in range(LANES):
                 work.solution[a, s] += work.covariance[entry, s] * work.right[b, s]
 
 
 @kernel_part
-def _is_clean(lanes: int, work: FitScratch) -> bool:
+def _is_clean(work: FitScratch) -> bool:
     """Whether all that the fits leave unexplained is less than one outlier would leave."""
-    for s in range(lanes):
+    for s in range(LANES):
         left = work.energy[0, s]
         for a in range(len(work.right)):
             left -= work.solution[a, s] * work.right[a, s]
@@ -226,31 +242,28 @@ def _is_clean(lanes: int, work: FitScratch) -> bool:
 
 
 @kernel_part
-def _drop_outliers(
-    columns: Array, counts: Index, longest: int, first: int, work: FitScratch
-) -> int:
+def _drop_outliers(columns: Single, counts: Index, longest: int, work: FitScratch) -> int:
     """Take the weight from columns that the fit contradicts; returns how many these were."""
-    lanes = min(LANES, len(counts) - first)
     dropped = 0
-    if _is_clean(lanes, work):
+    if _is_clean(work):
         return 0
     for column in range(longest):
-        _set_rows(columns, column, first, lanes, work.row)
-        for s in range(lanes):
+        _set_rows(columns, column, work.row)
+        for s in range(LANES):
             fitted = 0.0
             for k in range(len(work.right)):
                 fitted += work.row[k, s] * work.solution[k, s]
-            weight = columns[2, column, first + s]
-            if weight * (columns[1, column, first + s] - fitted) ** 2 > OUTLIER**2:
-                columns[2, column, first + s] = 0.0
-                counts[first + s] -= 1
+            weight = columns[2, column, s]
+            if weight * (columns[1, column, s] - fitted) ** 2 > OUTLIER**2:
+                columns[2, column, s] = 0.0
+                counts[s] -= 1
                 dropped += 1
     return dropped
 
 
 @kernel_part
-def _drop_short(columns: Array, counts: Index, longest: int, first: int, lanes: int) -> None:
-    for s in range(first, first + lanes):
+def _drop_short(columns: Single, counts: Index, longest: int) -> None:
+    for s in range(LANES):
         if counts[s] < LEAST_COLUMNS:
             counts[s] = 0
             for column in range(longest):
@@ -258,31 +271,51 @@ def _drop_short(columns: Array, counts: Index, longest: int, first: int, lanes: 
 
 
 @kernel_part(fastmath=True)
-def _set_markers(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
-    basis: MarkerBasis, deviation: Array, variance: Array, first: int, lanes: int, work: FitScratch
+def _set_markers(
+    basis: MarkerBasis, deviation: Array, variance: Array, first: int, work: FitScratch
 ) -> None:
-    """Deviation and its variance at the markers under one roughness."""
+    """Deviation and its variance at the markers of a block under one roughness."""
+    total = work.pivot
     for marker in range(basis.values.shape[0]):
-        for s in range(lanes):
-            total = 0.0
-            for a in range(len(work.right)):
-                total += basis.values[marker, a] * work.solution[a, s]
-            deviation[marker, first + s] = total
-        for s in range(lanes):
-            total = 0.0
-            for entry in range(len(work.normal)):
-                total += basis.pairs[marker, entry] * work.covariance[entry, s]
-            variance[marker, first + s] = total
+        for s in range(LANES):
+            total[0, s] = total[1, s] = np.float32(0)
+        for a in range(len(work.right)):
+            value = basis.values[marker, a]
+            for s in range(LANES):
+                total[0, s] += value * work.solution[a, s]
+        for entry in range(len(work.normal)):
+            pair = basis.pairs[marker, entry]
+            for s in range(LANES):
+                total[1, s] += pair * work.covariance[entry, s]
+        means = deviation[marker, first : first + LANES]
+        spreads = variance[marker, first : first + LANES]
+        for s in range(LANES):
+            means[s] = total[0, s]
+            spreads[s] = total[1, s]
 
 
 @kernel_part(fastmath=True)
-def _set_evidence(evidence: Array, first: int, lanes: int, work: FitScratch) -> None:
+def _set_evidence(evidence: Array, work: FitScratch) -> None:
     """Log evidence of one roughness less a constant of the segment."""
-    for s in range(lanes):
+    for s in range(LANES):
         explained = 0.0
         for a in range(len(work.right)):
             explained += work.solution[a, s] * work.right[a, s]
-        evidence[first + s] = (explained - math.log(work.determinant[0, s])) / 2
+        evidence[s] = (explained - math.log(work.determinant[0, s])) / 2
+
+
+@kernel_part
+def _set_prior(size: Array, end_std: Array, first: int, model: int, work: FitScratch) -> None:
+    """Variances of the unknowns of a block before anything is measured, under one roughness."""
+    for s in range(LANES):
+        tilt = size[1, first + s]
+        for end in range(2):
+            std = end_std[end, first + s]
+            std = max(std, LEAST_CORNER) if math.isfinite(std) else UNKNOWN_CORNER
+            work.prior[end, s] = (std * tilt) ** 2
+        sine = ROUGHNESS[model] * size[0, first + s] * tilt
+        for k in range(MODES):
+            work.prior[2 + k, s] = sine * sine * SHARE_OF_SINE[k]
 
 
 @kernel
@@ -290,7 +323,7 @@ def fit_segments(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
     size: Array,
     end_std: Array,
     counts: Index,
-    columns: Array,
+    columns: Single,
     basis: MarkerBasis,
     fits: Fits,
     work: FitScratch,
@@ -298,42 +331,36 @@ def fit_segments(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
     """Fit every segment s under every roughness.
 
     size (2, s): length of the segment, px, and what a distance across it is along a column;
-    end_std (2, s) px of its corners; counts (s,), columns (5, COLUMNS, s) of `measure`;
-    what contradicts the fit loses its weight.
+    end_std (2, s) px of its corners; counts (s,), columns (s / LANES, 5, COLUMNS, LANES) of
+    `measure`; what contradicts the fit loses its weight.
     """
-    segments = len(counts)
-    for first in range(0, segments, LANES):
-        lanes = min(LANES, segments - first)
+    for block in range(len(columns)):
+        first = block * LANES
+        seen, measured = counts[first : first + LANES], columns[block]
         longest = 0
-        for s in range(first, first + lanes):
-            longest = max(longest, counts[s])
-        _drop_short(columns, counts, longest, first, lanes)
-        for s in range(lanes):
-            for end in range(2):
-                std = end_std[end, first + s]
-                std = max(std, LEAST_CORNER) if math.isfinite(std) else UNKNOWN_CORNER
-                work.prior[end, s] = (std * size[1, first + s]) ** 2
-        _accumulate(columns, longest, first, lanes, work)
+        for s in range(LANES):
+            longest = max(longest, seen[s])
+        _drop_short(measured, seen, longest)
+        _accumulate(measured, longest, work)
         for model in range(MODELS - 1, -1, -1):
-            for k in range(MODES):
-                share = ROUGHNESS[model] * (k + 1.0) ** -DECAY
-                for s in range(lanes):
-                    work.prior[2 + k, s] = (share * size[0, first + s] * size[1, first + s]) ** 2
-            _invert(lanes, work)
-            _solve(lanes, work)
+            _set_prior(size, end_std, first, model, work)
+            _invert(work)
+            _solve(work)
             roughest = model == MODELS - 1
-            if roughest and _drop_outliers(columns, counts, longest, first, work) > 0:
-                _drop_short(columns, counts, longest, first, lanes)
-                _accumulate(columns, longest, first, lanes, work)
-                _invert(lanes, work)
-                _solve(lanes, work)
-            _set_evidence(fits.evidence[model], first, lanes, work)
-            _set_markers(basis, fits.deviation[model], fits.variance[model], first, lanes, work)
+            if roughest and _drop_outliers(measured, seen, longest, work) > 0:
+                _drop_short(measured, seen, longest)
+                _accumulate(measured, longest, work)
+                _invert(work)
+                _solve(work)
+            _set_evidence(fits.evidence[model, first : first + LANES], work)
+            _set_markers(basis, fits.deviation[model], fits.variance[model], first, work)
 
 
 @kernel
 def share_of_models(counts: Index, fits: Fits) -> None:
-    """How likely each roughness is in this frame: a few rounds of expectation maximisation."""
+    """How likely each roughness is in this frame, by a few rounds of expectation maximisation, and
+    what all of them together say of the markers.
+    """
     evidence, share = fits.evidence, fits.share
     for s in range(len(counts)):
         top = evidence[0, s]
@@ -358,6 +385,25 @@ def share_of_models(counts: Index, fits: Fits) -> None:
             third += c * scale
             total += 1.0
         share[0], share[1], share[2] = first / total, second / total, third / total
+    _mix(fits)
+
+
+@kernel_part(fastmath=NAN_SAFE)
+def _mix(fits: Fits) -> None:
+    """Mean and variance over the roughnesses."""
+    deviation, variance, evidence, share, mean, spread = fits
+    lanes = evidence.shape[1]
+    for marker in range(len(mean)):
+        for s in range(lanes):
+            a, b = share[0] * evidence[0, s], share[1] * evidence[1, s]
+            c = share[2] * evidence[2, s]
+            x, y, z = deviation[0, marker, s], deviation[1, marker, s], deviation[2, marker, s]
+            scale = 1 / (a + b + c)
+            middle = (a * x + b * y + c * z) * scale
+            square = a * (variance[0, marker, s] + x * x) + b * (variance[1, marker, s] + y * y)
+            square += c * (variance[2, marker, s] + z * z)
+            mean[marker, s] = middle
+            spread[marker, s] = max(square * scale - middle * middle, 0.0)
 
 
 # Virtual markers from the fits of their segments: mean over the roughnesses, status, deviation.
@@ -400,44 +446,27 @@ def set_sizes(curve: Array, corner_std: Array, size: Array, end_std: Array) -> N
 
 
 @kernel_part(forceinline=True)
-def _is_near(columns: Array, count: int, s: int, t: float, near: float) -> bool:
+def _is_near(columns: Single, count: int, s: int, t: float, near: float) -> bool:
     seen = column = 0
+    block, lane = s // LANES, s % LANES
     while seen < count:
-        if columns[2, column, s] > 0:
+        if columns[block, 2, column, lane] > 0:
             seen += 1
-            if abs(columns[0, column, s] - t) < near:
+            if abs(columns[block, 0, column, lane] - t) < near:
                 return True
         column += 1
     return False
-
-
-@kernel_part(forceinline=True)
-def mixture(
-    deviation: Array, variance: Array, evidence: Array, share: Array, at: tuple[int, int]
-) -> tuple[float, float]:
-    """Mean and variance over the roughnesses at a marker of a segment; 0 is its first corner."""
-    marker, s = at
-    total = mean = square = 0.0
-    for model in range(len(share)):
-        weight = share[model] * evidence[model, s]
-        value = deviation[model, marker, s]
-        total += weight
-        mean += weight * value
-        square += weight * (variance[model, marker, s] + value * value)
-    mean /= total
-    return mean, max(square / total - mean * mean, 0.0)
 
 
 @kernel
 def place_markers(
     curve: Array,
     counts: Index,
-    columns: Array,
-    fits: tuple[Array, Array, Array, Array],
+    columns: Single,
+    fits: Fits,
     markers: Markers,
 ) -> None:
     """Fill the markers from the cubics (a, b, 4, 2), `measure`'s columns and `Fits`."""
-    deviation, variance, evidence, share = fits
     n = markers.std.shape[2]
     for i in range(curve.shape[0]):
         for j in range(curve.shape[1]):
@@ -458,8 +487,7 @@ def place_markers(
                 for k in range(2):
                     value = ((c[3, k] * t + c[2, k]) * t + c[1, k]) * t + c[0, k]
                     markers.position[i, j, marker, k] = value
-                mean, spread = mixture(deviation, variance, evidence, share, (marker + 1, s))
-                markers.position[i, j, marker, 1 - axis] += mean
-                markers.std[i, j, marker] = math.sqrt(spread) / tilt
+                markers.position[i, j, marker, 1 - axis] += fits.mean[marker + 1, s]
+                markers.std[i, j, marker] = math.sqrt(fits.spread[marker + 1, s]) / tilt
                 is_measured = _is_near(columns, counts[s], s, t, near)
                 markers.status[i, j, marker] = MEASURED if is_measured else PREDICTED

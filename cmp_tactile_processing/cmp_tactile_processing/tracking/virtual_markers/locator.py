@@ -19,6 +19,7 @@ from cmp_tactile_processing.tracking.virtual_markers.crossings import (
     gather_lines,
 )
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
+    LANES,
     MEASURED,
     MISSING,
     PREDICTED,
@@ -26,6 +27,7 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     FitScratch,
     MarkerBasis,
     Markers,
+    blocks_of,
     fit_segments,
     place_markers,
     set_sizes,
@@ -116,7 +118,9 @@ class VirtualMarkerLocator:
         """
         rows, cols = self._rows, self._cols
         lines = rows.at_corners + cols.at_corners.swapaxes(0, 1)
-        return fused_corners(rows.corners, rows.corner_std, lines)
+        fused, std = np.empty_like(rows.corners), np.empty_like(rows.corner_std)
+        fused_corners(rows.corners, rows.corner_std, lines, fused, std)
+        return fused, std
 
 
 def _median(values: NDArray[np.float64]) -> float:
@@ -170,9 +174,10 @@ class _Gridlines:
         self._doubt = np.zeros((a, b - 1, n), dtype=np.bool_)
         self._no_doubt = np.zeros((a, b - 1, 0), dtype=np.bool_)
         self._doubtful = self._no_doubt
-        self._size, self._end_std = np.empty((2, segments)), np.empty((2, segments))
-        self._counts = np.empty(segments, dtype=np.int64)
-        self._columns = np.zeros((5, COLUMNS, segments))
+        blocks = blocks_of(segments)
+        self._size, self._end_std = np.ones((2, 2, blocks * LANES))
+        self._counts = np.zeros(blocks * LANES, dtype=np.int64)
+        self._columns = np.zeros((blocks, 5, COLUMNS, LANES), dtype=np.float32)
         self._basis = MarkerBasis.from_count(n)
         self._fits = Fits.from_shape(segments, n)
         self._work = FitScratch.new()
@@ -199,7 +204,7 @@ class _Gridlines:
     def fuse(self, pixels: Pixels, edges: Edges) -> None:
         if math.isnan(edges.blur):
             self._counts[:] = 0
-            self._columns[2] = 0
+            self._columns[:, 2] = 0
         else:
             segments = Segments(self.corners, self.crossing, self.curve, self._doubtful)
             scratch = (self._turned, self._normals)

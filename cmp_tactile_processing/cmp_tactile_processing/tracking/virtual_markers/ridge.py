@@ -351,7 +351,7 @@ def _measure_column(
 @kernel_part(forceinline=True)
 def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     pixels: Pixels, edges: Edges, segments: Segments, i: int, j: int, turned: Array,
-    normals: Array, columns: Array,
+    normals: Array, columns: NDArray[np.float32], lane: int,
 ) -> int:  # fmt: skip
     axis = _turn(segments.curve[i, j], turned)
     if axis < 0:
@@ -362,7 +362,6 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
     step = max(2 if span > CLOSE else 1, int(span / COLUMNS) + 1)
     search = min(SEARCH_PX, SEARCH_SHARE * span)
     size = pixels.height if axis == 1 else pixels.width
-    s = i * segments.curve.shape[1] + j
     # The columns lie evenly about the segment's middle.
     steps = int((span / 2 - 1e-9) / step)
     along = math.floor((begin + end) / 2 + 0.5) - direction * steps * step
@@ -380,11 +379,11 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
         if variance == 0.0 or abs(found) > search or count == COLUMNS:
             continue
         known = found
-        columns[0, count, s] = t
-        columns[1, count, s] = deviation
-        columns[2, count, s] = step / variance
-        columns[3, count, s] = flattening
-        columns[4, count, s] = lean
+        columns[0, count, lane] = t
+        columns[1, count, lane] = deviation
+        columns[2, count, lane] = step / variance
+        columns[3, count, lane] = flattening
+        columns[4, count, lane] = lean
         count += 1
     return count
 
@@ -392,18 +391,22 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
 @kernel
 def measure(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     pixels: Pixels, edges: Edges, segments: Segments, scratch: tuple[Array, Array],
-    counts: Index, columns: Array,
+    counts: Index, columns: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Measure how far every gridline runs from its curve, in pixel columns along it.
 
     scratch: (4, 2) and (2, 3).  Results: counts (s,): measured columns of segment s; columns
-    (5, COLUMNS, s): parameter t on the curve, deviation of the gridline along the column px, its
-    weight 1 / px^2, how much blur flattens sin(k pi t) over k^2, how much the measured deviation
-    grows with the true one's derivative by t; the weight is 0 past the last one.
+    (blocks, 5, COLUMNS, lanes), s = block * lanes + lane: parameter t on the curve, deviation of
+    the gridline along the column px, its weight 1 / px^2, how much blur flattens sin(k pi t) over
+    k^2, how much the measured deviation grows with the true one's derivative by t; the weight is 0
+    past the last one.
     """
     turned, normals = scratch
-    columns[2] = 0.0
+    columns[:, 2] = 0.0
+    lanes = columns.shape[3]
     for i in range(segments.curve.shape[0]):
         for j in range(segments.curve.shape[1]):
             s = i * segments.curve.shape[1] + j
-            counts[s] = _measure_segment(pixels, edges, segments, i, j, turned, normals, columns)
+            counts[s] = _measure_segment(
+                pixels, edges, segments, i, j, turned, normals, columns[s // lanes], s % lanes
+            )
