@@ -38,13 +38,15 @@ class ForceErrors:
 
     fz (F,): of the normal force, N, positive where too much is pressed.  ft (F,): length of the
     error of the tangential force, N.  torque (F,): length of that of the moment, N m.
-    l2 (F,): |f - f_true| / |f_true| over all nodes and components.
+    l2 (F,): |f - f_true| / |f_true| over all nodes and components.  area (F,): error of the area in
+    contact over the true one, positive where it is too large.
     """
 
     fz: Array
     ft: Array
     torque: Array
     l2: Array
+    area: Array
 
     def high(self, name: str) -> float:
         """What WITHIN of the frames' errors do not exceed in size."""
@@ -61,6 +63,7 @@ class ForceErrors:
             ft=np.linalg.norm(wrench[:, :2], axis=1),
             torque=np.linalg.norm(wrench[:, 3:], axis=1),
             l2=np.linalg.norm(off, axis=1) / np.linalg.norm(case.force_on_nodes),
+            area=np.array([field.contact_area for field in found]) / case.area - 1,
         )
 
 

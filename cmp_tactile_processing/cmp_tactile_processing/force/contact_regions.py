@@ -228,11 +228,11 @@ class ContactRegions:
         The outline follows a level of the normal pressure between the nodes, closed along the
         border of the grid where the contact goes on beyond it.  Of a ring it is the outer edge;
         its hole is left out of the area, as the area is what lies above that level.
-        Under spheres from one to seven spacings of the nodes in radius, reconstructed from noisy
-        markers, the area is right within 10 % and the outline within 0.1 to 0.3 spacings.  Where
-        the pressure ends abruptly (a flat punch, a ring, an edge) the reconstruction rounds it
-        off: the outline lies 0.3 to 0.7 spacings too far out, the area is a fifth to a half too
-        large.  Two contacts are found apart when their edges are 0.7 spacings from each other.
+        Reconstructed from noisy markers, the areas of balls are right within 10 % and the outlines
+        within 0.1 to 0.3 spacings of the nodes; so are those of flat ends, edges and rings six
+        spacings wide or more.  Narrower ones are rounded off like a ball: their area is a fifth to
+        a half too large.  Two contacts are found apart when their edges are 0.7 spacings from each
+        other.
         """
         force, place, found = hills.force, hills.place, []
         for k, (nodes, (noise, more)) in enumerate(zip(hills.nodes, covariances, strict=True)):

@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 
 # Pressure on the outline over the contact's mean.  The reconstruction widens a contact, the more
-# the narrower it is: the level is the first plus the second over the width squared, in spacings of
-# the nodes.  Fitted to the areas of spheres from one to seven spacings in radius; where the
-# pressure ends abruptly the outline stays too wide.  WIDTH_LEVEL: where the width is taken.
-WIDE_LEVEL, NARROW_LEVEL, WIDTH_LEVEL = 0.25, 0.95, 0.3
+# the narrower it is: under a ball the level is the first plus the second over the width squared, in
+# spacings of the nodes.
+WIDE_LEVEL, NARROW_LEVEL = 0.3, 1.1
+# Where the pressure ends abruptly, as under a flat punch, the outline lies higher: between these two
+# levels the logarithm of the area then shrinks by less than under any ball, where it is the first
+# plus the second over the width, or the third.  For each that it is less the level rises by so much.
+BETWEEN = 0.3, 0.8
+GENTLE, GENTLE_NARROW, NARROWEST, PER_STEEPNESS = 0.14, 0.9, 0.53, 5.3
+# All fitted to 105 contacts of balls, punches, cuboids, cylinders and rings at 0.5 to 10 N, which
+# were solved on a finer mesh and reconstructed from noisy markers.
 # Even the outline of a single node encloses something.
 HIGHEST_LEVEL = 0.6
 
@@ -44,11 +50,16 @@ def outline(height: Array, mean: float, highest: float) -> tuple[Array, float]:
     """
     if not mean > 0:
         return np.empty((0, 2)), 0.0
-    rings = rings_above(height, max(min(WIDTH_LEVEL * mean, highest), 0.0))
+    highest = max(min(highest, HIGHEST_LEVEL * height.max()), 0.0)
+    low = rings_above(height, min(BETWEEN[0] * mean, highest))
+    high = rings_above(height, min(BETWEEN[1] * mean, highest))
+    wide, slim = _areas(low).sum(), _areas(high).sum()
     # One over the radius of a disc, or over the width of a long strip.
-    narrowness = _length(rings, height.shape) / (2 * _areas(rings).sum())
-    level = min((WIDE_LEVEL + NARROW_LEVEL * narrowness**2) * mean, highest)
-    rings = rings_above(height, max(min(level, HIGHEST_LEVEL * height.max()), 0.0))
+    narrowness = _length(low, height.shape) / (2 * wide)
+    of_ball = min(GENTLE + GENTLE_NARROW * narrowness, NARROWEST)
+    steepness = max(of_ball - np.log(wide / slim), 0.0)
+    level = (WIDE_LEVEL + NARROW_LEVEL * narrowness**2 + PER_STEEPNESS * steepness) * mean
+    rings = rings_above(height, min(level, highest))
     areas = _areas(rings)
     outer = np.argmax(areas)
     first = rings.ends[outer - 1] if outer > 0 else 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -35,22 +37,39 @@ def surface() -> Array:
     return np.concatenate([points, np.full((len(points), 1), 2e-3)], axis=1)
 
 
-def hertz(centre_mm: tuple[float, float], radius_mm: float, newton: float) -> Array:
-    """Normal force (M,) under a sphere, as blurred as a reconstruction: averaged over hats."""
+def blurred(newton: float, pressure: Callable[[Array, Array], Array]) -> Array:
+    """Normal force (M,) of a pressure over (x, y) mm, as a reconstruction has it: over hats."""
     fine = np.linspace(-0.95, 0.95, 20)
     hat = 1 - np.abs(fine)
-    across = NODES.x[None, :, None, None] * 1e3 + fine[None, :] - centre_mm[0]
-    along = NODES.y[:, None, None, None] * 1e3 + fine[:, None] - centre_mm[1]
-    pressure = np.sqrt(np.maximum(0, 1 - (across**2 + along**2) / radius_mm**2))
-    share = np.einsum("ijab,a,b->ij", pressure, hat, hat).ravel()
+    x = NODES.x[None, :, None, None] * 1e3 + fine[None, :]
+    y = NODES.y[:, None, None, None] * 1e3 + fine[:, None]
+    share = np.einsum("ijab,a,b->ij", pressure(x, y), hat, hat).ravel()
     return -newton * share / share.sum()
+
+
+def hertz(centre_mm: tuple[float, float], radius_mm: float, newton: float) -> Array:
+    """Normal force (M,) under a sphere."""
+
+    def pressure(x: Array, y: Array) -> Array:
+        square = (x - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2
+        return np.sqrt(np.maximum(0, 1 - square / radius_mm**2))
+
+    return blurred(newton, pressure)
 
 
 def ring(inner_mm: float, outer_mm: float) -> Array:
     """Normal force (M,) of 5 N over a ring about the middle."""
-    radius = np.linalg.norm(NODES.points, axis=1) * 1e3
-    weight = np.sqrt(np.maximum(0, (radius - inner_mm) * (outer_mm - radius)))
-    return -5 * weight / weight.sum()
+
+    def pressure(x: Array, y: Array) -> Array:
+        radius = np.hypot(x, y)
+        return np.sqrt(np.maximum(0, (radius - inner_mm) * (outer_mm - radius)))
+
+    return blurred(5.0, pressure)
+
+
+def punch(radius_mm: float) -> Array:
+    """Normal force (M,) of 5 N that is the same all over a disc."""
+    return blurred(5.0, lambda x, y: 1.0 * (np.hypot(x - 0.3, y + 0.2) < radius_mm))
 
 
 def load(normal: Array, shear: tuple[float, float] = (0.0, 0.0)) -> Array:
@@ -109,6 +128,13 @@ def test_contacts_with_touching_nodes_are_found_apart_and_a_wavy_one_is_not() ->
     assert peaks.max() > 2  # several hills, joined by shallow passes
     (one,) = find(load(wavy))
     assert one.wrench[2] == pytest.approx(wavy.sum())
+
+
+@pytest.mark.parametrize("radius_mm", [3.0, 4.5, 6.0])
+def test_a_pressure_that_ends_abruptly_has_its_edge_half_way_up(radius_mm: float) -> None:
+    """The level that suits a sphere would make the narrowest of these a quarter too large."""
+    (contact,) = find(load(punch(radius_mm)))
+    assert contact.area == pytest.approx(np.pi * (radius_mm * 1e-3) ** 2, rel=AREA_RTOL)
 
 
 def test_ring_is_one_contact_with_its_outer_edge_and_no_area_in_its_hole() -> None:
