@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.cache.view_threads import ViewThreads
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force.stage import ForceStage
@@ -61,6 +62,7 @@ class Pipeline:
         self._keeper.zero(ZeroParameters(auto_reference=auto_reference))
         self._reference_note = ""
 
+    @one_thread()  # entered here it costs nothing within
     def process(self, frame: Shown, stamp_ns: int | None = None) -> PipelineResult:
         """Everything that a frame, (H, W) grey or (H, W, 3) BGR uint8, shows.
 

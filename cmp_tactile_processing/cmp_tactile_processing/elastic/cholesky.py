@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import blas, cho_solve, lapack
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.mesh import BlockMesh, element_stiffness
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 
@@ -205,7 +205,7 @@ class Dissection:
         columns = sparse.hstack([observers, loads], format="csr")
         seen = observers.shape[1]
         # The blocks are too small for more BLAS threads, which on loaded cores wait for another.
-        with one_blas_thread():
+        with one_thread():
             product = _products(self.steps(stiffness), columns, seen)
         return product[:seen], product[seen:]
 
@@ -299,7 +299,7 @@ class RestInverse:
         """All fronts' numbers, one front after the other, (size,)."""
         local = 4 * element_stiffness(self._quarter, poisson, layer_young=layer_ratio)
         kept: list[Array] = []
-        with one_blas_thread():
+        with one_thread():
             for dissection in self._dissections:
                 for front, factor, link in dissection.steps(local):
                     kept.append(cho_solve((factor, True), np.eye(front.own)).ravel())

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
@@ -309,7 +309,7 @@ def element_stiffness(
     shear = modulus / (2 * (1 + poisson))
     bulk = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
     # One thread for the many small products: more would wait for one another on loaded cores.
-    with one_blas_thread():
+    with one_thread():
         local = _shear_term(gradients, weights * shear[:, None])
         local += _volume_term(reduced_gradients, reduced_weights * bulk[:, None])
     return local

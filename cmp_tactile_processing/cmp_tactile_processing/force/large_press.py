@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.cholesky import RestInverse
 from cmp_tactile_processing.elastic.equilibrium import (
     WITHOUT_END,
@@ -156,7 +156,7 @@ class LargePress:
             msg = f"force: found shape {np.shape(force)}, expected {expected}"
             raise GeometryError(msg)
         unit = np.asarray(force, dtype=np.float64) / self._young
-        with one_blas_thread():
+        with one_thread():
             finite = np.isfinite(unit).all()
             found = self._block.move_to(self._load(unit), accuracy, most) if finite else False
             if found is False:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, Progress
 from cmp_tactile_processing.force.field import FieldBuilder, doubted
@@ -62,7 +62,7 @@ class ForceModel:
         response = self.elastic.compliance / self._whitening.noise[:, None]
         if not self._whitening.depth_seen:
             response[2::3] = 0.0
-        with one_blas_thread():
+        with one_thread():
             self._solver = ForceSolver(markers, nodes, response, self._parameters)
             self._builder = FieldBuilder(sensor, self.elastic, self._solver, self._whitening)
         self._plausibility = Plausibility(sensor, markers)
@@ -106,7 +106,7 @@ class ForceModel:
         if not self._plausibility.allows_displacement(self._in_metres(measured, measured.data)):
             self.reset()
             return self._builder.unknown(measured.valid, ForceFlag.IMPLAUSIBLE)
-        with one_blas_thread():
+        with one_thread():
             solution = self._solver.solve(measured.data, measured.known)
             small = self._depth_of(solution) < SMALL_PRESS_RATIO
             if small:

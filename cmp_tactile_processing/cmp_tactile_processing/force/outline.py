@@ -16,9 +16,9 @@ from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 # the narrower it is: under a ball the level is the first plus the second over the width squared, in
 # spacings of the nodes.
 WIDE_LEVEL, NARROW_LEVEL = 0.3, 1.1
-# Where the pressure ends abruptly, as under a flat punch, the outline lies higher: between these two
-# levels the logarithm of the area then shrinks by less than under any ball, where it is the first
-# plus the second over the width, or the third.  For each that it is less the level rises by so much.
+# Where the pressure ends abruptly, as under a flat punch, the outline lies higher.  Between these
+# two levels the logarithm of the area then shrinks by less than under any ball, where it is the
+# first plus the second over the width, or the third.  The level rises by so much for each less.
 BETWEEN = 0.3, 0.8
 GENTLE, GENTLE_NARROW, NARROWEST, PER_STEEPNESS = 0.14, 0.9, 0.53, 5.3
 # All fitted to 105 contacts of balls, punches, cuboids, cylinders and rings at 0.5 to 10 N, which

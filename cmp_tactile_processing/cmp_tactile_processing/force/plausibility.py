@@ -22,8 +22,8 @@ from scipy import sparse
 from scipy.linalg import eigh, solve_triangular
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,
@@ -291,7 +291,7 @@ class BorderContact:
         if not self._modes:
             return False
         folded = self._fold.of_vector(displacement.ravel())
-        with one_blas_thread():
+        with one_thread():
             if not np.isfinite(folded).all():
                 known = np.isfinite(displacement)
                 if known.reshape(-1, 3)[self._used].mean() < LEAST_KNOWN:
@@ -308,7 +308,7 @@ class BorderContact:
     ) -> dict[str, Any]:
         elastic = self._elastic
         rows = self._rows
-        with one_blas_thread():
+        with one_thread():
             beyond = problem.expand(problem.solve())[rows][:, np.repeat(outside, 3)]
             beyond = _of_smooth(beyond / self._noise[:, None], problem.nodes, outside)
             within = elastic.compliance[rows] / self._noise[:, None]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.measurements import within_reach
@@ -83,7 +83,7 @@ class ForceStage:
         if self._relaxation is not None:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
         # Entered here it costs nothing within.
-        with one_blas_thread():
+        with one_thread():
             field = self._model.reconstruct(
                 displacement, surface.status, surface.covariance, contacts=contacts
             )

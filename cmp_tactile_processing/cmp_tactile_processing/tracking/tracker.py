@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
@@ -125,6 +126,7 @@ class GridTracker:
         if isinstance(self._numbering, CarriedNumbering):
             self._numbering.reset()
 
+    @one_thread()
     def track(self, half_image: NDArray[np.uint8]) -> Grid:
         """Gridlines of a view image, (H, W) grey or (H, W, 3) BGR uint8, as `split_frame` cuts it.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import ContactState, Pose, Problem, bulge
 from cmp_tactile_simulation.errors import ContactError, MaterialError
@@ -95,7 +95,7 @@ class ContactStep:
         """
         # Threads of BLAS that wait for each other cost ten times more than they save on matrices
         # as small as these, once another process has a core.
-        with one_blas_thread():
+        with one_thread():
             if self._changing:
                 # What an earlier step fetched is no part of the state.
                 self._forget()

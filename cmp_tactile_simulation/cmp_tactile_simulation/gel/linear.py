@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
 from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import Progress, quarter_count
 from cmp_tactile_processing.measured import SurfaceGrid
@@ -193,7 +193,7 @@ class ParityResponse:
         self, responses: NDArray[np.float64], target: SurfaceGrid, force: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         # Reading memory is what takes the time; threads only wait for one another on loaded cores.
-        with one_blas_thread():
+        with one_thread():
             moved = mirrored_response(responses, self._nodes, target, force.ravel())
         return moved.reshape(-1, 3)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium, NoEquilibriumError
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,
@@ -72,7 +72,7 @@ class NeoHookeanElastomer(LinearElastomer):
         elements = NeoHookeanElements.from_mesh(
             mesh, material.poisson, material.young, material.shading_layer.young
         )
-        with one_blas_thread():
+        with one_thread():
             self._block = NewtonEquilibrium(mesh, elements)
         self._hats = (
             hat_loads(mesh.x_edges, self.nodes.x),
@@ -96,7 +96,7 @@ class NeoHookeanElastomer(LinearElastomer):
 
     def recall(self, memory: Mapping[str, Array]) -> None:
         """Go on as from where `memory` was taken, to the last digits."""
-        with one_blas_thread():
+        with one_thread():
             self._block.recall(memory)
 
     def compliance(self, active: Index) -> Array:
@@ -109,7 +109,7 @@ class NeoHookeanElastomer(LinearElastomer):
         factor = self._block.tangent_factor
         if factor is self._block.factor_at_rest:
             return compliance
-        with one_blas_thread():
+        with one_thread():
             loads = self._unit_loads(active)
             compliance += factor.compliance(loads)
             compliance -= self._coarse_at_rest(active, loads)
@@ -143,7 +143,7 @@ class NeoHookeanElastomer(LinearElastomer):
         force = np.reshape(force, (self.nodes.rows, self.nodes.cols, 3))
         load = np.zeros((*self.mesh.lattice, 3))
         load[:, :, -1] = np.einsum("xj,yi,ijc->xyc", x, y, force, optimize=True)
-        with one_blas_thread():
+        with one_thread():
             try:
                 moved = self._block.move_to(load.reshape(-1, 3))
             except NoEquilibriumError as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.calibration.material import findings
 from cmp_tactile_processing.calibration.material.loads import (
     LoadResult,
@@ -75,7 +75,7 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is in
     check_samples(sensor, samples)
     # Without the deviations of an earlier calibration.
     plain = replace(sensor, elastomer=replace(sensor.elastomer, calibration=None))
-    with one_blas_thread():
+    with one_thread():
         on_progress("loading the elastic model", 0, 1)
         model = ForceModel(plain, cache_dir)
         on_progress("loading the elastic model", 1, 1)

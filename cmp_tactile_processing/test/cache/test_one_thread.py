@@ -1,4 +1,4 @@
-"""The limit of BLAS to one thread, which threads of a process share."""
+"""The limit of BLAS and OpenCV to one thread, which threads of a process share."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import subprocess
 import sys
 from contextlib import ExitStack
 
+import cv2
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
+from cmp_tactile_processing.cache.one_thread import one_thread
 
 
 def allowed() -> set[int]:
@@ -24,22 +25,34 @@ def test_limits_that_overlap_end_with_the_last_one() -> None:
         if allowed() != {2}:
             pytest.skip("BLAS was built without threads")
         build, frame = ExitStack(), ExitStack()
-        build.enter_context(one_blas_thread())
-        frame.enter_context(one_blas_thread())
+        build.enter_context(one_thread())
+        frame.enter_context(one_thread())
         build.close()
         assert allowed() == {1}
         frame.close()
         assert allowed() == {2}
 
 
+def test_opencv_has_its_threads_back_afterwards() -> None:
+    """Somebody's own pictures in the same process are filtered as before."""
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(3)
+        with one_thread(), one_thread():
+            assert cv2.getNumThreads() == 1
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
+
+
 LATE = """
 import numpy
-from cmp_tactile_processing.cache.blas_threads import one_blas_thread
-with one_blas_thread():
+from cmp_tactile_processing.cache.one_thread import one_thread
+with one_thread():
     pass
 import scipy.linalg
 from threadpoolctl import threadpool_info
-with one_blas_thread():
+with one_thread():
     print({item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"})
 """
 

@@ -1,7 +1,8 @@
-"""Matrix products of a frame on one thread.
+"""Matrix products and image filters of a frame on one thread.
 
 BLAS shares even small products out to all cores, and wherever one of them is busy the frame waits
-for it: 12 ms at the 99th percentile instead of 0.6 on two loaded cores.
+for it: 12 ms at the 99th percentile instead of 0.6 on two loaded cores.  OpenCV's threads cost a
+frame 2 ms of processor time, and gain nothing.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from functools import cache
 from threading import Lock
 
 # NumPy and SciPy each bring a BLAS; what is loaded later is not found.
+import cv2
 import scipy.linalg.blas  # noqa: F401
 from threadpoolctl import ThreadpoolController
 
 
 class _Limit:
-    """The number of BLAS threads, which is one for the whole process, not for each thread in it."""
+    """Of the threads of BLAS and OpenCV, whose number is that of the process, not of a thread."""
 
     def __init__(self) -> None:
         # Finding the libraries takes milliseconds, limiting those that were found microseconds.
@@ -29,6 +31,8 @@ class _Limit:
         with self._lock:
             if not self._inside:
                 self._limited = self._controller.limit(limits=1)
+                self._of_opencv = cv2.getNumThreads()
+                cv2.setNumThreads(1)
             self._inside += 1
 
     def leave(self) -> None:
@@ -36,6 +40,7 @@ class _Limit:
             self._inside -= 1
             if not self._inside:
                 self._limited.restore_original_limits()
+                cv2.setNumThreads(self._of_opencv)
 
 
 @cache
@@ -44,8 +49,8 @@ def _limit() -> _Limit:
 
 
 @contextmanager
-def one_blas_thread() -> Iterator[None]:
-    """Within it BLAS works on the caller's thread alone.
+def one_thread() -> Iterator[None]:
+    """Within it BLAS and OpenCV work on the caller's thread alone.
 
     Threads may overlap in it: as many as before are allowed when the last one has left.
     """
