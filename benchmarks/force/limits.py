@@ -165,9 +165,9 @@ class ForceRun:
 
 
 def _text(errors: ForceErrors, case: ForceCase) -> str:
-    """Errors that 95 % of the frames stay below, and the mean one of the area in contact."""
+    """Errors that 95 % of the frames stay below, and the mean error of the area in contact."""
     return (
         f"Fz {errors.high('fz'):.4f} N ({100 * errors.high('fz') / case.newton:.2f} %) "
         f"Ft {errors.high('ft'):.4f} N {1e3 * errors.high('torque'):.3f} N mm "
-        f"L2 {100 * errors.high('l2'):.1f} % area {100 * errors.area.mean():+.0f} %"
+        f"L2 {100 * errors.high('l2'):.1f} % mean area {100 * errors.area.mean():+.0f} %"
     )

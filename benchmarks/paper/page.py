@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -87,7 +88,8 @@ class Page:
         figure.savefig(path, dpi=DOTS_PER_INCH, metadata={"Software": None})
         plt.close(figure)
         caption = " ".join(_written("figures", key).format(**values).split())
-        self.parts.append(f"![{caption.partition('. ')[0]}]({path.name})")
+        first = re.split(r"\. (?=[A-Z])", caption)[0]  # not at "Fig. 10"
+        self.parts.append(f"![{first}]({path.name})")
         self.text(caption)
 
     def claim(self, key: str, met: object, **values: object) -> None:

@@ -199,7 +199,11 @@ def _topic(node: Any, name: str) -> tuple[str, str]:
     def called_so() -> dict[str, str]:
         return {topic: kind for topic, kind in _topics(node).items() if topic.endswith(end)}
 
-    found = settled(called_so)
+    def published() -> dict[str, str]:
+        return {t: kind for t, kind in called_so().items() if node.count_publishers(t)}
+
+    # How a topic is published is asked next; whoever only subscribes to it may be found before.
+    found = settled(published) or called_so()
     least = min((topic.count("/") for topic in found), default=0)
     nearest = sorted(topic for topic in found if topic.count("/") == least)
     if not nearest:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 # Nobody calls them by address; a division by zero gives what NumPy gives.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+# What `fastmath` may do where a value may be NaN.
+NAN_SAFE = {"arcp", "contract", "reassoc"}
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

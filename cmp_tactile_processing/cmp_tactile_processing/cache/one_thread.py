@@ -12,14 +12,14 @@ from contextlib import contextmanager
 from functools import cache
 from threading import Lock
 
-# NumPy and SciPy each bring a BLAS; what is loaded later is not found.
+# NumPy, SciPy and OpenCV each bring a BLAS; what is loaded later is not found.
 import cv2
 import scipy.linalg.blas  # noqa: F401
 from threadpoolctl import ThreadpoolController
 
 
 class _Limit:
-    """Of the threads of BLAS and OpenCV, whose number is that of the process, not of a thread."""
+    """Limit on the threads of BLAS and OpenCV, which holds for the whole process."""
 
     def __init__(self) -> None:
         # Finding the libraries takes milliseconds, limiting those that were found microseconds.

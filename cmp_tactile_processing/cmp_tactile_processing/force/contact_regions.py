@@ -229,10 +229,10 @@ class ContactRegions:
         border of the grid where the contact goes on beyond it.  Of a ring it is the outer edge;
         its hole is left out of the area, as the area is what lies above that level.
         Reconstructed from noisy markers, the areas of balls are right within 10 % and the outlines
-        within 0.1 to 0.3 spacings of the nodes; so are those of flat ends, edges and rings six
-        spacings wide or more.  Narrower ones are rounded off like a ball: their area is a fifth to
-        a half too large.  Two contacts are found apart when their edges are 0.7 spacings from each
-        other.
+        within 0.1 to 0.3 spacings of the nodes.  Areas of flat ends, edges and rings six spacings
+        wide or more are right within 20 %.  Narrower ones are rounded off like a ball: their area
+        is a fifth to a half too large.  Two contacts are found apart when their edges are 0.7
+        spacings from each other.
         """
         force, place, found = hills.force, hills.place, []
         for k, (nodes, (noise, more)) in enumerate(zip(hills.nodes, covariances, strict=True)):

@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 
 # Pressure on the outline over the contact's mean.  The reconstruction widens a contact, the more
-# the narrower it is: under a ball the level is the first plus the second over the width squared, in
+# the narrower it is: under a ball the level is WIDE_LEVEL + NARROW_LEVEL / width^2, the width in
 # spacings of the nodes.
 WIDE_LEVEL, NARROW_LEVEL = 0.3, 1.1
-# Where the pressure ends abruptly, as under a flat punch, the outline lies higher.  Between these
-# two levels the logarithm of the area then shrinks by less than under any ball, where it is the
-# first plus the second over the width, or the third.  The level rises by so much for each less.
+# Logarithm of the area above the first of two levels over that above the second: under a ball
+# GENTLE + GENTLE_NARROW / width, at most MOST_GENTLE.  Where the pressure ends abruptly, as under a
+# flat punch, it is less, and the outline lies PER_STEEPNESS times the difference higher.
 BETWEEN = 0.3, 0.8
-GENTLE, GENTLE_NARROW, NARROWEST, PER_STEEPNESS = 0.14, 0.9, 0.53, 5.3
-# All fitted to 105 contacts of balls, punches, cuboids, cylinders and rings at 0.5 to 10 N, which
-# were solved on a finer mesh and reconstructed from noisy markers.
+GENTLE, GENTLE_NARROW, MOST_GENTLE, PER_STEEPNESS = 0.14, 0.9, 0.53, 5.3
+# These were fitted to 105 contacts of balls, punches, cuboids, cylinders and rings at 0.5 to 10 N,
+# which were solved on a finer mesh and reconstructed from noisy markers.
+
 # Even the outline of a single node encloses something.
 HIGHEST_LEVEL = 0.6
 
@@ -50,16 +51,16 @@ def outline(height: Array, mean: float, highest: float) -> tuple[Array, float]:
     """
     if not mean > 0:
         return np.empty((0, 2)), 0.0
-    highest = max(min(highest, HIGHEST_LEVEL * height.max()), 0.0)
-    low = rings_above(height, min(BETWEEN[0] * mean, highest))
-    high = rings_above(height, min(BETWEEN[1] * mean, highest))
+    top = HIGHEST_LEVEL * height.max()
+    low = rings_above(height, min(BETWEEN[0] * mean, top))
+    high = rings_above(height, min(BETWEEN[1] * mean, top))
     wide, slim = _areas(low).sum(), _areas(high).sum()
     # One over the radius of a disc, or over the width of a long strip.
     narrowness = _length(low, height.shape) / (2 * wide)
-    of_ball = min(GENTLE + GENTLE_NARROW * narrowness, NARROWEST)
+    of_ball = min(GENTLE + GENTLE_NARROW * narrowness, MOST_GENTLE)
     steepness = max(of_ball - np.log(wide / slim), 0.0)
     level = (WIDE_LEVEL + NARROW_LEVEL * narrowness**2 + PER_STEEPNESS * steepness) * mean
-    rings = rings_above(height, min(level, highest))
+    rings = rings_above(height, max(min(level, highest, top), 0.0))
     areas = _areas(rings)
     outer = np.argmax(areas)
     first = rings.ends[outer - 1] if outer > 0 else 0

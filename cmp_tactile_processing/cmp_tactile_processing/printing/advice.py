@@ -12,11 +12,11 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MAX_CORNERS, MIN_CORNERS, Pattern
 
-# Measured by a sweep of prints, resolutions and lights: benchmarks/results/paper.md has its tables,
-# commit 43949c8 its source, benchmarks/paper/pattern_choice.py.  Sides are the smallest of both
-# views.  Of checkers of RECOMMENDED_SIDE_PX the field between the markers is off
-# by less than a third more than of the best ones, whatever the resolution and the light; below
-# LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
+# Measured by a sweep of prints, resolutions and lights, with tables in
+# benchmarks/results/pattern_choice.md and the source, benchmarks/paper/pattern_choice.py, in commit
+# 43949c8.  Sides are the smallest of both views.  Of checkers of RECOMMENDED_SIDE_PX the field
+# between the markers is off by less than a third more than of the best ones, whatever the
+# resolution and the light; below LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
 LEAST_SIDE_PX = 6.0
 RECOMMENDED_SIDE_PX = 7.0
 # Dots of a code are read from this side on, and from the second on gridlines are as exact as

@@ -37,10 +37,14 @@ def test_opencv_has_its_threads_back_afterwards() -> None:
     """Somebody's own pictures in the same process are filtered as before."""
     before = cv2.getNumThreads()
     try:
-        cv2.setNumThreads(3)
-        with one_thread(), one_thread():
+        cv2.setNumThreads(2)
+        if cv2.getNumThreads() != 2:
+            pytest.skip("OpenCV was built without threads")
+        with one_thread():
+            with one_thread():
+                assert cv2.getNumThreads() == 1
             assert cv2.getNumThreads() == 1
-        assert cv2.getNumThreads() == 3
+        assert cv2.getNumThreads() == 2
     finally:
         cv2.setNumThreads(before)
 

@@ -78,8 +78,8 @@ def test_a_pixel_changes_no_force_by_more_than_its_deviation(model):
 def test_contact(model, truth, name):
     """Contacts are counted, the centre of pressure found, and the area roughly.
 
-    These patches taper off so softly that a fifth of their area bears 2 % of the load,
-    and the level of the outline is that of the edge of a ball.
+    These patches taper off so softly that the outer fifth of their area bears 2 % of the load; the
+    outline is drawn at a level that suits the edge of a ball.
     """
     press = truth[name]
     field = model.reconstruct(noisy(press.displacement), MEASURED)

@@ -98,7 +98,7 @@ def test_corners_without_a_model_stay():
 
 
 def test_a_corner_that_was_lost_and_found_otherwise_stays():
-    """What a rejected fit says of its edges is not that of the place which was found since."""
+    """The pull of a rejected fit says nothing about a corner that was found there later."""
     corners, pull = grid()
     corners[..., 1] += 1e-4 * corners[..., 0] ** 2
     lost = np.zeros(corners.shape[:2], dtype=bool)

@@ -19,7 +19,7 @@ ODD, ALL = 6, 11
 # product, and the pixels' places in the window.
 RESIDUAL, GREY, WEIGHT, VALUE, SLOPE, SCRATCH = 11, 12, 13, 14, 16, 18
 DISC_X, DISC_Y, ROWS = 19, 20, 21
-# Pixels are taken by so many at once; a rest would be taken one by one.
+# Compiled loops take so many pixels at once; those that are left would be taken one by one.
 VECTOR = 32
 # State of the model: curvatures (1/px), slope of the light (1/px), angles of the edges, mean, half
 # contrast, blur (px), cosines and sines of the angles.
@@ -74,8 +74,8 @@ class CornerPrior(NamedTuple):
 
 
 def work_space(radius_px: float) -> WorkSpace:
-    """Disc of pixels (x, y and place in the image, m), their table (ROWS, m), normal matrix, its
-    right side, state of the model.
+    """Disc of pixels (x, y and place in the image, m), their table (ROWS, m or more), normal
+    matrix, its right side, state of the model.
 
     They belong to one thread.
     """
@@ -126,7 +126,11 @@ def _gather(
 
 @kernel_part
 def _fill_up(pixels: NDArray[np.float32], count: int, radius: float) -> int:
-    """Add pixels that have no weight, up to whole vectors of the processor; their number."""
+    """Fill up to a multiple of VECTOR; the number of all pixels.
+
+    Those that are added lie so far outside of the window that they have no weight, wherever the
+    corner moves to (FARTHEST).
+    """
     full = -(-count // VECTOR) * VECTOR
     for k in range(count, full):
         pixels[X, k] = pixels[Y, k] = np.float32(radius)

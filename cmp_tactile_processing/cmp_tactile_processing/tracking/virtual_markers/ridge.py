@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.kernels import kernel, kernel_part
+from cmp_tactile_processing.cache.kernels import NAN_SAFE, kernel, kernel_part
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -46,7 +46,6 @@ ROUNDS, LONGEST_STEP, SHORT_STEP = 4, 1.5, 0.3
 # A column is left out where the crossing gridline flattens the peak to less than this share.
 LEAST_PEAK = 0.3
 STEPS_PER_UNIT = 64
-NAN_SAFE = {"arcp", "contract", "reassoc"}
 FARTHEST_CROSSING = 4.0
 
 
