@@ -74,7 +74,7 @@ class Page:
     def rows(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         """A table alone."""
         lines = [head, ["---"] * len(head), *rows]
-        cells = ([text.replace("|", r"\|") for text in line] for line in lines)
+        cells = (["-" if t == "nan" else t.replace("|", r"\|") for t in line] for line in lines)
         self.parts.append("\n".join(f"| {' | '.join(line)} |" for line in cells))
 
     def figure(self, figure: Figure, key: str, **values: object) -> None:
