@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve, map_coordinates
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
 
 Float = NDArray[np.float64]
@@ -27,7 +28,7 @@ EDGE_OFF, EDGE_ASLANT, EDGE_SCATTER = 0.35, 0.5, 0.25
 # Grey levels per cell along the outermost line: of the checker within, then of this profile
 # outwards; depths in cells from the line.
 _FIRST_DEPTH, _DEPTH_STEP, _DEPTHS = 0.35, 0.1, 15
-_WITHIN = (-0.65, -0.5, -0.35)
+_DEPTH = np.array([-0.65, -0.5, -0.35, *(_FIRST_DEPTH + _DEPTH_STEP * np.arange(_DEPTHS))])
 _ACROSS = (0.3, 0.5, 0.7)
 # Samples of the profile that lie on the outermost checkers and on the margin.
 _OUTER, _MARGIN = (1, 5), (11, 15)
@@ -67,7 +68,7 @@ def border_sides(
     """
     rows, cols = lattice.shape[:2]
     step = np.nanmedian(np.linalg.norm(np.diff(lattice[:, : cols // 2 + 1], axis=0), axis=-1))
-    picture = image.smooth if step >= SMOOTHED_FROM_PX else image.grey
+    picture = image.smooth if step >= SMOOTHED_FROM_PX else image.grey.astype(np.float32)
     floor = max(LEAST_CONTRAST, LEAST_CONTRAST_NOISE * image.noise)
     across = lattice.swapaxes(0, 1)
     # The checker beyond corner 0 of the line, towards corner 1, lies on the diagonal (-, +) of a
@@ -80,19 +81,21 @@ def border_sides(
     )
     found = []
     for lines, dark, length in sides:
-        profile = _profiles(picture, lines)
-        counts = _count(profile, dark, floor)
+        outermost = np.ascontiguousarray(lines)
+        profile = np.empty((lines.shape[1] - 1, len(_DEPTH) - 2))
+        _set_profile(picture, outermost, np.empty((2, lines.shape[1], 2)), profile)
+        counts = _Counts(*_count(profile, bool(dark), floor))
         found.append(_side(counts, max(length, lines.shape[1]) - 2))
     return found
 
 
-@dataclass(frozen=True)
-class _Counts:
+class _Counts(NamedTuple):
     """What is counted of a side.
 
     Pairs of neighbouring cells: ends, where the pattern ends; ends_run, the most of these in a
     row; goes_on, where there are further checkers; over, where there are none even within.
-    level: of the margin.  depth (n, 2): cells, and how far out in cells their checkers end.
+    level: of the margin.  edges: cells whose checkers end beyond the line; how far out in cells:
+    mean, aslant from end to end, scatter.
     """
 
     ends: int
@@ -100,19 +103,16 @@ class _Counts:
     goes_on: int
     over: int
     level: float
-    depth: Float
+    edges: int
+    mean: float
+    aslant: float
+    scatter: float
 
     def has_edge(self, least: float) -> bool:
         """Whether so many checkers end one cell out, along the line, with little scatter."""
-        if len(self.depth) < least:
-            return False
-        cell, depth = self.depth.T
-        mean, spread = depth.mean(), cell.var()
-        slope = np.mean((cell - cell.mean()) * (depth - mean)) / spread if spread > 0.5 else 0.0
-        scatter = np.sqrt(max(depth.var() - slope**2 * spread, 0.0))
-        # Between the ends of a run with this spread.
-        aslant = abs(slope) * np.sqrt(12 * spread)
-        return bool(abs(mean - 1) <= EDGE_OFF and aslant <= EDGE_ASLANT and scatter <= EDGE_SCATTER)
+        near = abs(self.mean - 1) <= EDGE_OFF
+        along = self.aslant <= EDGE_ASLANT and self.scatter <= EDGE_SCATTER
+        return self.edges >= least and near and along
 
 
 def _side(counts: _Counts, pairs: int) -> BorderSide:
@@ -129,85 +129,145 @@ def _side(counts: _Counts, pairs: int) -> BorderSide:
     )
 
 
-def _profiles(picture: NDArray[np.float32] | NDArray[np.uint8], lines: Float) -> Float:
-    """Grey levels (m - 1, 16) within and beyond the cells of the outermost of lines (3, m, 2)."""
-    step = lines[0] - lines[1]
-    outwards = _mean_around(step, 1)
-    bend = np.nan_to_num(_mean_around(step - (lines[1] - lines[2]), 3))
-    depth = np.array([*_WITHIN, *(_FIRST_DEPTH + _DEPTH_STEP * np.arange(_DEPTHS))])[:, None, None]
-    line = lines[0] + depth * outwards + 0.5 * depth * (depth + 1) * bend
-    share = np.array(_ACROSS)[:, None, None, None]
-    x, y = np.moveaxis((1.0 - share) * line[:, :-1] + share * line[:, 1:], -1, 0)
-    # Where nothing is known: outside.
-    places = np.nan_to_num([y, x], nan=-1.0)
-    grey = map_coordinates(picture, places, output=np.float64, order=1, cval=np.nan).mean(axis=0)
-    within = grey[: len(_WITHIN)].mean(axis=0)
-    return np.concatenate([within[:, None], grey[len(_WITHIN) :].T], axis=1)
+@kernel
+def _set_profile(picture: NDArray[np.float32], lines: Float, ways: Float, profile: Float) -> None:
+    """Grey levels (m - 1, 16) within and beyond the cells of the outermost of lines (3, m, 2).
+
+    ways (2, m, 2): scratch.
+    """
+    m = lines.shape[1]
+    outwards, bend = ways
+    for k in range(m):
+        for axis in range(2):
+            first = lines[:, :, axis]
+            outwards[k, axis] = _mean_around(first, k, 1, False)
+            bent = _mean_around(first, k, 3, True)
+            bend[k, axis] = bent if np.isfinite(bent) else 0.0
+    profile[:] = 0.0
+    for cell in range(m - 1):
+        for number in range(len(_DEPTH)):
+            depth = _DEPTH[number]
+            curved = 0.5 * depth * (depth + 1)
+            total = 0.0
+            for share in _ACROSS:
+                x = y = 0.0
+                for k, part in ((cell, 1 - share), (cell + 1, share)):
+                    x += part * (lines[0, k, 0] + depth * outwards[k, 0] + curved * bend[k, 0])
+                    y += part * (lines[0, k, 1] + depth * outwards[k, 1] + curved * bend[k, 1])
+                total += _grey_at(picture, x, y)
+            # The first three are the checker within.
+            profile[cell, max(number - 2, 0)] += total / (9 if number < 3 else 3)
 
 
-def _mean_around(values: Float, reach: int) -> Float:
-    """Mean of the known ones of values (m, 2) up to so many places away; NaN where none is."""
-    known = np.isfinite(values)
-    around = np.ones((2 * reach + 1, 1))
-    total = convolve(np.where(known, values, 0.0), around, mode="constant")
-    count = convolve(known.astype(np.float64), around, mode="constant")
-    return np.asarray(total / np.where(count > 0, count, np.nan))
+@kernel_part
+def _mean_around(lines: Float, place: int, reach: int, bends: bool) -> float:
+    """Mean of the known steps from one line to the next one out, or of how much longer these are
+    than those before, up to so many places away; NaN where none is.  lines (3, m).
+    """
+    total, count = 0.0, 0
+    for k in range(max(place - reach, 0), min(place + reach + 1, lines.shape[1])):
+        value = lines[0, k] - lines[1, k]
+        if bends:
+            value -= lines[1, k] - lines[2, k]
+        if np.isfinite(value):
+            total += value
+            count += 1
+    return total / count if count > 0 else np.nan
 
 
-def _count(profile: Float, dark: bool, floor: float) -> _Counts:
-    """What the pairs of neighbouring cells show; dark: of the first cell beyond the line."""
-    # Positive where the colours are the expected ones.
-    sign = np.where(np.arange(len(profile) - 1) % 2 == 0, -1.0, 1.0) * (1.0 if dark else -1.0)
-    contrast = _contrasts(profile, sign, floor)
-    outer = sign * -np.diff(_over(profile, _OUTER)) / contrast
-    margin = sign * np.diff(_over(profile, _MARGIN)) / contrast
-    ends = (outer >= _ALTERNATES) & (np.abs(margin) <= _EVEN)
-    used = np.zeros(len(profile), dtype=np.bool_)
-    used[:-1] |= ends
-    used[1:] |= ends
-    level, depth = _edge(profile, used)
-    return _Counts(
-        ends=int(np.count_nonzero(ends)),
-        ends_run=_longest_run(ends[np.isfinite(contrast)]),
-        goes_on=int(np.count_nonzero((outer >= _ALTERNATES) & (margin >= _ALTERNATES))),
-        over=int(np.count_nonzero((np.abs(outer) <= _EVEN) & (np.abs(margin) <= _EVEN))),
-        level=level,
-        depth=depth,
-    )
+@kernel_part
+def _grey_at(picture: NDArray[np.float32], x: float, y: float) -> float:
+    """Bilinear; NaN outside the picture, and where the place is not known."""
+    height, width = picture.shape
+    if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+        return np.nan
+    j, i = min(int(x), width - 2), min(int(y), height - 2)
+    u, v = x - j, y - i
+    above = (1 - u) * picture[i, j] + u * picture[i, j + 1]
+    below = (1 - u) * picture[i + 1, j] + u * picture[i + 1, j + 1]
+    return float((1 - v) * above + v * below)
 
 
-def _longest_run(mask: NDArray[np.bool_]) -> int:
-    places = np.flatnonzero(np.concatenate([[True], ~mask, [True]]))
-    return int(np.diff(places).max()) - 1
+@kernel
+def _count(
+    profile: Float, dark: bool, floor: float
+) -> tuple[int, int, int, int, float, int, float, float, float]:
+    """`_Counts` of the pairs of neighbouring cells; dark: of the first cell beyond the line."""
+    pairs = len(profile) - 1
+    used = np.zeros(len(profile), np.bool_)
+    ends = ends_run = run = goes_on = over = 0
+    for k in range(pairs):
+        # Positive where the colours are the expected ones.
+        sign = 1.0 if (k % 2 == 1) == dark else -1.0
+        contrast = _contrast(profile, k, dark, floor)
+        if np.isnan(contrast):
+            continue
+        outer = sign * (_over(profile, k, _OUTER) - _over(profile, k + 1, _OUTER)) / contrast
+        margin = sign * (_over(profile, k + 1, _MARGIN) - _over(profile, k, _MARGIN)) / contrast
+        run += 1
+        if outer >= _ALTERNATES and abs(margin) <= _EVEN:
+            ends += 1
+            used[k] = used[k + 1] = True
+        else:
+            run = 0
+        ends_run = max(ends_run, run)
+        goes_on += outer >= _ALTERNATES and margin >= _ALTERNATES
+        over += abs(outer) <= _EVEN and abs(margin) <= _EVEN
+    return (ends, ends_run, goes_on, over, *_edge(profile, used))
 
 
-def _over(profile: Float, part: tuple[int, int]) -> Float:
-    return np.asarray(profile[:, part[0] : part[1]].mean(axis=1))
+@kernel_part
+def _over(profile: Float, cell: int, part: tuple[int, int]) -> float:
+    total = 0.0
+    for k in range(part[0], part[1]):
+        total += profile[cell, k]
+    return total / (part[1] - part[0])
 
 
-def _contrasts(profile: Float, sign: Float, floor: float) -> Float:
-    """Mean difference of the checkers within near each pair of cells; NaN where there is none."""
-    difference = sign * np.diff(profile[:, 0])
-    enough = difference >= floor
-    around = np.ones(5)
-    total = convolve(np.where(enough, difference, 0.0), around, mode="constant")
-    count = convolve(enough.astype(np.float64), around, mode="constant")
-    return np.asarray(np.where(enough, total, np.nan) / np.maximum(count, 1))
+@kernel_part
+def _contrast(profile: Float, pair: int, dark: bool, floor: float) -> float:
+    """Mean difference of the checkers within near a pair of cells; NaN where there is none."""
+    total, count, own = 0.0, 0, False
+    for k in range(max(pair - 2, 0), min(pair + 3, len(profile) - 1)):
+        sign = 1.0 if (k % 2 == 1) == dark else -1.0
+        difference = sign * (profile[k + 1, 0] - profile[k, 0])
+        if difference >= floor:
+            total += difference
+            count += 1
+            own |= k == pair
+    return total / count if own else np.nan
 
 
-def _edge(profile: Float, used: NDArray[np.bool_]) -> tuple[float, Float]:
-    """The margin's level, and where (n, 2) the outermost checkers end: cell, depth in cells."""
-    cell = np.flatnonzero(used)
-    inner, outer = profile[cell, 0], _over(profile[cell], _OUTER)
-    margin = _over(profile[cell], _MARGIN)
-    contrast = np.abs(inner - outer)
-    differs = contrast > 0
-    level = (margin - np.minimum(inner, outer))[differs] / contrast[differs]
-    sharp = differs & (np.abs(outer - margin) >= _EDGE_CONTRAST * contrast)
-    within = (profile[cell][sharp, 2:14] - margin[sharp, None]) / (outer - margin)[sharp, None]
-    # The area under the profile from half a cell to one and a half; blur does not move it.
-    weight = np.array([0.5, *[1.0] * 10, 0.5])
-    area = np.clip(within, -0.5, 1.5) @ weight
-    depth = _FIRST_DEPTH + _DEPTH_STEP + _DEPTH_STEP * area
-    mean_level = float(level.mean()) if len(level) else float("nan")
-    return mean_level, np.stack([cell[sharp], depth], axis=1)
+@kernel_part
+def _edge(profile: Float, used: NDArray[np.bool_]) -> tuple[float, int, float, float, float]:
+    """The margin's level, then where the outermost checkers of the used cells end: how many, mean,
+    aslant, scatter, in cells.
+    """
+    levels = level = 0.0
+    n = a = b = aa = bb = ab = 0.0
+    for cell in range(len(profile)):
+        inner, outer = profile[cell, 0], _over(profile, cell, _OUTER)
+        margin = _over(profile, cell, _MARGIN)
+        contrast = abs(inner - outer)
+        if not (used[cell] and contrast > 0):
+            continue
+        levels += 1
+        level += (margin - min(inner, outer)) / contrast
+        if not abs(outer - margin) >= _EDGE_CONTRAST * contrast:
+            continue
+        # The area under the profile from half a cell to one and a half; blur does not move it.
+        area = 0.0
+        for k in range(2, 14):
+            within = min(max((profile[cell, k] - margin) / (outer - margin), -0.5), 1.5)
+            area += within * (0.5 if k in (2, 13) else 1.0)
+        depth = _FIRST_DEPTH + _DEPTH_STEP + _DEPTH_STEP * area
+        n, a, b = n + 1, a + cell, b + depth
+        aa, bb, ab = aa + cell * cell, bb + depth * depth, ab + cell * depth
+    level = level / levels if levels > 0 else np.nan
+    if n == 0:
+        return level, 0, np.nan, np.nan, np.nan
+    spread = aa / n - (a / n) ** 2
+    slope = (ab / n - a / n * b / n) / spread if spread > 0.5 else 0.0
+    scatter = np.sqrt(max(bb / n - (b / n) ** 2 - slope**2 * spread, 0.0))
+    # Between the ends of a run with this spread.
+    return level, int(n), b / n, abs(slope) * np.sqrt(12 * spread), scatter
