@@ -11,7 +11,6 @@ from cmp_tactile_bringup.commands.options import Command, argument, option
 FORCE_S = 3.0
 MOST_VALUES = 12
 OF_ALL_NODES = "/parameter_events", "/rosout"
-RUNNING_NODES = "running nodes; is ROS_DOMAIN_ID the same?"
 WAIT_S = 0.5
 # Nodes are discovered one after the other; on a busy machine a second may pass between two.
 ALL_TOPICS_S = 2.0
@@ -95,9 +94,13 @@ class Topics(Command):
     def run(self) -> int:
         """Print one topic in each line; ServiceError where no node runs."""
         from cmp_tactile_processing.ros.process import Listener
+        from cmp_tactile_processing.ros.services import RUNNING_NODES, ServiceError, settled
 
         with Listener("topics") as asking:
-            topics = _all_topics(asking.node)
+            topics = settled(lambda: _topics(asking.node), settled_s=ALL_TOPICS_S)
+        if not topics:
+            msg = f"found no topics, expected {RUNNING_NODES}"
+            raise ServiceError(msg)
         width = max(map(len, topics))
         print("\n".join(f"{name:<{width}}  {topics[name]}" for name in sorted(topics)))
         return 0
@@ -173,37 +176,31 @@ def _say(asked: str, answer: Any) -> int:
     return 0
 
 
-def _topics(node: Any) -> dict[str, str]:
-    """Topics that are known by now, with their types; but those that every node has."""
-    topics = node.get_topic_names_and_types()
-    return {topic: kinds[0] for topic, kinds in topics if topic not in OF_ALL_NODES}
-
-
-def _all_topics(node: Any) -> dict[str, str]:
-    """Topics of all nodes that run; ServiceError where there are none."""
-    from cmp_tactile_processing.ros.services import ServiceError, settled
-
-    topics = settled(lambda: _topics(node), settled_s=ALL_TOPICS_S)
-    if not topics:
-        msg = f"found no topics, expected {RUNNING_NODES}"
-        raise ServiceError(msg)
-    return topics
+def _topics(node: Any, end: str = "") -> dict[str, str]:
+    """Topics of that end that are known by now, with types; but those that every node has."""
+    return {
+        topic: kinds[0]
+        for topic, kinds in node.get_topic_names_and_types()
+        if topic.endswith(end) and topic not in OF_ALL_NODES
+    }
 
 
 def _topic(node: Any, name: str) -> tuple[str, str]:
     """Full name and type of the topic whose name ends so, with the fewest names before it."""
-    from cmp_tactile_processing.ros.services import ServiceError, did_you_mean_end, settled
+    from cmp_tactile_processing.ros.services import (
+        RUNNING_NODES,
+        ServiceError,
+        did_you_mean_end,
+        settled,
+    )
 
     end = f"/{name.strip('/')}"
 
-    def called_so() -> dict[str, str]:
-        return {topic: kind for topic, kind in _topics(node).items() if topic.endswith(end)}
-
     def published() -> dict[str, str]:
-        return {t: kind for t, kind in called_so().items() if node.count_publishers(t)}
+        return {t: kind for t, kind in _topics(node, end).items() if node.count_publishers(t)}
 
     # How a topic is published is asked next; whoever only subscribes to it may be found before.
-    found = settled(published) or called_so()
+    found = settled(published) or _topics(node, end)
     least = min((topic.count("/") for topic in found), default=0)
     nearest = sorted(topic for topic in found if topic.count("/") == least)
     if not nearest:

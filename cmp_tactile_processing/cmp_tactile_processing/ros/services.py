@@ -31,6 +31,9 @@ OF_ROS = (
 )
 LEFT_OUT = ("qos_overrides.", "start_type_description_service")
 
+# Where nothing at all is found.
+RUNNING_NODES = "running nodes; is ROS_DOMAIN_ID the same?"
+
 T = TypeVar("T")
 
 
@@ -101,9 +104,7 @@ def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str
         raise ServiceError(msg)
     if not found:
         there = sorted(k for k, kind in _offered(node).items() if not kind.startswith(OF_ROS))
-        expected = (
-            f"one of {', '.join(there)}" if there else "running nodes; is ROS_DOMAIN_ID the same?"
-        )
+        expected = f"one of {', '.join(there)}" if there else RUNNING_NODES
         msg = f"{name}: found no such service, expected {expected}{did_you_mean_end(ends, there)}"
         raise ServiceError(msg)
     return next(iter(found.items()))

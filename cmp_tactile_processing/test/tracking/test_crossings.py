@@ -34,8 +34,7 @@ def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
 def test_a_line_moves_a_corner_across_itself_alone():
     """Two segments and the saddle are three measurements: their weighted mean, in closed form."""
     lines = _gathered((0.004, 0.008))
-    corners, std = np.empty((1, 3, 2)), np.empty((1, 3))
-    fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines, corners, std)
+    corners, std = fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines)
     weight, own = 1 / LINE_STD**2, 1 / STD**2
     assert corners[0, 1] == pytest.approx((0.0, weight * 0.012 / (2 * weight + own)), rel=1e-9)
     variances = 1 / own, 1 / (2 * weight + own)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
@@ -12,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
@@ -237,18 +239,22 @@ class LiveSensors:
 
     def start(self, audience: Audience) -> None:
         """Subscribe."""
-        self._audience, self._is_looked_at = audience, True
-        self._turn.trigger()
+        self._audience = audience
+        self._look(True)
 
     def pause(self) -> None:
         """Unsubscribe: the nodes then make no messages for the page."""
-        self._is_looked_at = False
-        self._turn.trigger()
+        self._look(False)
 
     def close(self) -> None:
         """End the recordings."""
         for recording in self._recordings.values():
             recording.close()
+
+    def _look(self, looked_at: bool) -> None:
+        self._is_looked_at = looked_at
+        with suppress(InvalidHandle):  # the last browser may leave after the node has gone
+            self._turn.trigger()
 
     def _turned(self) -> None:
         for item in self._watched:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 
 pytest.importorskip("rclpy")
 
@@ -114,6 +115,15 @@ def test_it_subscribes_only_while_somebody_looks(rig, ros):
     rig.look()
     rig.live.pause()
     ros.wait(lambda: rig.subscriptions() == 0, "the end of its subscriptions")
+
+
+def test_the_last_browser_may_leave_after_the_node_has_gone(ros, grasp_bag):
+    node = rclpy.create_node("page", context=ros.node.context)
+    given = WebViewerParameters(sensor_descriptions=str(grasp_bag / "sensor.yaml"))
+    live = LiveSensors(node, running_sensors(given, ros.namespace))
+    live.start(Audience())
+    node.destroy_node()
+    live.pause()
 
 
 def test_what_belongs_to_a_frame_comes_together(rig, ros, snapshots):

@@ -30,7 +30,7 @@ from cmp_tactile_processing.tracking.corners.neighbours import (
     place_between,
     predicted_places,
 )
-from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit, SaddlePoints
+from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit
 from cmp_tactile_processing.tracking.detector import NominalGrid
 
 # Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie
@@ -83,22 +83,30 @@ class MeasuredCorners:
         """A grid of the same size of which no corner is known."""
         return self.without(np.ones_like(self.predicted))
 
+    def copy(self) -> MeasuredCorners:
+        """The same corners, of which some may be set."""
+        arrays = self.position, self.std, self.predicted, self.pull
+        return MeasuredCorners(*(array.copy() for array in arrays))
 
-@dataclass(frozen=True)
-class _Fitted:
-    """Saddle points of a grid: position (rows, cols, 2), std (rows, cols), hessian (n, 3),
-    pull (rows, cols, 2, 4).
-    """
+    def take(self, where: NDArray[np.bool_], found: MeasuredCorners) -> None:
+        """Set the corners of a mask (rows, cols) to those that were fitted."""
+        for own, other in (
+            (self.position, found.position),
+            (self.std, found.std),
+            (self.pull, found.pull),
+        ):
+            own[where] = other[where]
 
-    position: NDArray[np.float64]
-    std: NDArray[np.float64]
-    hessian: NDArray[np.float64]
-    pull: NDArray[np.float64]
-
-    @classmethod
-    def from_saddles(cls, saddles: SaddlePoints, shape: tuple[int, ...]) -> _Fitted:
-        position, std = saddles.position.reshape(shape), saddles.std.reshape(shape[:2])
-        return cls(position, std, saddles.hessian, saddles.pull.reshape(*shape[:2], 2, 4))
+    def put(
+        self,
+        where: NDArray[np.bool_],
+        position: NDArray[np.float64],
+        std: float | NDArray[np.float64],
+        predicted: bool | NDArray[np.bool_] = False,
+    ) -> None:
+        """Set the n corners of a mask (rows, cols) to positions (n, 2) that were not fitted."""
+        self.position[where], self.std[where] = position, std
+        self.predicted[where], self.pull[where] = predicted, 0.0
 
 
 @dataclass(frozen=True)
@@ -152,13 +160,8 @@ class MeasuredMarkers:
         it, and be straight along both gridlines; the rings must show four checkers, and the edges
         to the neighbours be there.
         """
-        shape = guess.shape[:2]
-        reach = REFINE_REACH * self._nominal.side_px
-        found = _Fitted.from_saddles(self._fit.fit(image, guess.reshape(-1, 2), reach), guess.shape)
-        good = self._in_sight(image, found.position, found.hessian).alike
-        predicted = np.zeros(shape, dtype=bool)
-        corners = MeasuredCorners(found.position, found.std, predicted, found.pull)
-        return corners.without(~good)
+        found, hessian = self._fitted(image, guess, REFINE_REACH)
+        return found.without(~self._in_sight(image, found.position, hessian).alike)
 
     def complete(
         self, image: PreparedImage, corners: MeasuredCorners, seen: NDArray[np.float64]
@@ -173,7 +176,8 @@ class MeasuredMarkers:
         print: a lesser likeness will do for it, or else it is the crossing of its gridlines, or
         predicted, if the pattern shows around the flaw.
         """
-        position, std, pull = corners.position.copy(), corners.std.copy(), corners.pull.copy()
+        corners = corners.copy()
+        position = corners.position
         tried = np.zeros(position.shape[:2], dtype=bool)
         for _ in range(MAX_ROUNDS):
             places = predicted_places(position)
@@ -181,15 +185,15 @@ class MeasuredMarkers:
             if not wanted.any():
                 break
             tried |= wanted
-            found = self._looked_for(image, position, places, wanted)
-            taken = wanted & self._in_sight(image, found.position, found.hessian).alike
-            position[taken], std[taken] = found.position[taken], found.std[taken]
-            pull[taken] = found.pull[taken]
+            found, hessian = self._looked_for(image, position, places, wanted)
+            taken = wanted & self._in_sight(image, found.position, hessian).alike
+            corners.take(taken, found)
             # A corner next to a newly found one has a better prediction than before.
             tried &= ~_beside(taken)
         if np.isnan(position).any():
-            self._take_enclosed(image, position, std, seen)
-        return self._spoilt(image, position, std, pull)
+            self._take_enclosed(image, corners, seen)
+        self._take_spoilt(image, corners)
+        return corners
 
     def repair_outliers(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
         """The corners with those that a spot pulls aside measured as crossings of gridlines."""
@@ -213,22 +217,22 @@ class MeasuredMarkers:
         pulled: NDArray[np.bool_],
     ) -> MeasuredCorners:
         side = self._nominal.side_px
-        position, std, pull = corners.position.copy(), corners.std.copy(), corners.pull.copy()
+        corners = corners.copy()
+        position, std = corners.position, corners.std
         without = np.where(pulled[..., None], np.nan, position)
         crossing = self._around(image, without).crossings(image, guess, pulled)
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
         left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
         better, doubtful = pulled.copy(), pulled.copy()
         better[pulled] = (away > ELSEWHERE) & (left < off[pulled])
-        position[better] = crossing[better[pulled]]
-        std[better], pull[better] = CROSSING_STD * side, 0.0
+        corners.put(better, crossing[better[pulled]], CROSSING_STD * side)
         # What cannot be measured otherwise stays, with half of what it is off as its deviation,
         # or gives way to where its neighbours have it.
         doubtful[pulled] = ~(away <= ELSEWHERE) & ~better[pulled]
         std[doubtful] = np.maximum(std[doubtful], off[doubtful] * side / 2)
         given_up = doubtful & (off > FARTHEST_PULLED)
-        position[given_up], pull[given_up] = guess[given_up], 0.0
-        return MeasuredCorners(position, std, corners.predicted | given_up, pull)
+        corners.put(given_up, guess[given_up], std[given_up], predicted=True)
+        return corners
 
     def without_rims(self, corners: MeasuredCorners) -> MeasuredCorners:
         """The corners less those beside missing ones that are not where the others predict them.
@@ -281,11 +285,19 @@ class MeasuredMarkers:
         position: NDArray[np.float64],
         guess: NDArray[np.float64],
         wanted: NDArray[np.bool_],
-    ) -> _Fitted:
-        """The known corners, and saddle points near the guesses of those that are wanted."""
-        reach = COMPLETE_REACH * self._nominal.side_px
-        start = np.where(wanted[..., None], guess, position)
-        return _Fitted.from_saddles(self._fit.fit(image, start.reshape(-1, 2), reach), start.shape)
+    ) -> tuple[MeasuredCorners, NDArray[np.float64]]:
+        """As `_fitted`, of the known corners, and near the guesses of those that are wanted."""
+        return self._fitted(image, np.where(wanted[..., None], guess, position), COMPLETE_REACH)
+
+    def _fitted(
+        self, image: PreparedImage, start: NDArray[np.float64], reach: float
+    ) -> tuple[MeasuredCorners, NDArray[np.float64]]:
+        """Corners within so many sides of their starts (rows, cols, 2) px, hessians (n, 3)."""
+        shape = start.shape[:2]
+        found = self._fit.fit(image, start.reshape(-1, 2), reach * self._nominal.side_px)
+        position, std = found.position.reshape(start.shape), found.std.reshape(shape)
+        predicted, pull = np.zeros(shape, dtype=bool), found.pull.reshape(*shape, 2, 4)
+        return MeasuredCorners(position, std, predicted, pull), found.hessian
 
     def _in_sight(
         self, image: PreparedImage, position: NDArray[np.float64], hessian: NDArray[np.float64]
@@ -307,21 +319,18 @@ class MeasuredMarkers:
         return _Likeness(alike & has_edges, similar & has_edges)
 
     def _take_enclosed(
-        self,
-        image: PreparedImage,
-        position: NDArray[np.float64],
-        std: NDArray[np.float64],
-        seen: NDArray[np.float64],
+        self, image: PreparedImage, corners: MeasuredCorners, seen: NDArray[np.float64]
     ) -> None:
         """Add, in place, corners of a lesser likeness of which all neighbours are known."""
+        position = corners.position
         missing, was_seen = np.isnan(position[..., 0]), np.isfinite(seen[..., 0])
         # Where the detector saw all but a few corners, the print is flawed, not hidden.
         nothing_hidden = np.count_nonzero(~was_seen) <= FEW_UNSEEN
         places = np.where(was_seen[..., None], seen, predicted_places(position))
         for _ in range(2):
             wanted = missing & np.isfinite(places[..., 0])
-            found = self._looked_for(image, position, places, wanted)
-            similar = self._in_sight(image, found.position, found.hessian).similar
+            found, hessian = self._looked_for(image, position, places, wanted)
+            similar = self._in_sight(image, found.position, hessian).similar
             known = ~missing | (wanted & (similar | (was_seen & nothing_hidden)))
             while (lost := known & missing & ~_surrounded(known)).any():
                 known &= ~lost
@@ -329,20 +338,16 @@ class MeasuredMarkers:
             fitted = np.where(known[..., None], found.position, np.nan)
             places = np.where(was_seen[..., None], seen, predicted_places(fitted))
         taken = known & missing
-        position[taken] = np.where(np.isnan(found.position), seen, found.position)[taken]
-        std[taken] = np.fmax(found.std[taken], BETWEEN_STD * self._nominal.side_px)
+        places = np.where(np.isnan(found.position), seen, found.position)
+        std = np.fmax(found.std[taken], BETWEEN_STD * self._nominal.side_px)
+        corners.put(taken, places[taken], std)
 
-    def _spoilt(
-        self,
-        image: PreparedImage,
-        position: NDArray[np.float64],
-        std: NDArray[np.float64],
-        pull: NDArray[np.float64],
-    ) -> MeasuredCorners:
-        predicted = np.zeros(std.shape, dtype=bool)
+    def _take_spoilt(self, image: PreparedImage, corners: MeasuredCorners) -> None:
+        """Add, in place, what flaws of the print between known corners leave of a corner."""
+        position = corners.position
         hole = np.isnan(position[..., 0]) & _enclosed(np.isfinite(position[..., 0]))
         if not hole.any():
-            return MeasuredCorners(position, std, predicted, pull)
+            return
         guess = place_between(position)
         around = self._around(image, position)
         rings = ring_evidence(
@@ -355,11 +360,8 @@ class MeasuredMarkers:
         measured = np.isfinite(crossing[:, 0])
         taken = np.where(measured[:, None], crossing, guess[hole])
         spread = np.where(measured, CROSSING_STD, BETWEEN_STD) * self._nominal.side_px
-        shown = shows | measured
-        position[hole] = np.where(shown[:, None], taken, np.nan)
-        std[hole] = np.where(shown, spread, np.nan)
-        predicted[hole] = shown & ~measured
-        return MeasuredCorners(position, std, predicted, pull)
+        hole[hole] = shown = shows | measured
+        corners.put(hole, taken[shown], spread[shown], ~measured[shown])
 
     def _around(self, image: PreparedImage, known: NDArray[np.float64]) -> _Surroundings:
         """What the known corners (rows, cols, 2) px say about each place in the grid."""

@@ -197,8 +197,7 @@ def _count(
     used = np.zeros(len(profile), np.bool_)
     ends = ends_run = run = goes_on = over = 0
     for k in range(pairs):
-        # Positive where the colours are the expected ones.
-        sign = 1.0 if (k % 2 == 1) == dark else -1.0
+        sign = _expected_sign(k, dark)
         contrast = _contrast(profile, k, dark, floor)
         if np.isnan(contrast):
             continue
@@ -217,6 +216,12 @@ def _count(
 
 
 @kernel_part
+def _expected_sign(pair: int, dark: bool) -> float:
+    """Of the second checker within less the first; dark: of the first cell beyond the line."""
+    return 1.0 if (pair % 2 == 1) == dark else -1.0
+
+
+@kernel_part
 def _over(profile: Float, cell: int, part: tuple[int, int]) -> float:
     total = 0.0
     for k in range(part[0], part[1]):
@@ -229,8 +234,7 @@ def _contrast(profile: Float, pair: int, dark: bool, floor: float) -> float:
     """Mean difference of the checkers within near a pair of cells; NaN where there is none."""
     total, count, own = 0.0, 0, False
     for k in range(max(pair - 2, 0), min(pair + 3, len(profile) - 1)):
-        sign = 1.0 if (k % 2 == 1) == dark else -1.0
-        difference = sign * (profile[k + 1, 0] - profile[k, 0])
+        difference = _expected_sign(k, dark) * (profile[k + 1, 0] - profile[k, 0])
         if difference >= floor:
             total += difference
             count += 1

@@ -14,11 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.tracking.virtual_markers.fusion import (
-    LEAST_CORNER,
-    UNKNOWN_CORNER,
-    Fits,
-)
+from cmp_tactile_processing.tracking.virtual_markers.fusion import Fits
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -83,9 +79,7 @@ def gather_lines(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
                 continue
             for end in range(2):
                 mean, spread = fits.mean[end * last, s], fits.spread[end * last, s]
-                std = end_std[end, s]
-                std = max(std, LEAST_CORNER) if math.isfinite(std) else UNKNOWN_CORNER
-                seen = (mean, spread, (std * size[1, s]) ** 2)
+                seen = (mean, spread, (end_std[end, s] * size[1, s]) ** 2)
                 _line_at(curve[i, j], end, seen, sides[i, j + end, 1 - end])
     for i in range(found.shape[0]):
         for j in range(found.shape[1]):
@@ -102,18 +96,20 @@ def gather_lines(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants
 
 
 @kernel
-def fused_corners(corners: Array, std: Array, lines: Array, fused: Array, fused_std: Array) -> None:
+def fused_corners(corners: Array, std: Array, lines: Array) -> tuple[Array, Array]:
     """Corners (rows, cols, 2) px and their deviations per coordinate, with the lines' information.
 
     std (rows, cols) px of the saddles; lines (rows, cols, ENTRIES): the sum of `gather_lines` of
-    rows and columns.  Missing corners stay missing.  fused, fused_std: are set.
+    rows and columns.  Missing corners stay missing.
     """
+    fused, fused_std = np.empty(corners.shape), np.empty(std.shape)
     for i in range(len(corners)):
         for j in range(corners.shape[1]):
-            own = max(std[i, j], LEAST_CORNER) if math.isfinite(std[i, j]) else UNKNOWN_CORNER
-            xx, yy = lines[i, j, 0] + 1 / own**2, lines[i, j, 2] + 1 / own**2
+            own = 1 / std[i, j] ** 2
+            xx, yy = lines[i, j, 0] + own, lines[i, j, 2] + own
             xy, x, y = lines[i, j, 1], lines[i, j, 3], lines[i, j, 4]
             scale = 1 / (xx * yy - xy * xy)
             fused[i, j, 0] = corners[i, j, 0] + (yy * x - xy * y) * scale
             fused[i, j, 1] = corners[i, j, 1] + (xx * y - xy * x) * scale
             fused_std[i, j] = math.sqrt((xx + yy) * scale / 2)
+    return fused, fused_std

@@ -36,8 +36,6 @@ EXPECTATION_ROUNDS = 12
 # A measurement further from the fit than this many standard deviations is dirt.
 OUTLIER = 4.0
 LEAST_COLUMNS = 3
-# Standard deviation of a corner that came without one, and the least of any, px.
-UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
 # Segments that are fitted side by side, a block.  They are stored in single precision, which halves
 # the time and moves no marker of the sample grasp by more than 2e-7 px.
 LANES = 64
@@ -311,9 +309,7 @@ def _set_prior(size: Array, end_std: Array, first: int, model: int, work: FitScr
     for s in range(LANES):
         tilt = size[1, first + s]
         for end in range(2):
-            std = end_std[end, first + s]
-            std = max(std, LEAST_CORNER) if math.isfinite(std) else UNKNOWN_CORNER
-            work.prior[end, s] = (std * tilt) ** 2
+            work.prior[end, s] = (end_std[end, first + s] * tilt) ** 2
         sine = ROUGHNESS[model] * size[0, first + s] * tilt
         for k in range(MODES):
             work.prior[2 + k, s] = sine * sine * SHARE_OF_SINE[k]

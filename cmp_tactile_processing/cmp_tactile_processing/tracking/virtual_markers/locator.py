@@ -48,6 +48,8 @@ from cmp_tactile_processing.tracking.virtual_markers.ridge import (
 METHODS = ("fused", "local_correction")
 # Rounding to grey levels alone is as much noise as this, grey levels.
 QUANTISATION = 0.29
+# Standard deviation of a corner that came without one, and the least of any, px.
+UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
 # An image is taken to be smoothed by this much at least, px.
 LEAST_SMOOTHING_PX = 0.5
 
@@ -91,8 +93,10 @@ class VirtualMarkerLocator:
         (rows, cols) px; doubtful_*: markers that must not be measured, in the results' shape.
         """
         rows, cols = self._rows, self._cols
-        rows.load(corners, corner_std)
-        cols.load(corners.swapaxes(0, 1), corner_std.T)
+        std = np.where(np.isfinite(corner_std), corner_std, UNKNOWN_CORNER)
+        np.maximum(std, LEAST_CORNER, out=std)
+        rows.load(corners, std)
+        cols.load(corners.swapaxes(0, 1), std.T)
         if self._count == 0:
             return rows.result(), cols.result(transposed=True)
         rows.doubt(doubtful_rows, cols.tangent)
@@ -118,9 +122,7 @@ class VirtualMarkerLocator:
         """
         rows, cols = self._rows, self._cols
         lines = rows.at_corners + cols.at_corners.swapaxes(0, 1)
-        fused, std = np.empty_like(rows.corners), np.empty_like(rows.corner_std)
-        fused_corners(rows.corners, rows.corner_std, lines, fused, std)
-        return fused, std
+        return fused_corners(rows.corners, rows.corner_std, lines)
 
 
 def _median(values: NDArray[np.float64]) -> float:
@@ -303,7 +305,6 @@ LARGEST_STEP = 2.0
 MODEL_ERROR = 0.006
 # Standard deviation of the curve between corners as a share of the segment's length.
 CURVE_ERROR = 0.0008
-UNKNOWN_CORNER = 0.05
 
 
 class Zone(NamedTuple):
@@ -412,9 +413,6 @@ def correct_markers(
                 markers.std[i, j] = math.nan
                 markers.status[i, j] = MISSING
                 continue
-            ends = 0.0
-            for end in range(2):
-                std = corner_std[i, j + end]
-                ends = max(ends, std if math.isfinite(std) else UNKNOWN_CORNER)
+            ends = max(corner_std[i, j], corner_std[i, j + 1])
             curve_std = math.hypot(ends, CURVE_ERROR * math.hypot(x, y))
             _correct_segment(pixels, segments, zone, (i, j, curve_std), markers)
