@@ -26,7 +26,7 @@ from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Sphere
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from hard_frames.case import pattern_rig
+from hard_frames.studio import pattern_rig
 from paper.sequence import PrintedGel
 
 RESULTS = Path(__file__).parent / "results"

@@ -14,18 +14,14 @@ from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from hard_frames.case import (
-    PatternCase,
-    PatternStudio,
-    deformation_of,
-    pattern_rig,
-)
+from hard_frames.deformation import deformation_of
 from hard_frames.grid_score import (
     displacement_errors,
     join_scores,
     score_grid,
 )
 from hard_frames.library import cases_of, flawed_pairs
+from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
 
 # Across the line: RMS of virtual markers, and the distance that one in a hundred exceeds, px.
 VIRTUAL_RMS = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.03}

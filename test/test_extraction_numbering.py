@@ -10,9 +10,10 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from hard_frames.case import PatternCase, PatternStudio, deformation_of
+from hard_frames.deformation import deformation_of, jump
 from hard_frames.grid_score import score_grid
-from hard_frames.library import bad_views, cases_of, jump, sequence_of
+from hard_frames.library import bad_views, cases_of, sequence_of
+from hard_frames.studio import PatternCase, PatternStudio
 
 # Whole checkers along x and y, one and two in each direction: the shifted lattice looks like the
 # one before.

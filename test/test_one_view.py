@@ -33,13 +33,8 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth
-from hard_frames.case import (
-    PatternCase,
-    PatternStudio,
-    Zone,
-    deform,
-    pattern_rig,
-)
+from hard_frames.deformation import Zone, deform
+from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
 
 CAP = PatternSurface("sphere_cap", 0.027)
 DISTORTION = (-0.1, 0.02, 0.0, 0.0, 0.0)

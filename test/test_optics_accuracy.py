@@ -18,12 +18,8 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
-from hard_frames.case import (
-    PatternCase,
-    PatternStudio,
-    deform,
-    deformation_of,
-)
+from hard_frames.deformation import deform, deformation_of
+from hard_frames.studio import PatternCase, PatternStudio
 
 # Mean distance of the corners from the truth, m: clean frames, hard ones, and through a distorting
 # lens, a plate and the gel.

@@ -26,7 +26,8 @@ from cmp_tactile_processing.sensor.description import SensorDescription, load_se
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from hard_frames.case import PatternCase, PatternStudio, deformation_of
+from hard_frames.deformation import deformation_of
+from hard_frames.studio import PatternCase, PatternStudio
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "sensor_description.md"
 # At rest, pressed and sheared: kind of deformation and seed.

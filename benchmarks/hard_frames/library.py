@@ -17,18 +17,19 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
-from hard_frames.case import (
-    COVERS,
+from hard_frames.covers import COVERS, Cover, Scenery
+from hard_frames.deformation import (
     DEFORMATIONS,
-    Cover,
+    DEPTH,
+    DRAGGED,
+    PRESSED,
+    SHIFTED,
     Deformation,
-    PatternCase,
-    PatternFrame,
-    Scenery,
     Zone,
     deformation_of,
-    pattern_rig,
+    jump,
 )
+from hard_frames.studio import PatternCase, PatternFrame, pattern_rig
 
 CLEAN = CameraSettings()
 GREY_MARGIN = 125.0
@@ -184,20 +185,8 @@ def flawed_pairs(sensor: SensorDescription, seed: int = 0) -> list[tuple[Pattern
 
 # Sequences of frames of patterns deformed by hand: what a tracker that follows must survive.
 
-# Zones of a gel with a pattern of 14.5 mm, m: pressed, dragged, and dragged nearly as a whole.
-PRESSED, DRAGGED, SHIFTED = 4.5e-3, 8e-3, 9e-3
-DEPTH = 1e-3
 KNOCK = 1.5e-3
 FARTHEST_SHIFT = 2
-
-
-def jump(
-    sensor: SensorDescription, shift: tuple[float, float], depth: float = DEPTH
-) -> Deformation:
-    """A pressed gel that is shifted nearly as a whole.  shift: along x and y, in checkers."""
-    pitch = sensor.pattern.pitch
-    moved = Zone(radius=SHIFTED, shift=(shift[0] * pitch, shift[1] * pitch), power=4)
-    return Zone(radius=PRESSED, depth=depth, spread=0.05), moved
 
 
 def _numbered(sensor: SensorDescription, name: str, steps: list[Deformation], seed: int) -> Cases:

@@ -29,18 +29,10 @@ from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from hard_frames.case import (
-    COVERS,
-    Cover,
-    Deformation,
-    PatternCase,
-    PatternFrame,
-    PatternStudio,
-    Zone,
-    deformation_of,
-    far_corners,
-)
+from hard_frames.covers import COVERS, Cover, far_corners
+from hard_frames.deformation import Deformation, Zone, deformation_of
 from hard_frames.grid_score import WRONG_SHARE
+from hard_frames.studio import PatternCase, PatternFrame, PatternStudio
 
 # Of the corners along each side of a recording's pattern such shares are numbered.
 NUMBERED = (0.4, 0.6, 0.8)

@@ -28,8 +28,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
-from hard_frames.case import PatternCase, PatternStudio, pattern_rig
 from hard_frames.library import CLEAN, cases_of
+from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
 
 SENSOR = "sample_rig"
 # Rounding to grey levels adds the variance of numbers spread evenly over one level.

@@ -20,8 +20,9 @@ from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFau
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Roi
-from hard_frames.case import Cover, PatternCase, PatternFrame, PatternStudio
-from hard_frames.library import jump
+from hard_frames.covers import Cover
+from hard_frames.deformation import jump
+from hard_frames.studio import PatternCase, PatternFrame, PatternStudio
 
 Float = NDArray[np.float64]
 

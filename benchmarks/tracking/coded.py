@@ -28,18 +28,11 @@ from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.sensor.parts import FEWEST_CODED
 from cmp_tactile_processing.tracking.dots.decoder import DotDecoder
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from hard_frames.case import (
-    COVERS,
-    Cover,
-    PatternCase,
-    PatternFrame,
-    PatternStudio,
-    deformation_of,
-    far_corners,
-    pattern_rig,
-)
+from hard_frames.covers import COVERS, Cover, far_corners
+from hard_frames.deformation import deformation_of
 from hard_frames.grid_score import GridScore, join_scores, score_grid
 from hard_frames.library import CASE_KINDS, cases_of
+from hard_frames.studio import PatternCase, PatternFrame, PatternStudio, pattern_rig
 
 SHARES = (0.2, 0.4, 0.6, 0.8)
 # In checkers, to the right and down.

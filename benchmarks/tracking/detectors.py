@@ -23,7 +23,6 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from hard_frames.case import PatternFrame
 from hard_frames.grid_score import (
     GridScore,
     displacement_errors,
@@ -31,6 +30,7 @@ from hard_frames.grid_score import (
     join_scores,
     score_grid,
 )
+from hard_frames.studio import PatternFrame
 
 Image = NDArray[np.uint8]
 Corners = NDArray[np.float64] | None

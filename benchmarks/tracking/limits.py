@@ -17,7 +17,7 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from hard_frames.case import COVERS, Cover, PatternFrame, PatternStudio, degrade
+from hard_frames.covers import COVERS, Cover
 from hard_frames.grid_score import GridScore, join_scores
 from hard_frames.library import (
     SEQUENCES,
@@ -29,6 +29,7 @@ from hard_frames.library import (
     sample_names,
     sequence_of,
 )
+from hard_frames.studio import PatternFrame, PatternStudio, degrade
 
 # Kinds of which every view must be complete.
 COMPLETE_KINDS = (

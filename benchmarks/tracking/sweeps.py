@@ -13,16 +13,11 @@ from detectors import Detector, Ours, Result, run_frames, run_pair, run_sequence
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
-from hard_frames.case import (
-    Cover,
-    PatternCase,
-    PatternFrame,
-    PatternStudio,
-    deformation_of,
-    pattern_rig,
-)
+from hard_frames.covers import Cover
+from hard_frames.deformation import deformation_of, jump
 from hard_frames.grid_score import join_scores
-from hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH, jump
+from hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH
+from hard_frames.studio import PatternCase, PatternFrame, PatternStudio, pattern_rig
 
 KINDS = ("slide", "press", "twist")
 SIDES = ("left", "top", "right", "bottom")
@@ -98,8 +93,8 @@ def _jumps(sensor: SensorDescription, level: float) -> list[PatternCase]:
     ]
 
 
-def _sizes(sensor: SensorDescription, level: float) -> list[PatternCase]:
-    rig = pattern_rig(int(level), int(level), base=sensor.name)
+def _sizes(sensor: SensorDescription, level: float) -> list[PatternCase]:  # noqa: ARG001
+    rig = pattern_rig(int(level), int(level))
     return [_bent(rig, kind) for kind in KINDS[:2]]
 
 

@@ -15,14 +15,8 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera, ViewDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import true_grids
-from hard_frames.case import (
-    Deformation,
-    PatternCase,
-    PatternStudio,
-    deform,
-    degrade,
-    pattern_rig,
-)
+from hard_frames.deformation import Deformation, deform
+from hard_frames.studio import PatternCase, PatternStudio, degrade, pattern_rig
 
 NOISE = 4.0
 # What the tracker makes of that noise.

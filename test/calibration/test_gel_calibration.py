@@ -17,7 +17,7 @@ from cmp_tactile_processing.calibration.gel.calibrate import (
 from cmp_tactile_processing.calibration.observation import track_frames
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
-from hard_frames.case import deform, deformation_of
+from hard_frames.deformation import deform, deformation_of
 
 # Mean absolute error of a displacement, and share of the largest one, that are allowed.
 MOST_ERROR_M, MOST_SHARE = 5e-6, 0.01

@@ -13,7 +13,7 @@ from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from hard_frames.case import Zone
+from hard_frames.deformation import Zone
 
 TOUCH = (Zone(2e-3, 1e-3, 2e-3, depth=1e-4),)
 

@@ -11,7 +11,7 @@ from cmp_tactile_processing.calibration.check import check_grids, check_recordin
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.parts import Mirror
-from hard_frames.case import Zone
+from hard_frames.deformation import Zone
 
 PRESS = (Zone(1e-3, 0.0, 4e-3, depth=8e-4, spread=0.08),)
 

@@ -8,15 +8,9 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_simulation.rendering.camera import CameraSettings
-from hard_frames.case import (
-    COVERS,
-    DEFORMATIONS,
-    Cover,
-    PatternCase,
-    PatternStudio,
-    deformation_of,
-    pattern_rig,
-)
+from hard_frames.covers import COVERS, Cover
+from hard_frames.deformation import DEFORMATIONS, deformation_of
+from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
 
 # cornerSubPix on a frame with blur 0.7 px and noise 1: its own error, from the true places.
 SUBPIX_RMSE_PX = 0.05
