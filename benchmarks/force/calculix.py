@@ -17,13 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from errors import NOISE_M
+from errors import NOISE_M, surface_of
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.advice import flag_names
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured import ForceField, ForceFlag, Status, Surface
+from cmp_tactile_processing.measured import ForceField, ForceFlag
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 
 Array = NDArray[np.float64]
@@ -204,22 +204,6 @@ def solved(sensor: SensorDescription, mesh: Mesh) -> dict[str, Array]:
     return {name: moved.reshape(shape) for name, moved in zip(CASES, at, strict=True)}
 
 
-def seen(sensor: SensorDescription, moved: Array) -> Surface:
-    """The surface that is measured where the markers have moved so."""
-    grid, reference = sensor.pattern.shape, sensor.pattern.corners()
-    rows, cols = (*grid.row_lines, 3), (*grid.col_lines, 3)
-    return Surface(
-        shape=grid, reference=reference, position=reference + moved, displacement=moved,
-        status=np.full(grid.corners, Status.MEASURED, np.uint8),
-        fault=np.zeros(grid.corners, np.uint8),
-        covariance=np.broadcast_to(np.diag(NOISE_M**2), (*grid.corners, 3, 3)),
-        ray_gap=np.zeros(grid.corners),
-        row_position=np.full(rows, np.nan), row_status=np.zeros(rows[:-1], np.uint8),
-        row_std=np.full(rows[:-1], np.nan), col_position=np.full(cols, np.nan),
-        col_status=np.zeros(cols[:-1], np.uint8), col_std=np.full(cols[:-1], np.nan),
-    )  # fmt: skip
-
-
 def line(name: str, outside: float, true: Array, fields: list[ForceField]) -> str:
     """A row of the table: means over the frames, share of components within two deviations."""
     force = np.array([field.wrench[:3] for field in fields])
@@ -255,7 +239,7 @@ def main() -> None:
         for _ in range(arguments.frames):
             stage.reset()
             noise = NOISE_M * random.standard_normal(moved.shape)
-            fields.append(stage.process(seen(sensor, moved + noise)))
+            fields.append(stage.process(surface_of(sensor, moved + noise)))
         print(line(name, mesh.loads(CASES[name])[1], true, fields), flush=True)
 
 

@@ -8,16 +8,16 @@ same width.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_processing.cache.arrays import cached_arrays
+from cmp_tactile_processing.cache.files import default_cache_dir, files_digest
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -35,9 +35,6 @@ from cmp_tactile_simulation.indenters.shapes import (
 from cmp_tactile_simulation.scenes.description import turned
 
 Array = NDArray[np.float64]
-
-# To be raised with every change of what is computed below.
-CASES_VERSION = 2
 
 # Contact nodes along the patch of 16.5 mm: 0.35 mm apart, the force nodes of the inverse 0.69 mm.
 TRUTH_NODES = 48
@@ -104,7 +101,6 @@ class ForceCase:
     displacement: (rows, cols, 3) m of the markers.
     force_on_nodes: (M, 3) N, the true force as the hats of the force nodes collect it: that of
     each point is shared out to the four nodes around it so that force and centre are kept.
-    outside: share of the force that acts outside of the node grid.
     wrench: (6,) N and N m about the gel frame's origin, forces where their points have moved to.
     area: of the undeformed surface in contact, m^2.
     """
@@ -115,7 +111,6 @@ class ForceCase:
     depth: float
     displacement: Array
     force_on_nodes: Array
-    outside: float
     wrench: Array
     area: float
 
@@ -138,39 +133,30 @@ class _Solved:
         )
 
 
-def load_cases(sensor: SensorDescription, cache_dir: Path | None = None) -> list[ForceCase]:
+def load_cases(sensor: SensorDescription) -> list[ForceCase]:
     """All cases on a linear gel: contacts at every load, then the smooth patches at 10 N and 1 N.
 
-    They are computed once, in about two minutes, and kept in the cache folder (default: that of
-    the elastic models).
+    They are computed once, in about two minutes, and kept in the cache folder, as long as this
+    module stays.
     """
-    names = list(_linear_names())
-    return _cached(sensor, cache_dir, "linear", names, lambda: _linear_cases(sensor, cache_dir))
+    return _memory().cache(_linear_cases)(sensor)
 
 
-def load_neo_hookean_cases(
-    sensor: SensorDescription, cache_dir: Path | None = None
-) -> list[ForceCase]:
+def load_neo_hookean_cases(sensor: SensorDescription) -> list[ForceCase]:
     """Indenters that come to DEPTHS in a neo-Hookean gel, straight down and with shear."""
-    names = list(_neo_hookean_names())
-    return _cached(sensor, cache_dir, "neo", names, lambda: _neo_hookean_cases(sensor, cache_dir))
+    return _memory().cache(_neo_hookean_cases)(sensor)
 
 
-def bilinear_moments(grid: SurfaceGrid, xy: Array, force: Array) -> tuple[Array, float]:
-    """Forces (n, 3) at points (n, 2) as the hats of a grid collect them, (M, 3), and what is lost.
-
-    Points outside give to the nearest border, which keeps the force and not its centre; the
-    second value is the share of the force for which that is so.
-    """
-    weights = _hat_weights(grid, xy)
-    half = np.array(grid.extent) / 2 * (1 + 1e-9)
-    out = (np.abs(xy) > half).any(axis=1)
-    total = np.abs(force).sum()
-    return weights.T @ force, float(np.abs(force[out]).sum() / total) if total else 0.0
+def _memory() -> joblib.Memory:
+    sources = files_digest([("cases", Path(__file__))])
+    return joblib.Memory(default_cache_dir() / f"force_cases-{sources[:16]}", verbose=0)
 
 
 def _hat_weights(grid: SurfaceGrid, xy: Array) -> Array:
-    """Share (n, M) of each point's force that goes to each node."""
+    """Share (n, M) of the force at each point (n, 2) m that goes to each node of a grid.
+
+    Points outside give to the nearest border, which keeps the force and not its centre.
+    """
     lines = []
     for axis, count in ((1, grid.rows), (0, grid.cols)):
         place = (xy[:, axis] + grid.extent[axis] / 2) / grid.spacing[axis]
@@ -179,21 +165,8 @@ def _hat_weights(grid: SurfaceGrid, xy: Array) -> Array:
     return np.einsum("ni,nj->nij", *lines).reshape(len(xy), -1)
 
 
-def _linear_names() -> Iterator[tuple[str, float, str, float]]:
-    nan = float("nan")
-    for name in CONTACTS:
-        yield from ((name, newton, LINEAR, nan) for newton in (*SOLVED_N, *SCALED_N))
-    for name in _smooth_loads(np.zeros((1, 2)), check=False):
-        yield from ((name, newton, SMOOTH, nan) for newton in (1.0, 10.0))
-
-
-def _neo_hookean_names() -> Iterator[tuple[str, float, str, float]]:
-    for name in LARGE_PRESSES:
-        yield from ((name, float("nan"), NEO_HOOKEAN, depth) for depth in DEPTHS)
-
-
-def _linear_cases(sensor: SensorDescription, cache_dir: Path | None) -> list[ForceCase]:
-    gel = LinearElastomer(sensor, TRUTH_NODES, cache_dir)
+def _linear_cases(sensor: SensorDescription) -> list[ForceCase]:
+    gel = LinearElastomer(sensor, TRUTH_NODES)
     solved: list[_Solved] = []
     for name, contact in CONTACTS.items():
         states = list(pressed(gel, contact, SOLVED_N))
@@ -257,9 +230,9 @@ def _above(gel: LinearElastomer, contact: Contacting) -> tuple[ContactSimulation
     return simulation, simulation.rest(simulation.touch(pose))
 
 
-def _neo_hookean_cases(sensor: SensorDescription, cache_dir: Path | None) -> list[ForceCase]:
-    gel = NeoHookeanElastomer(sensor, TRUTH_NODES, cache_dir)
-    linear = LinearElastomer(sensor, TRUTH_NODES, cache_dir)
+def _neo_hookean_cases(sensor: SensorDescription) -> list[ForceCase]:
+    gel = NeoHookeanElastomer(sensor, TRUTH_NODES)
+    linear = LinearElastomer(sensor, TRUTH_NODES)
     solved, beyond = [], []
     for name, contact in LARGE_PRESSES.items():
         simulation, state = _above(gel, contact)
@@ -279,13 +252,13 @@ def _neo_hookean_cases(sensor: SensorDescription, cache_dir: Path | None) -> lis
     moved = marker_displacement(sensor, [case.force for case in solved])
     markers = ElasticProblem.from_sensor(sensor).markers
     return [
-        _finished(sensor, gel, case, first + _at_markers(gel.observers, markers, more))
+        _finished(sensor, gel, case, first + at_markers(gel.observers, markers, more))
         for case, first, more in zip(solved, moved, beyond, strict=True)
     ]
 
 
-def _at_markers(observers: SurfaceGrid, markers: SurfaceGrid, moved: Array) -> Array:
-    """What large strain adds, which is smooth, from the observers to the markers."""
+def at_markers(observers: SurfaceGrid, markers: SurfaceGrid, moved: Array) -> Array:
+    """A smooth displacement (rows, cols, 3) of the observers at the markers, by splines."""
     parts = [
         RectBivariateSpline(observers.y, observers.x, moved[..., axis])(markers.y, markers.x)
         for axis in range(3)
@@ -297,7 +270,6 @@ def _finished(
     sensor: SensorDescription, gel: LinearElastomer, case: _Solved, displacement: Array
 ) -> ForceCase:
     nodes = ElasticProblem.from_sensor(sensor).nodes
-    collected, outside = bilinear_moments(nodes, gel.nodes.points, case.force)
     place = gel.node_position + case.moved
     moment = np.cross(place, case.force).sum(axis=0)
     return ForceCase(
@@ -306,25 +278,23 @@ def _finished(
         material=case.material,
         depth=case.depth,
         displacement=displacement,
-        force_on_nodes=collected,
-        outside=outside,
+        force_on_nodes=_hat_weights(nodes, gel.nodes.points).T @ case.force,
         wrench=np.concatenate([case.force.sum(axis=0), moment]),
         area=float(gel.node_area[case.contact].sum()),
     )
 
 
-def _smooth_loads(xy: Array, check: bool = True) -> dict[str, Array]:
+def _smooth_loads(xy: Array) -> dict[str, Array]:
     """Nodal forces (n, 3) N of smooth round patches of pressure, 10 N of normal force each."""
 
     def patch(centre: tuple[float, float], radius: float) -> Array:
         weights = np.maximum(0, 1 - ((xy - centre) ** 2).sum(axis=1) / radius**2) ** 1.5
-        return weights / weights.sum() if check else weights
+        return weights / weights.sum()
 
     down = np.array([0.0, 0.0, -10.0])
     centred = patch((0.0, 0.0), 3e-3)
     turn = np.stack([-xy[:, 1], xy[:, 0], np.zeros(len(xy))], axis=1) * centred[:, None]
-    if check:
-        turn *= 0.01 / (xy[:, 0] @ turn[:, 1] - xy[:, 1] @ turn[:, 0])
+    turn *= 0.01 / (xy[:, 0] @ turn[:, 1] - xy[:, 1] @ turn[:, 0])
     two = (patch((-3e-3, 0.0), 1.5e-3) + patch((3e-3, 1e-3), 1.5e-3)) / 2
     return {
         "smooth press": centred[:, None] * down,
@@ -334,56 +304,3 @@ def _smooth_loads(xy: Array, check: bool = True) -> dict[str, Array]:
         "smooth off centre": patch((3e-3, -2e-3), 2.5e-3)[:, None] * (down + [1.0, -1.0, 0.0]),
         "smooth two contacts": two[:, None] * down,
     }
-
-
-def _cached(
-    sensor: SensorDescription,
-    cache_dir: Path | None,
-    kind: str,
-    names: list[tuple[str, float, str, float]],
-    build: Callable[[], list[ForceCase]],
-) -> list[ForceCase]:
-    """Cases from the cache where it holds those of this sensor and version."""
-    problem = ElasticProblem.from_sensor(sensor)
-    count, nodes = len(names), problem.nodes.rows * problem.nodes.cols
-    shapes = {
-        "displacement": (count, problem.markers.rows, problem.markers.cols, 3),
-        "force_on_nodes": (count, nodes, 3),
-        "wrench": (count, 6),
-        "told": (count, 3),
-    }
-
-    def arrays() -> dict[str, Array]:
-        cases = build()
-        found = {key: np.stack([getattr(case, key) for case in cases]) for key in shapes
-                 if key != "told"}  # fmt: skip
-        data = [(case.newton, case.outside, case.area) for case in cases]
-        return {**found, "told": np.array(data)}
-
-    key: dict[str, Any] = {
-        "kind": kind,
-        "version": CASES_VERSION,
-        "nodes": TRUTH_NODES,
-        "young": sensor.elastomer.young,
-        "cases": [str(name) for name in names],
-        "contacts": {
-            name: repr(contact)
-            for name, contact in (LARGE_PRESSES if kind == "neo" else CONTACTS).items()
-        },
-        "problem": asdict(problem),
-    }
-    kept = cached_arrays(cache_dir, "force_cases", key, shapes, arrays)
-    return [
-        ForceCase(
-            name=name,
-            newton=float(kept["told"][index, 0]),
-            material=material,
-            depth=depth,
-            displacement=kept["displacement"][index],
-            force_on_nodes=kept["force_on_nodes"][index],
-            outside=float(kept["told"][index, 1]),
-            wrench=kept["wrench"][index],
-            area=float(kept["told"][index, 2]),
-        )
-        for index, (name, _, material, depth) in enumerate(names)
-    ]

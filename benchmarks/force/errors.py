@@ -12,7 +12,14 @@ from scipy.linalg import eigh
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.traction_spectrum import nodal_force_matrix
-from cmp_tactile_processing.measured import ForceField, Status, SurfaceGrid
+from cmp_tactile_processing.measured import (
+    ForceField,
+    Status,
+    Surface,
+    SurfaceGrid,
+    no_virtual_markers,
+)
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 Array = NDArray[np.float64]
 
@@ -102,6 +109,22 @@ def noisy(case: ForceCase, frames: int, scale: float = 1.0, seed: int = 0) -> li
     ]
 
 
+def surface_of(sensor: SensorDescription, moved: Array) -> Surface:
+    """The surface as it is measured where the markers have moved by (rows, cols, 3) m."""
+    grid, reference = sensor.pattern.shape, sensor.pattern.corners()
+    return Surface(
+        shape=grid,
+        reference=reference,
+        position=reference + moved,
+        displacement=moved,
+        status=np.full(grid.corners, Status.MEASURED, np.uint8),
+        fault=np.zeros(grid.corners, np.uint8),
+        covariance=np.broadcast_to(np.diag(NOISE_M**2), (*grid.corners, 3, 3)),
+        ray_gap=np.zeros(grid.corners),
+        **no_virtual_markers(grid),
+    )
+
+
 def reconstructed(
     model: ForceModel, moved: Iterable[Array], status: NDArray[np.uint8] | None = None
 ) -> list[ForceField]:
@@ -167,8 +190,6 @@ def _tridiagonal(count: int, middle: float, beside: float) -> Array:
     return middle * np.eye(count) + beside * (np.eye(count, k=1) + np.eye(count, k=-1))
 
 
-Array = NDArray[np.float64]
-
 COMPONENTS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 # Of a normal distribution, within 1 and 2 standard deviations.
 NORMAL_SHARES = (0.683, 0.954)
@@ -205,23 +226,9 @@ class ErrorBars:
         joined = np.concatenate(nodes) if nodes else np.zeros(0)
         return cls(np.array(wrench), joined, np.array(loads))
 
-    def shares(self, values: Array) -> tuple[float, float]:
-        """Share of errors within 1 and within 2 standard deviations."""
-        size = np.abs(values)
-        return float((size <= 1).mean()), float((size <= 2).mean())
 
-
-@dataclass(frozen=True)
-class Floor:
-    """Frames of noise alone, by multiple of the noise: how many, and those that showed contact."""
-
-    scale: float
-    frames: int
-    contacts: int
-
-
-def floor(model: ForceModel, frames: int, scale: float) -> Floor:
-    """Frames of noise alone."""
+def false_contacts(model: ForceModel, frames: int, scale: float) -> int:
+    """How many of so many frames of noise alone, times `scale`, show a contact."""
     random = np.random.default_rng(99)
     markers = model.elastic.markers
     shape = (markers.rows, markers.cols, 3)
@@ -229,7 +236,7 @@ def floor(model: ForceModel, frames: int, scale: float) -> Floor:
     for _ in range(frames):
         moved = scale * NOISE_M * random.standard_normal(shape)
         shown += bool(reconstructed(model, [moved])[0].contact.any())
-    return Floor(scale, frames, shown)
+    return shown
 
 
 def seen_shares(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> dict[float, float]:

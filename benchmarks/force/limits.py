@@ -9,7 +9,15 @@ from typing import ClassVar
 
 import numpy as np
 from cases import ForceCase, load_cases
-from errors import COMPONENTS, NORMAL_SHARES, ErrorBars, ForceErrors, dependence, floor, seen_shares
+from errors import (
+    COMPONENTS,
+    NORMAL_SHARES,
+    ErrorBars,
+    ForceErrors,
+    dependence,
+    false_contacts,
+    seen_shares,
+)
 from sweeps import (
     Point,
     by_case,
@@ -101,33 +109,26 @@ class ForceRun:
         bars = ErrorBars.from_cases(self._model, self._cases, self.frames)
         expected = " / ".join(f"{100 * share:.0f}" for share in NORMAL_SHARES)
         for index, name in enumerate(COMPONENTS):
-            yield self._shares(bars, f"{name}, within 1 / 2 std, %", bars.wrench[:, index])
+            yield _shares(f"{name}, within 1 / 2 std, %", bars.wrench[:, index])
         for newton in np.unique(bars.loads):
             chosen = bars.wrench[bars.loads == newton]
-            yield self._shares(bars, f"wrench at {newton:g} N, %", chosen)
+            yield _shares(f"wrench at {newton:g} N, %", chosen)
         if len(bars.nodes):
-            yield self._shares(bars, "nodal forces in contact, %", bars.nodes)
+            yield _shares("nodal forces in contact, %", bars.nodes)
         yield Row("certainty", "normal errors, %", "-", expected, None)
         found = dependence(self._model)
         for what, value in (("frames before", found.history), ("one pixel", found.pixel)):
             text = f"{value:.2f} std"
             yield Row("certainty", f"changed by {what}", "1 std", text, bool(value <= 1.0))
 
-    @staticmethod
-    def _shares(bars: ErrorBars, name: str, values: np.ndarray) -> Row:
-        one, two = bars.shares(values)
-        spread = float(np.sqrt(np.mean(values**2)))
-        text = f"{100 * one:.0f} / {100 * two:.0f} (RMS {spread:.2f} std)"
-        return Row("certainty", name, "-", text, None)
-
     def _floor(self) -> Iterator[Row]:
         """What noise alone shows, and the smallest load that is seen."""
         for scale, frames in ((1.0, 100 * self.frames), (2.0, 500), (4.0, 500)):
-            result = floor(self._model, frames, scale)
-            met = result.contacts == 0 if scale == 1 else None
+            contacts = false_contacts(self._model, frames, scale)
+            met = contacts == 0 if scale == 1 else None
             limit = "0" if scale == 1 else "-"
-            what = f"false contacts in {result.frames} frames, noise x {scale:g}"
-            yield Row("floor", what, limit, str(result.contacts), met)
+            what = f"false contacts in {frames} frames, noise x {scale:g}"
+            yield Row("floor", what, limit, str(contacts), met)
         seen = seen_shares(self._model, self._cases, self.frames)
         text = ", ".join(f"{newton:g} N {100 * share:.0f} %" for newton, share in seen.items())
         yield Row("floor", "frames in which a sphere is seen, by load", "-", text, None)
@@ -162,6 +163,13 @@ class ForceRun:
             case = point.case
             name = f"{case.name}, {case.newton:g} N, {point.condition}"
             yield Row(point.sweep, name, "-", _text(point.errors, case), None)
+
+
+def _shares(name: str, values: np.ndarray) -> Row:
+    """Shares of errors, in deviations, within one and two of them."""
+    one, two = (100 * float((np.abs(values) <= count).mean()) for count in (1, 2))
+    spread = float(np.sqrt(np.mean(values**2)))
+    return Row("certainty", name, "-", f"{one:.0f} / {two:.0f} (RMS {spread:.2f} std)", None)
 
 
 def _text(errors: ForceErrors, case: ForceCase) -> str:

@@ -16,18 +16,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from cases import at_markers
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
-from cmp_tactile_simulation.gel import Elastomer, elastomer_of
+from cmp_tactile_simulation.gel import elastomer_of
 from cmp_tactile_simulation.indenters.shapes import Sphere
 
 Array = NDArray[np.float64]
@@ -127,6 +126,13 @@ def fine(values: Array) -> Array:
     return np.interp(np.arange(count) / FINE, np.arange(len(values)), values)
 
 
+def relaxing(terms: Terms, count: int) -> Array:
+    """E'(t) at so many fine steps, times a step."""
+    step = FRAME_S / FINE
+    time = step * np.arange(count)
+    return np.asarray(-sum(share / tau * np.exp(-time / tau) for share, tau in terms) * step)
+
+
 def shown_by(terms: Terms, force: Array) -> Array:
     """What an elastic gel would be read for, of a gel under this force: g of
 
@@ -134,10 +140,8 @@ def shown_by(terms: Terms, force: Array) -> Array:
 
     Trapezoidal rule at the fine steps.
     """
-    step, given = FRAME_S / FINE, fine(force)
-    time = step * np.arange(len(given))
-    kernel = -sum(share / tau * np.exp(-time / tau) for share, tau in terms) * step
-    shown = np.zeros_like(given)
+    given = fine(force)
+    kernel, shown = relaxing(terms, len(given)), np.zeros_like(given)
     backwards = kernel[::-1].copy()
     for k in range(len(given)):
         past = backwards[-k - 1 : -1] @ shown[:k] - kernel[k] * shown[0] / 2 if k else 0.0
@@ -148,9 +152,8 @@ def shown_by(terms: Terms, force: Array) -> Array:
 def pressed(terms: Terms, points: list[tuple[float, float]]) -> tuple[Array, Array]:
     """True force and reading where the displacement is given, along lines through the points."""
     shown = history(points)
-    given, step = fine(shown), FRAME_S / FINE
-    time = step * np.arange(len(given))
-    kernel = -sum(share / tau * np.exp(-time / tau) for share, tau in terms) * step
+    given = fine(shown)
+    kernel = relaxing(terms, len(given))
     past = np.convolve(kernel, given)[: len(given)] - (kernel[0] * given + kernel * given[0]) / 2
     return (given + past)[::FINE], shown
 
@@ -254,7 +257,8 @@ def contact_errors(
         elastomer.advance(state.force, seconds)
         state = act(state)
         time += seconds
-        moved = at_markers(elastomer, elastomer.marker_displacement(state.force), markers)
+        seen = elastomer.marker_displacement(state.force)
+        moved = at_markers(elastomer.observers, markers, seen)
         for number, relaxation in enumerate(filters):
             shown = moved
             if relaxation is not None:
@@ -287,13 +291,6 @@ def handling(simulation: ContactSimulation, depth: float) -> list[tuple[float, A
     weight = [(0.2, weigh(0.8)), (4.0, weigh(1.0))]
     release = [(0.1, by(0, depth / 2))] * 3 + [(1.0, by(0, 0))]
     return press + hold + shear + weight + release
-
-
-def at_markers(elastomer: Elastomer, moved: Array, markers: SurfaceGrid) -> Array:
-    """Displacement at the markers, by splines through that at the elastomer's observers."""
-    grid = elastomer.observers
-    splines = [RectBivariateSpline(grid.y, grid.x, moved[..., axis]) for axis in range(3)]
-    return np.stack([spline(markers.y, markers.x) for spline in splines], axis=-1)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
+from cases import at_markers
+from errors import NOISE_M, surface_of
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import SlipEstimate, SlipState, Surface, no_virtual_markers
+from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
@@ -28,7 +29,6 @@ from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters.shapes import Cuboid, Cylinder, Indenter, Sphere
 from cmp_tactile_simulation.scenes.simulation import slip_estimate
 
-NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 MOVING = (SlipState.INCIPIENT, SlipState.FULL)
 
 
@@ -161,25 +161,14 @@ class Observer:
         """What is reported of the frames."""
         rng, slip = np.random.default_rng(seed), SlipObserver(self._sensor)
         for frame in frames:
-            surface = self._surface(frame.moved, rng)
+            moved = at_markers(self._seen, self._model.elastic.markers, frame.moved)
+            moved += rng.normal(size=moved.shape) * self._noise
+            surface = surface_of(self._sensor, moved)
             field = self._model.reconstruct(surface.displacement, surface.status)
             start = perf_counter()
             data = slip.update(field, surface)
             self.durations.append(perf_counter() - start)
             yield data.slip
-
-    def _surface(self, seen: NDArray[np.float64], rng: np.random.Generator) -> Surface:
-        grid, pattern = self._model.elastic.markers, self._sensor.pattern
-        splines = [RectBivariateSpline(self._seen.y, self._seen.x, seen[..., c]) for c in range(3)]
-        moved = np.stack([spline(grid.y, grid.x) for spline in splines], axis=-1)
-        moved += rng.normal(size=moved.shape) * self._noise
-        rest, none = pattern.corners(), np.zeros(0)
-        flags = np.ones(moved.shape[:2], np.uint8)
-        return Surface(
-            shape=pattern.shape, reference=rest, position=rest + moved, displacement=moved,
-            status=flags, fault=flags, covariance=none, ray_gap=none,
-            **no_virtual_markers(pattern.shape),
-        )  # fmt: skip
 
 
 def row(name: str, trial: Trial, data: list[SlipEstimate]) -> str:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.gel import LinearElastomer
 
-DEFAULT = Path(__file__).parent.parent / "test" / "data" / "force_truth.npz"
+DEFAULT = Path(__file__).parents[2] / "test" / "data" / "force_truth.npz"
 SENSOR = "sample_rig"
 CHOSEN = (
     ("sphere", 1.0),

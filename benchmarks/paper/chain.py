@@ -94,38 +94,12 @@ CMP_PAPER = Method(
 )
 
 
-@dataclass(frozen=True)
-class MarkerScore:
-    """visible: markers that both views show, summed over the views.
-
-    found: measured with the right number.  wrong: with the number of another marker, or more than
-    half a pitch off.
-    """
-
-    visible: int
-    found: int
-    wrong: int
-
-    @property
-    def works(self) -> bool:
-        """Every visible marker found, none wrong."""
-        return self.found == self.visible and self.wrong == 0
-
-
-def score_markers(grids: Mapping[str, Grid], truth: Mapping[str, Grid]) -> MarkerScore:
-    """Count markers of both views that are found and that bear wrong numbers."""
-    score = join_scores(_score(grids[name], truth[name]) for name in truth)
-    return MarkerScore(score.visible, score.found_visible, score.wrong)
-
-
-def displacement_error(surface: Surface, truth: Surface) -> NDArray[np.float64]:
-    """Measured minus true displacement from rest (rows, cols, 3), m; NaN where missing."""
-    return np.asarray(surface.displacement - truth.displacement)
-
-
-def _score(grid: Grid, truth: Grid) -> GridScore:
-    visible = np.isfinite(truth.corners[..., 0])
-    return score_grid(grid, truth, visible, visible)
+def score_markers(grids: Mapping[str, Grid], truth: Mapping[str, Grid]) -> GridScore:
+    """The score of both views together; every marker that a view truly shows is visible."""
+    shown = {name: np.isfinite(grid.corners[..., 0]) for name, grid in truth.items()}
+    return join_scores(
+        score_grid(grids[name], truth[name], shown[name], shown[name]) for name in truth
+    )
 
 
 @dataclass(frozen=True)
@@ -151,17 +125,18 @@ class Chain:
 
     def set_reference(self, images: Sequence[NDArray[np.uint8]]) -> None:
         """Measure displacements against the mean of these frames (H, W) of the gel at rest."""
+        views = [self.views(image) for image in images]
         for name, tracker in self._trackers.items():
-            tracker.learn([self._view(image, name) for image in images])
+            tracker.learn([each[name] for each in views])
         markers = []
         for image in images:
-            grids = self._track(image)
+            grids = self.track(image)
             markers.append(self._rig.triangulate(grids["left"], grids["right"]))
         self._reference = Reference.average(markers, reference_id=1)
 
     def measure(self, image: NDArray[np.uint8]) -> Measurement:
         """Everything that the next frame (H, W) shows."""
-        grids = self._track(image)
+        grids = self.track(image)
         surface = self._reference.surface(self._rig.triangulate(grids["left"], grids["right"]))
         force = self._force.process(surface) if self._force else None
         return Measurement(grids, surface, force)
@@ -173,13 +148,15 @@ class Chain:
         if self._force:
             self._force.reset()
 
-    def _track(self, image: NDArray[np.uint8]) -> dict[str, Grid]:
-        return {name: t.track(self._view(image, name)) for name, t in self._trackers.items()}
+    def track(self, image: NDArray[np.uint8]) -> dict[str, Grid]:
+        """The markers of each view of the next frame (H, W)."""
+        views = self.views(image).items()
+        return {name: self._trackers[name].track(view) for name, view in views}
 
-    def _view(self, image: NDArray[np.uint8], name: str) -> NDArray[np.uint8]:
-        placement = self._rig.views[name].placement
-        room = np.empty((placement.height, placement.width), np.uint8)
-        return split_frame(image, placement, room)
+    def views(self, image: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]]:
+        """The views (h, w) of a frame (H, W), cut out."""
+        views = self._rig.views.items()
+        return {name: split_frame(image, view.placement) for name, view in views}
 
 
 Array = NDArray[np.float64]

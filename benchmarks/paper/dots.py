@@ -101,18 +101,19 @@ FADE = 0.25
 DIRECTIONS = 24
 REACH = 1.9
 STEPS = 40
+# Darkness at the edge of a dot.
+EDGE = 0.5
 
 
 @dataclass(frozen=True)
 class Outlines:
     """Ellipses through the edges of N dots.
 
-    centre (N, 2) px; area (N,) px^2; elongation (N,): longer over shorter axis where the nominal
+    area (N,) px^2; elongation (N,): longer over shorter axis where the nominal
     foreshortening is taken out; residual (N,): RMS distance of the edge from the ellipse, in mean
     radii.  NaN where the edge is not closed.
     """
 
-    centre: NDArray[np.float64]
     area: NDArray[np.float64]
     elongation: NDArray[np.float64]
     residual: NDArray[np.float64]
@@ -136,6 +137,27 @@ def peaks(response: NDArray[np.float32], at: NDArray[np.intp]) -> NDArray[np.flo
     return np.asarray(at + np.where(good[:, None], off, 0.0), dtype=np.float64)
 
 
+def outlines(
+    darkness: NDArray[np.float32], centre: NDArray[np.float64], to_radii: NDArray[np.float64]
+) -> Outlines:
+    """Edges of dots around centres (N, 2) px where the darkness falls to half, and ellipses."""
+    from_radii = np.linalg.inv(to_radii)
+    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    rays = np.einsum("nij,kj->nki", from_radii, circle)
+    reach = _edges(darkness, np.ascontiguousarray(centre), np.ascontiguousarray(rays))
+    # In radii of the undeformed dot, so that all are of one size.
+    edge = reach[..., None] * circle
+    axes, residual = _ellipses(edge)
+    scale = np.abs(np.linalg.det(from_radii))
+    return Outlines(
+        area=np.pi * axes[:, 0] * axes[:, 1] * scale,
+        elongation=axes[:, 1] / axes[:, 0],
+        residual=residual,
+    )
+
+
+@njit(cache=True, nogil=True)
 def centroids(
     darkness: NDArray[np.float32],
     start: NDArray[np.float64],
@@ -149,48 +171,6 @@ def centroids(
     of a dot as it is foreshortened there.  threshold: what is subtracted from the darkness before
     it weighs.  window: radius of what counts, in radii.
     """
-    return np.asarray(
-        _centroids(
-            darkness,
-            np.ascontiguousarray(start, dtype=np.float64),
-            np.ascontiguousarray(to_radii),
-            (threshold, window),
-        )
-    )
-
-
-def outlines(
-    darkness: NDArray[np.float32],
-    centre: NDArray[np.float64],
-    to_radii: NDArray[np.float64],
-    level: float = 0.5,
-) -> Outlines:
-    """Edges of dots around centres (N, 2) px where the darkness falls to a level, and ellipses."""
-    from_radii = np.linalg.inv(to_radii)
-    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    rays = np.einsum("nij,kj->nki", from_radii, circle)
-    reach = _edges(darkness, np.ascontiguousarray(centre), np.ascontiguousarray(rays), level)
-    # In radii of the undeformed dot, so that all are of one size.
-    edge = reach[..., None] * circle
-    off, axes, residual = _ellipses(edge)
-    scale = np.abs(np.linalg.det(from_radii))
-    return Outlines(
-        centre=centre + np.einsum("nij,nj->ni", from_radii, off),
-        area=np.pi * axes[:, 0] * axes[:, 1] * scale,
-        elongation=axes[:, 1] / axes[:, 0],
-        residual=residual,
-    )
-
-
-@njit(cache=True, nogil=True)
-def _centroids(
-    darkness: NDArray[np.float32],
-    start: NDArray[np.float64],
-    to_radii: NDArray[np.float64],
-    limits: tuple[float, float],
-) -> NDArray[np.float64]:
-    threshold, window = limits
     height, width = darkness.shape
     found = np.empty_like(start)
     for n in range(len(start)):
@@ -225,9 +205,8 @@ def _edges(
     darkness: NDArray[np.float32],
     centre: NDArray[np.float64],
     rays: NDArray[np.float64],
-    level: float,
 ) -> NDArray[np.float64]:
-    """How far along each ray (N, K, 2) px the darkness first falls to the level; NaN if nowhere."""
+    """How far along each ray (N, K, 2) px the darkness first falls to EDGE; NaN if nowhere."""
     height, width = darkness.shape
     found = np.full(rays.shape[:2], np.nan)
     for n in range(len(centre)):
@@ -243,25 +222,21 @@ def _edges(
                 upper = darkness[row, col] * (1 - u) + darkness[row, col + 1] * u
                 lower = darkness[row + 1, col] * (1 - u) + darkness[row + 1, col + 1] * u
                 value = upper * (1 - v) + lower * v
-                if value < level:
+                if value < EDGE:
                     if step > 0:
-                        back = (level - value) / (last - value)
+                        back = (EDGE - value) / (last - value)
                         found[n, k] = reach - back * (REACH - 0.2) / STEPS
                     break
                 last = value
     return found
 
 
-def _ellipses(
-    edge: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Centre (N, 2), half axes (N, 2), shorter first, and residual (N,) of points (N, K, 2).
+def _ellipses(edge: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Half axes (N, 2), shorter first, and residual (N,) of points (N, K, 2).
 
     Conics a x^2 + b x y + c y^2 + d x + e y = 1, which do for outlines around the origin.
     """
-    count = len(edge)
-    centre, axes = np.full((count, 2), np.nan), np.full((count, 2), np.nan)
-    residual = np.full(count, np.nan)
+    axes, residual = np.full((len(edge), 2), np.nan), np.full(len(edge), np.nan)
     closed = np.asarray(np.isfinite(edge).all(axis=(1, 2)))
     x, y = edge[closed, :, 0], edge[closed, :, 1]
     design = np.stack([x * x, x * y, y * y, x, y], axis=-1)
@@ -281,9 +256,9 @@ def _ellipses(
     with np.errstate(invalid="ignore"):
         half = np.sqrt(level[:, None] / values)
     along = np.einsum("nij,nki->nkj", vectors, points - middle[:, None]) / half[:, None]
-    centre[closed], axes[closed] = middle, half[:, ::-1]
+    axes[closed] = half[:, ::-1]
     residual[closed] = np.sqrt(np.mean((np.linalg.norm(along, axis=-1) - 1) ** 2, axis=1))
-    return centre, axes, residual
+    return axes, residual
 
 
 # Percentiles of the grey values that ink and skin certainly reach.
@@ -302,20 +277,10 @@ APART = 0.4
 
 
 @dataclass(frozen=True)
-class Dots:
-    """Whole dots of an image: position (N, 2) px.
-
-    noise: of the image, as a share of the contrast of ink and skin.
-    """
-
-    position: NDArray[np.float64]
-    noise: float
-
-
-@dataclass(frozen=True)
 class DotImage:
     """A view image prepared.  grey (H, W) uint8 without salt and pepper; darkness (H, W) float32:
-    0 where the skin is, 1 where the ink is, in any light; noise: as in `Dots`."""
+    0 where the skin is, 1 where the ink is, in any light; noise: of the image, as a share of the
+    contrast of ink and skin."""
 
     grey: NDArray[np.uint8]
     darkness: NDArray[np.float32]
@@ -350,8 +315,8 @@ class DotDetector:
         noise = float(np.hypot(noise_of(clean) / level, LIKE_NOISE * replaced**2))
         return DotImage(clean.copy(), np.asarray(dark / ink), noise)
 
-    def detect(self, image: DotImage) -> Dots:
-        """The dots that are seen whole; any number, also none."""
+    def detect(self, image: DotImage) -> NDArray[np.float64]:
+        """Places (N, 2) px of the dots that are seen whole; any number, also none."""
         at, response = self._candidates(image.darkness)
         centre = peaks(response, at)
         to_radii = self._to_radii(centre)
@@ -359,7 +324,7 @@ class DotDetector:
         limits = self._parameters.threshold, self._parameters.window
         centre = centroids(image.darkness, centre, to_radii, *limits)
         whole = self._whole(edge, to_radii) & np.isfinite(centre).all(axis=1)
-        return Dots(centre[whole], image.noise)
+        return np.asarray(centre[whole])
 
     def _candidates(
         self, darkness: NDArray[np.float32]

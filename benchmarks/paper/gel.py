@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import joblib
@@ -11,18 +12,19 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.cache.files import atomic_path, locked
-from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
-from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.recording.run import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Motion, Scene
+from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 from paper.lab import Workplace
 
 # What is kept of the true ForceField of each frame.
 OF_FIELDS = ("contact", "wrench")
+# Contact nodes of the quick run.
+FAST_NODES = 24
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,20 @@ class Mechanics:
         return np.flatnonzero(np.isin(self.phase, phases))
 
 
+def shortened(name: str, frames: Mapping[str, int | None], *, fast: bool) -> Scene:
+    """A packaged scene with these phases alone, of so many frames; None: as many as it has.
+
+    fast: on fewer contact nodes.
+    """
+    scene = load_scene(name)
+    motion = tuple(
+        replace(phase, frames=frames[phase.name] or phase.frames)
+        for phase in scene.motion
+        if phase.name in frames
+    )
+    return replace(scene, motion=motion, contact_nodes=FAST_NODES if fast else scene.contact_nodes)
+
+
 def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     """All frames of a scene's contact, from the workplace where they were solved before.
 
@@ -64,7 +80,7 @@ def mechanics_of(scene: Scene, place: Workplace) -> Mechanics:
     with locked(path.with_suffix(".lock")):
         if not path.exists():
             with threadpool_limits(1, "blas"):
-                solved = _solved(scene, place)
+                solved = _solved(scene)
             with atomic_path(path) as beside, beside.open("wb") as file:
                 np.savez(file, allow_pickle=False, **solved)
         with np.load(path, allow_pickle=False) as stored:
@@ -93,8 +109,8 @@ def _key(scene: Scene) -> str:
     return str(joblib.hash(repr(facts)))
 
 
-def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
-    simulation = _simulation(scene, place)
+def _solved(scene: Scene) -> dict[str, Any]:
+    simulation = Simulation(scene)
     motion = Motion(scene.motion)
     fields: list[ForceField] = []
     displacement, phases = [], []
@@ -110,17 +126,3 @@ def _solved(scene: Scene, place: Workplace) -> dict[str, Any]:
         "node_position": simulation.elastomer.node_position,
         **{name: np.array([getattr(item, name) for item in fields]) for name in OF_FIELDS},
     }
-
-
-def build_force_model(sensor: SensorDescription, place: Workplace) -> None:
-    """Have the sensor's force model in the disk cache, built by one process alone."""
-    with locked(place.folder / f"force-{joblib.hash(repr(sensor))}.lock"):
-        ForceStage(sensor)
-
-
-def _simulation(scene: Scene, place: Workplace) -> Simulation:
-    """The simulation of a scene, its gel built by one process alone."""
-    pattern = scene.sensor.pattern
-    mesh = scene.sensor.elastomer.size, pattern.surface, pattern.rows, pattern.cols, pattern.pitch
-    with locked(place.folder / f"gel-{joblib.hash(repr((mesh, scene.contact_nodes)))}.lock"):
-        return Simulation(scene)

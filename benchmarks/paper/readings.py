@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from cmp_tactile_processing.measured import Status, Surface, SurfaceGrid
+from cmp_tactile_processing.measured import Surface, SurfaceGrid, no_virtual_markers
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import CMP, CMP_PAPER, Chain, Method
-from paper.dot_tracking import DMP_FLOW, DMP_GRID, DMP_NEAREST
+from paper.dot_trackers import DMP_FLOW, DMP_GRID, DMP_NEAREST
 from paper.gel import Mechanics
 from paper.sequence import PrintedGel
 
 
 def without_virtual(surface: Surface) -> Surface:
     """The surface with its corners as they are and no virtual marker."""
-    rows, cols = surface.row_status, surface.col_status
-    return replace(
-        surface,
-        row_position=np.full((*rows.shape, 3), np.nan),
-        row_status=np.full_like(rows, Status.MISSING),
-        row_std=np.full_like(surface.row_std, np.nan),
-        col_position=np.full((*cols.shape, 3), np.nan),
-        col_status=np.full_like(cols, Status.MISSING),
-        col_std=np.full_like(surface.col_std, np.nan),
-    )
+    none: dict[str, Any] = no_virtual_markers(surface.shape)
+    return replace(surface, **none)
 
 
 Array = NDArray[np.float64]
@@ -78,17 +71,11 @@ NUMBERS_PER_SEED = 10_000
 
 
 @dataclass(frozen=True)
-class Course:
-    """One course of frames as one method measured it.
+class Contact:
+    """The mean of the gel at rest and a frame of a contact, as a reading has them."""
 
-    method: key.  seed: of the noise.  rest: at rest, measured REST_FRAMES times.
-    surfaces: by number of the frame in the mechanics.
-    """
-
-    method: str
-    seed: int
-    rest: Sequence[Surface]
-    surfaces: Mapping[int, Surface]
+    rest: Surface
+    pressed: Surface
 
 
 @dataclass(frozen=True)
@@ -103,15 +90,11 @@ class Reading:
     method: Method | None
     corners_only: bool = False
 
-    def choose(self, surface: Surface) -> Surface:
-        """What the reading takes of a surface."""
-        return without_virtual(surface) if self.corners_only else surface
-
-    def courses(self, measured: Sequence[Course], exact: Course) -> list[Course]:
-        """Those of its method, or the exact markers."""
-        if self.method is None:
-            return [exact]
-        return [course for course in measured if course.method == self.method.key]
+    def choose(self, contact: Contact) -> Contact:
+        """What the reading takes of both surfaces."""
+        if not self.corners_only:
+            return contact
+        return Contact(without_virtual(contact.rest), without_virtual(contact.pressed))
 
 
 READINGS = (
@@ -137,54 +120,65 @@ class BothPrints:
         self._gels = {kind: PrintedGel(sensor, kind) for kind in ("cmp", "dmp")}
         rest = DeformedSurface.rest(sensor.pattern)
         self._rest = {kind: gel.rendered(rest) for kind, gel in self._gels.items()}
-        methods = {r.method.key: r.method for r in MEASURED if r.method is not None}
-        self._methods = tuple(methods.values())
-        self._chains: dict[tuple[str, int], tuple[Chain, Sequence[Surface]]] = {}
+        # Exact markers of the gel at rest.
+        self.rest = self._gels["cmp"].truth(rest).surface
+        self._chains: dict[tuple[str, int], tuple[Chain, Surface]] = {}
 
-    def courses(
+    def contacts(
         self, mechanics: Mechanics, frames: Sequence[int], seeds: Sequence[int]
-    ) -> Iterator[Course]:
-        """Measure these frames in order, from rest, with every method under every noise."""
+    ) -> dict[str, list[Contact]]:
+        """The last of these frames by every reading's key, under every noise.
+
+        They are shown in order, from rest.  Of exact markers, each noise has the same.
+        """
+        surfaces = [mechanics.surface(frame, self.sensor.pattern) for frame in frames]
         rendered = {
-            kind: [gel.rendered(mechanics.surface(f, self.sensor.pattern)) for f in frames]
+            kind: [gel.rendered(surface) for surface in surfaces]
             for kind, gel in self._gels.items()
         }
-        for method in self._methods:
-            for seed in seeds:
-                yield self._course(method, frames, rendered[method.pattern_type], seed)
+        exact = Contact(self.rest, self._gels["cmp"].truth(surfaces[-1]).surface)
+        methods = {r.method.key: r.method for r in MEASURED if r.method is not None}
+        found = {
+            key: [self._measured(method, rendered[method.pattern_type], seed) for seed in seeds]
+            for key, method in methods.items()
+        }
+        found[""] = [exact] * len(seeds)
+        return {
+            reading.key: [
+                reading.choose(contact)
+                for contact in found[reading.method.key if reading.method else ""]
+            ]
+            for reading in READINGS
+        }
 
-    def true_surface(self, mechanics: Mechanics, frame: int) -> Surface:
-        """Exact markers of a frame."""
-        return self._gels["cmp"].truth(mechanics.surface(frame, self.sensor.pattern)).surface
-
-    @property
-    def rest_surface(self) -> Surface:
-        """Exact markers of the gel at rest."""
-        return self._gels["cmp"].truth(DeformedSurface.rest(self.sensor.pattern)).surface
-
-    def _course(
-        self, method: Method, frames: Sequence[int], rendered: Sequence[RenderedFrame], seed: int
-    ) -> Course:
-        gel, first = self._gels[method.pattern_type], seed * NUMBERS_PER_SEED
+    def _measured(self, method: Method, rendered: Sequence[RenderedFrame], seed: int) -> Contact:
+        gel, first = self._gels[method.pattern_type], seed * NUMBERS_PER_SEED + REST_FRAMES
         chain, rest = self._at_rest(method, seed)
         chain.reset()
-        surfaces = {
-            frame: chain.measure(gel.exposed(item, first + REST_FRAMES + place)).surface
-            for place, (frame, item) in enumerate(zip(frames, rendered, strict=True))
-        }
-        return Course(method.key, seed, rest, surfaces)
+        for number, item in enumerate(rendered, first):
+            pressed = chain.measure(gel.exposed(item, number)).surface
+        return Contact(rest, pressed)
 
-    def _at_rest(self, method: Method, seed: int) -> tuple[Chain, Sequence[Surface]]:
-        """A chain that has its reference, and what it measures of the frames of that."""
+    def _at_rest(self, method: Method, seed: int) -> tuple[Chain, Surface]:
+        """A chain that has its reference, and the mean that it measures of the frames of that."""
         if (method.key, seed) not in self._chains:
             gel, first = self._gels[method.pattern_type], seed * NUMBERS_PER_SEED
             rendered = self._rest[method.pattern_type]
             images = [gel.exposed(rendered, first + number) for number in range(REST_FRAMES)]
             chain = Chain(self.sensor, method)
             chain.set_reference(images)
-            rest = [chain.measure(image).surface for image in images]
+            rest = mean_of([chain.measure(image).surface for image in images])
             self._chains[method.key, seed] = chain, rest
         return self._chains[method.key, seed]
+
+
+def mean_of(surfaces: Sequence[Surface]) -> Surface:
+    """The first of several measurements with the mean positions of all; NaN where one has none."""
+    means = {
+        name: np.mean([getattr(surface, name) for surface in surfaces], axis=0)
+        for name in ("position", "row_position", "col_position")
+    }
+    return replace(surfaces[0], **means)
 
 
 def name_of(reading: Reading) -> str:

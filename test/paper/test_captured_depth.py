@@ -10,6 +10,7 @@ from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.experiments.probe import Dents, Neighbourhood, captured_depth, dents_of
+from paper.readings import Contact, mean_of
 from paper.sequence import PrintedGel
 
 PITCH = 0.7e-3
@@ -61,7 +62,8 @@ def test_depths_are_against_the_mean_at_rest_and_lost_markers_are_left_out(rest:
     pressed = lower(rest, 1e-4)
     pressed.position[3, 4] = np.nan
     pressed.row_position[2, 2, 1] = np.nan
-    dents = dents_of(pressed, [lower(rest, 1e-5), lower(rest, 3e-5)], rest)
+    at_rest = mean_of([lower(rest, 1e-5), lower(rest, 3e-5)])
+    dents = dents_of(Contact(at_rest, pressed), rest)
     assert dents.depth == pytest.approx(np.full(len(dents.depth), 0.8e-4), abs=1e-12)
     shape = rest.shape
     markers = sum(int(np.prod(s)) for s in (shape.corners, shape.row_lines, shape.col_lines))

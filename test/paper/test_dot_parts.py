@@ -21,9 +21,8 @@ def _disc(centre: tuple[float, float], stretch: float = 1.0) -> NDArray[np.float
     return np.asarray(inside.reshape(41, 8, 41, 8).mean(axis=(1, 3)), dtype=np.float32)
 
 
-def test_outlines_tell_centre_area_and_elongation() -> None:
+def test_outlines_tell_area_and_elongation() -> None:
     edge = outlines(_disc((20.2, 19.9), 1.4), np.array([[20.0, 20.0]]), TO_RADII)
-    assert edge.centre[0] == pytest.approx((20.2, 19.9), abs=0.05)
     assert edge.area[0] == pytest.approx(1.4 * np.pi * RADIUS**2, rel=STEP)
     assert edge.elongation[0] == pytest.approx(1.4, rel=STEP)
     assert edge.residual[0] < 0.05

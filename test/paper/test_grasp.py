@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from paper.dot_tracking import FOLLOWING_METHODS
+from paper.dot_trackers import FOLLOWING_METHODS
 from paper.experiments.grasp import (
     LIMIT,
     GraspScore,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from paper.chain import CMP, Method
-from paper.dot_tracking import DMP_NEAREST
+from paper.dot_trackers import DMP_NEAREST
 from paper.experiments.precision import DMP_PLAIN, METHODS, Summary, claims, split_of
 from paper.page import Page
 

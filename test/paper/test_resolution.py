@@ -11,7 +11,6 @@ from paper.experiments.resolution import (
     LAYOUTS,
     RADIUS,
     claims,
-    joined_pairs,
     pair_scene,
     pairs_of,
 )
@@ -69,12 +68,12 @@ def spheres(cmp_um: float, dots_um: float, cmp_share: float) -> dict[str, Any]:
 def pairs(cmp_dip: float, dots_dip: float) -> dict[str, Any]:
     """At 1 mm these dips; at 2 mm all are distinguished, and a single sphere is one."""
     made: dict[str, Any] = {
-        "separation": np.array([0.0, 1e-3, 2e-3]),
-        "true": np.array([[0.0] * 4, [0.3] * 4, [0.6] * 4]),
+        "separation": np.repeat([0.0, 1e-3, 2e-3], 4),
+        "true": np.repeat([0.0, 0.3, 0.6], 4),
     }
     for reading in READINGS:
         dip = cmp_dip if reading.key == "cmp" else dots_dip
-        made[f"{reading.key}_dip"] = np.array([[0.0] * 4, [dip] * 4, [0.5] * 4])[..., None]
+        made[f"{reading.key}_dip"] = np.repeat([0.0, dip, 0.5], 4)[:, None]
     return made
 
 
@@ -92,7 +91,7 @@ def test_claims_are_met_where_cmp_does_better(
     cmp_um: float, share: float, dip: float, met: list[bool], tmp_path: Path
 ) -> None:
     page = Page(tmp_path)
-    claims(spheres(cmp_um, 12.0, share), joined_pairs([pairs(dip, 0.2)]), page)
+    claims(spheres(cmp_um, 12.0, share), pairs(dip, 0.2), page)
     assert [claim.met for claim in page.claims] == met
     smallest = "1.0" if dip > 0.265 else "2.0"
     assert f"resolved from {smallest} mm on" in page.claims[2].ours

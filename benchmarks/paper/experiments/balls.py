@@ -14,7 +14,7 @@ from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.figure_style import TRUE_COLOUR, look, panels
-from paper.gel import Mechanics, mechanics_of
+from paper.gel import mechanics_of
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.readings import DOTS, MEASURED, READINGS, BothPrints, Reading, name_of
@@ -146,32 +146,19 @@ def fit_balls(
         prints = prints or BothPrints(scene.sensor)
         first = diameter_mm * SEEDS_PER_BALL + position * REPETITIONS
         seeds = range(first, first + REPETITIONS)
-        rows.append(_at_place(prints, mechanics_of(scene, place), seeds))
+        contacts = prints.contacts(mechanics_of(scene, place), FRAMES, seeds)
+        rows.append(
+            {
+                key: [fit_sphere(deep_points(one.rest, one.pressed)) for one in each]
+                for key, each in contacts.items()
+            }
+        )
     arrays: dict[str, NDArray[np.generic]] = {"ball": np.array(diameter_mm / 1000)}
     for key in rows[0]:
         for name in ("diameter", "rms", "count"):
             values = [[getattr(fit, name) for fit in row[key]] for row in rows]
             arrays[f"{key}_{name}"] = np.array(values)
     return arrays
-
-
-def _at_place(
-    prints: BothPrints, mechanics: Mechanics, seeds: Sequence[int]
-) -> dict[str, list[SphereFit]]:
-    """Fits by reading, one for each seed."""
-    fits: dict[str, list[SphereFit]] = {reading.key: [] for reading in READINGS}
-    pressed = prints.true_surface(mechanics, FRAMES[-1])
-    for reading in READINGS:
-        if reading.method is None:
-            fit = _fit(reading.choose(prints.rest_surface), reading.choose(pressed))
-            fits[reading.key] = [fit] * len(seeds)
-    for course in prints.courses(mechanics, FRAMES, seeds):
-        rest = _mean_rest(course.rest)
-        for reading in READINGS:
-            if reading.method is not None and reading.method.key == course.method:
-                fit = _fit(reading.choose(rest), reading.choose(course.surfaces[FRAMES[-1]]))
-                fits[reading.key].append(fit)
-    return fits
 
 
 def deep_points(rest: Surface, pressed: Surface) -> NDArray[np.float64]:
@@ -188,23 +175,9 @@ def deep_points(rest: Surface, pressed: Surface) -> NDArray[np.float64]:
     return np.asarray(now[deep])
 
 
-def _fit(rest: Surface, pressed: Surface) -> SphereFit:
-    return fit_sphere(deep_points(rest, pressed))
-
-
 def _all_points(surface: Surface) -> NDArray[np.float64]:
     parts = surface.position, surface.row_position, surface.col_position
     return np.concatenate([part.reshape(-1, 3) for part in parts])
-
-
-def _mean_rest(surfaces: Sequence[Surface]) -> Surface:
-    """Mean positions of several measurements of the gel at rest; NaN where one has none."""
-    first = surfaces[0]
-    means = {
-        name: np.mean([getattr(surface, name) for surface in surfaces], axis=0)
-        for name in ("position", "row_position", "col_position")
-    }
-    return replace(first, **means)
 
 
 @dataclass(frozen=True)

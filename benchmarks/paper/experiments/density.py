@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,9 @@ from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import load_scene
-from hard_frames.grid_score import GridScore, join_scores, score_grid
-from paper.chain import CMP, CMP_PAPER, Chain, Method
-from paper.gel import mechanics_of
+from hard_frames.grid_score import GridScore, join_scores
+from paper.chain import CMP, CMP_PAPER, Chain, Method, score_markers
+from paper.gel import mechanics_of, shortened
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.sequence import RenderedSequence
@@ -74,7 +72,8 @@ def count_markers(place: Workplace, name: str, draws: int) -> dict[str, Any]:
     across their true gridlines and of corners from theirs, px.  corners, virtual: in all.
     area, m^2.  depth, m, and normal_force, N: of the press.
     """
-    scene = _scene(name, fast=place.fast)
+    frames = {"rest": 1, "press": 2 if place.fast else 6, "hold": 1}
+    scene = shortened(name, frames, fast=place.fast)
     pattern = scene.sensor.pattern
     mechanics = mechanics_of(scene, place)
     pressed = int(mechanics.frames("hold")[-1])
@@ -92,14 +91,6 @@ def count_markers(place: Workplace, name: str, draws: int) -> dict[str, Any]:
     return found
 
 
-def _scene(name: str, *, fast: bool) -> Scene:
-    scene = load_scene(name)
-    few = {"rest": 1, "press": 2 if fast else 6, "hold": 1}
-    phases = (phase for phase in scene.motion if phase.name in few)
-    motion = tuple(replace(phase, frames=few[phase.name]) for phase in phases)
-    return replace(scene, motion=motion, contact_nodes=24 if fast else scene.contact_nodes)
-
-
 def _counted(
     scene: Scene, sequence: RenderedSequence, method: Method, draws: int
 ) -> dict[str, NDArray[np.float64]]:
@@ -111,15 +102,13 @@ def _counted(
         chain.reset()
         chain.set_reference(exposure.rest)
         for index, state in enumerate(STATES):
-            found, truth = chain.measure(exposure.frames[index]), sequence.truth(index).grids
+            found = chain.measure(exposure.frames[index])
             grids, surface = found.grids, found.surface
             corners = [grid.corner_status for grid in grids.values()]
             lines = [x for g in grids.values() for x in (g.row_line_status, g.col_line_status)]
             space = surface.row_status, surface.col_status
             shares[state].append([_measured(part) for part in (corners, lines, space)])
-            for view, grid in grids.items():
-                visible = np.isfinite(truth[view].corners[..., 0])
-                scores[state].append(score_grid(grid, truth[view], visible, visible))
+            scores[state].append(score_markers(grids, sequence.truth(index).grids))
     data = {}
     for state in STATES:
         score = join_scores(scores[state])

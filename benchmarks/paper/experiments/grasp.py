@@ -16,9 +16,9 @@ from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import CMP, CMP_PAPER, Chain, Method, score_markers
-from paper.dot_tracking import DMP_GRID, DMP_NEAREST, FOLLOWING_METHODS
+from paper.dot_trackers import DMP_GRID, DMP_NEAREST, FOLLOWING_METHODS
 from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, legend, look, panels
-from paper.gel import Mechanics, build_force_model, mechanics_of
+from paper.gel import Mechanics, mechanics_of
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.sequence import PrintedGel, Truth
@@ -154,7 +154,6 @@ class _Stroke:
         scene = stroke_scene(place, direction)
         self.sensor = scene.sensor
         self._mechanics = mechanics_of(scene, place)
-        build_force_model(scene.sensor, place)
         self._gel = PrintedGel(scene.sensor, pattern_type)
         self.path = StrokePath.from_mechanics(self._mechanics, scene.sensor.pattern.pitch)
         self._shots: dict[int, _Shot] = {}
@@ -212,7 +211,7 @@ def _knocked(chain: Chain, stroke: _Stroke, size: float) -> list[float]:
     if measured.force is not None:
         error = float(np.linalg.norm(measured.force.wrench[:3] - after.force)) / stroke.peak
     jump = largest_step(before.truth, after.truth) / stroke.sensor.pattern.pitch
-    return [jump, score.wrong / score.visible, score.found / score.visible, error]
+    return [jump, score.wrong / score.visible, score.found_visible / score.visible, error]
 
 
 def largest_step(before: Truth, after: Truth) -> float:
@@ -230,7 +229,6 @@ def measure_grasp(place: Workplace, pattern_type: str, seeds: int) -> dict[str, 
     """
     scene = grasp_scene(place)
     mechanics = mechanics_of(scene, place)
-    build_force_model(scene.sensor, place)
     gel = PrintedGel(scene.sensor, pattern_type)
     surfaces = [mechanics.surface(f, scene.sensor.pattern) for f in range(len(mechanics))]
     truth, rendered = [gel.truth(s) for s in surfaces], [gel.rendered(s) for s in surfaces]

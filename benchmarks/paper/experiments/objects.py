@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,6 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import (
     CMP,
     CMP_PAPER,
@@ -25,9 +22,9 @@ from paper.chain import (
     mean_absolute,
     score_markers,
 )
-from paper.dot_tracking import ALL_METHODS
+from paper.dot_trackers import ALL_METHODS
 from paper.figure_style import panels
-from paper.gel import mechanics_of
+from paper.gel import mechanics_of, shortened
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.readings import nodes_of, true_displacement
@@ -69,7 +66,8 @@ def press(place: Workplace, name: str, draws: int) -> dict[str, Any]:
     of all markers along x, y, z and in space, m.  KEY_counts (draws, 3): visible, found, wrong.
     true_depth, depth_field (rows, cols): true and by CMP, m.  extent (2,) m of these.
     """
-    scene = _scene(name, fast=place.fast)
+    frames = {"rest": 1, "press": 3 if place.fast else None}
+    scene = shortened(name, frames, fast=place.fast)
     mechanics = mechanics_of(scene, place)
     surfaces = with_steps_between(mechanics, mechanics.frames("press").tolist(), scene.sensor, 1)
     result: dict[str, Any] = {
@@ -89,14 +87,6 @@ def press(place: Workplace, name: str, draws: int) -> dict[str, Any]:
     return result
 
 
-def _scene(name: str, *, fast: bool) -> Scene:
-    """Rest and press of a packaged scene; the fast run solves fewer frames on fewer nodes."""
-    scene = load_scene(name)
-    rest, pressing = scene.motion[:2]
-    motion = replace(rest, frames=1), replace(pressing, frames=3) if fast else pressing
-    return replace(scene, motion=motion, contact_nodes=24 if fast else scene.contact_nodes)
-
-
 def _ends(chain: Chain, exposures: Sequence[Exposure]) -> list[Measurement]:
     """What is measured at full press in each draw of the noise."""
     return [list(measured(chain, exposure))[-1] for exposure in exposures]
@@ -107,7 +97,7 @@ def _errors(
 ) -> dict[str, NDArray[Any]]:
     scores = [score_markers(end.grids, grids) for end in ends]
     errors = [mean_absolute(all_markers(end.surface, true)) for end in ends]
-    counts = [(score.visible, score.found, score.wrong) for score in scores]
+    counts = [(score.visible, score.found_visible, score.wrong) for score in scores]
     return {f"{method.key}_all": np.array(errors), f"{method.key}_counts": np.array(counts)}
 
 

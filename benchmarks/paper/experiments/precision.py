@@ -18,21 +18,19 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import (
     CMP,
     Chain,
     Method,
-    displacement_error,
     in_contact,
     largest,
     root_mean_square,
     score_markers,
 )
-from paper.dot_tracking import ALL_METHODS, DMP_GRID, DMP_NEAREST, GridOrderTracker, NearestTracker
+from paper.dot_trackers import ALL_METHODS, DMP_GRID, DMP_NEAREST, GridOrderTracker, NearestTracker
 from paper.dots import DotParameters
 from paper.figure_style import panels
-from paper.gel import Mechanics, mechanics_of
+from paper.gel import Mechanics, mechanics_of, shortened
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.sequence import DOT_DIAMETER, RenderedSequence, measured, with_steps_between
@@ -121,13 +119,9 @@ def dots(place: Workplace, draws: int) -> dict[str, NDArray[Any]]:
 
 def _scene(*, fast: bool) -> Scene:
     """The packaged scene; the fast run solves two frames on fewer nodes."""
-    scene = load_scene("precision_sphere")
-    rest, press, drag, turn, hold = scene.motion
-    if not fast:
-        return replace(scene, motion=(rest, press, drag, turn))
-    del drag, hold
-    motion = tuple(replace(phase, frames=1) for phase in (rest, press, turn))
-    return replace(scene, motion=motion, contact_nodes=24)
+    whole = dict.fromkeys(("rest", "press", "drag", "turn"))
+    few = {"rest": 1, "press": 1, "turn": 1}
+    return shortened("precision_sphere", few if fast else whole, fast=fast)
 
 
 def _sequence(
@@ -148,9 +142,9 @@ def measure(
     for draw in range(draws):
         with suppress(ReferenceFramesError):
             last = list(measured(chain, sequence.exposed(draw)))[-1]
-            errors[draw] = displacement_error(last.surface, truth.surface)
+            errors[draw] = last.surface.displacement - truth.surface.displacement
             score = score_markers(last.grids, truth.grids)
-            counts[draw] = score.visible, score.found, score.wrong
+            counts[draw] = score.visible, score.found_visible, score.wrong
     return {f"{method.key}_errors": errors, f"{method.key}_counts": counts}
 
 

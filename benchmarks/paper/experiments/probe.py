@@ -16,15 +16,14 @@ from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.figure_style import panels
-from paper.gel import Mechanics, mechanics_of
+from paper.gel import mechanics_of
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.readings import (
     DOTS,
     READINGS,
     BothPrints,
-    Course,
-    Reading,
+    Contact,
     name_of,
     true_displacement,
 )
@@ -65,16 +64,15 @@ class Neighbourhood:
         return np.asarray((np.abs(away) <= self.half + 1e-9).all(axis=1))
 
 
-def dents_of(surface: Surface, at_rest: Sequence[Surface], material: Surface) -> Dents:
-    """Depths of all known markers of a surface.
+def dents_of(contact: Contact, material: Surface) -> Dents:
+    """Depths of all known markers of a contact, against the gel at rest.
 
-    at_rest: as measured of the gel at rest; their mean is what depth is measured from.
     material: the exact markers at rest, whose x and y are the material coordinates.
     """
     depths, places = [], []
     for name in ("position", "row_position", "col_position"):
-        rest = np.mean([getattr(item, name)[..., 2] for item in at_rest], axis=0)
-        depths.append((rest - getattr(surface, name)[..., 2]).ravel())
+        rest, pressed = getattr(contact.rest, name), getattr(contact.pressed, name)
+        depths.append((rest - pressed)[..., 2].ravel())
         places.append(getattr(material, name)[..., :2].reshape(-1, 2))
     depth, xy = np.concatenate(depths), np.concatenate(places)
     known = np.isfinite(depth)
@@ -146,8 +144,8 @@ def run(lab: Lab, page: Page) -> None:
     if lab.fast:
         points = tuple((x, y) for x, y in points if x <= 0 and y <= 0)
     seeds = tuple(range(1 if lab.fast else 3))
-    parts = lab.compute(captured_at, [((point,), seeds) for point in points])
-    data = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    parts = lab.compute(captured_at, [(point, seeds) for point in points])
+    data = {name: np.array([part[name] for part in parts]) for name in parts[0]}
     deepest = 1e3 * data["true"]
     page.prose(
         "probe", "setup", pressed=1e3 * PRESSED, least=deepest.min(), most=deepest.max(),
@@ -168,47 +166,29 @@ def probe_points() -> tuple[tuple[float, float], ...]:
 
 
 def captured_at(
-    place: Workplace, points: Sequence[tuple[float, float]], seeds: Sequence[int]
-) -> dict[str, Array]:
-    """What every reading captures of the probe at these points.
+    place: Workplace, point: tuple[float, float], seeds: Sequence[int]
+) -> dict[str, Any]:
+    """What every reading captures of the probe at a point.
 
-    `points` (P, 2) m; `true` (P,) m, deepest place of the marker surface; `corner_xy` (P, n, 2) m;
-    by reading KEY, each (P, seeds) m: `KEY_depth` of the deepest marker, `KEY_square` and
+    `points` (2,) m; `true` m, deepest place of the marker surface; `corner_xy` (n, 2) m;
+    by reading KEY, each (seeds,) m: `KEY_depth` of the deepest marker, `KEY_square` and
     `KEY_nearest` of the quadratic through its neighbours.
     """
-    data: dict[str, list[Any]] = {}
-    prints: BothPrints | None = None
-    for point in points:
-        scene = point_scene(point)
-        if place.fast:
-            scene = replace(scene, contact_nodes=FAST_NODES)
-        mechanics = mechanics_of(scene, place)
-        prints = prints or BothPrints(scene.sensor)
-        for name, value in _row_at(point, mechanics, prints, seeds).items():
-            data.setdefault(name, []).append(value)
-    return {name: np.array(value) for name, value in data.items()}
-
-
-def _row_at(
-    point: tuple[float, float], mechanics: Mechanics, prints: BothPrints, seeds: Sequence[int]
-) -> dict[str, Any]:
-    """The row of `captured_at` for a point."""
-    pattern, rest = prints.sensor.pattern, prints.rest_surface
+    scene = point_scene(point)
+    if place.fast:
+        scene = replace(scene, contact_nodes=FAST_NODES)
+    mechanics, pattern = mechanics_of(scene, place), scene.sensor.pattern
+    prints = BothPrints(scene.sensor)
     frames = [n for n, phase in enumerate(mechanics.phase) if phase.startswith("press")]
-    last = frames[-1]
-    courses = list(prints.courses(mechanics, frames, seeds))
-    exact = Course("", 0, [rest], {last: prints.true_surface(mechanics, last)})
     data: dict[str, Any] = {
         "points": point,
-        "true": _true_depth(mechanics.surface(last, pattern), point),
+        "true": _true_depth(mechanics.surface(frames[-1], pattern), point),
         "corner_xy": pattern.corners()[..., :2].reshape(-1, 2),
     }
-    for reading in READINGS:
-        depths = [
-            _depths(reading, course, rest, point, pattern.pitch)
-            for course in reading.courses(courses, exact)
-        ]
-        data |= {f"{reading.key}_{name}": [d[name] for d in depths] for name in depths[0]}
+    for key, contacts in prints.contacts(mechanics, frames, seeds).items():
+        dents = (dents_of(contact, prints.rest) for contact in contacts)
+        depths = [_depths(each, point, pattern.pitch) for each in dents]
+        data |= {f"{key}_{name}": np.array([d[name] for d in depths]) for name in depths[0]}
     return data
 
 
@@ -235,15 +215,9 @@ def _true_depth(surface: DeformedSurface, point: tuple[float, float]) -> float:
     return float(depth.max())
 
 
-def _depths(
-    reading: Reading, course: Course, rest: Surface, point: tuple[float, float], pitch: float
-) -> Mapping[str, float]:
-    """Depths of the dent at a point in a course's last frame, m, by the way they are found.
-
-    rest: exact markers at rest.
-    """
-    pressed, at_rest = list(course.surfaces.values())[-1], map(reading.choose, course.rest)
-    dents, square = dents_of(reading.choose(pressed), list(at_rest), rest), Neighbourhood(pitch)
+def _depths(dents: Dents, point: tuple[float, float], pitch: float) -> Mapping[str, float]:
+    """Depths of the dent at a point, m, by the way they are found."""
+    square = Neighbourhood(pitch)
     depth, by_square = captured_depth(dents, point, REACH, square)
     _, by_nearest = captured_depth(dents, point, REACH, replace(square, nearest=NEAREST))
     return {"depth": depth, "square": by_square, "nearest": by_nearest}

@@ -17,7 +17,7 @@ from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.scenes.description import MoveBy, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import CMP, Chain, Method, score_markers
-from paper.dot_tracking import ALL_METHODS
+from paper.dot_trackers import ALL_METHODS
 from paper.figure_style import PAPER_COLOUR, legend, look, panels
 from paper.gel import mechanics_of
 from paper.lab import Arrays, Lab, Workplace
@@ -218,9 +218,8 @@ def _measured(
         score_markers(chain.measure(image).grids, truth.grids)
         for image, truth in zip(images[REST_FRAMES:], shots.truth, strict=True)
     ]
-    counts = ([getattr(s, name) for s in scores] for name in ("found", "wrong", "visible"))
-    found, wrong, visible = counts
-    return found, wrong, visible, referenced
+    found, wrong = [score.found_visible for score in scores], [score.wrong for score in scores]
+    return found, wrong, [score.visible for score in scores], referenced
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,11 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, legend, look, panels
-from paper.gel import Mechanics, mechanics_of
+from paper.gel import mechanics_of
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.readings import (
@@ -23,7 +22,6 @@ from paper.readings import (
     MEASURED,
     READINGS,
     BothPrints,
-    Course,
     DepthField,
     name_of,
     nodes_of,
@@ -69,8 +67,9 @@ def run(lab: Lab, page: Page) -> None:
     (spheres,) = lab.compute(five_spheres, [(seeds,)])
     layouts = range(1 if lab.fast else LAYOUTS)
     separations = FAST_SEPARATIONS if lab.fast else SEPARATIONS
-    cases = [(layout, (separation,), seeds) for layout in layouts for separation in separations]
-    pairs = joined_pairs(lab.compute(pairs_apart, cases))
+    cases = [(layout, separation, seeds) for layout in layouts for separation in separations]
+    parts = lab.compute(pairs_apart, cases)
+    pairs = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     page.prose("resolution", "setup")
     _sphere_table(spheres, page)
     page.figure(_draw_spheres(spheres), "resolution.spheres")
@@ -153,10 +152,9 @@ def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
     nodes = nodes_of(field.grid)
     true = true_displacement(mechanics.surface(last, pattern), nodes)
     distance = np.linalg.norm(nodes[None] - centres[:, None, None], axis=-1)
-    prints = BothPrints(scene.sensor)
     results = {"centres": centres, "nodes": nodes, "true": true}
-    for key, found in _by_reading(prints, mechanics, (frames, seeds)):
-        fields = np.array([field.displacement(surface) for surface in found])
+    for key, found in BothPrints(scene.sensor).contacts(mechanics, frames, seeds).items():
+        fields = np.array([field.displacement(contact.pressed) for contact in found])
         error = true[..., 2] - fields[..., 2]
         near = error[:, (distance < RADIUS).any(axis=0)]
         results |= {
@@ -171,37 +169,32 @@ def five_spheres(place: Workplace, seeds: Sequence[int]) -> dict[str, Array]:
 
 
 def pairs_apart(
-    place: Workplace, layout: int, separations: Sequence[float], seeds: Sequence[int]
+    place: Workplace, layout: int, separation: float, seeds: Sequence[int]
 ) -> dict[str, Array]:
-    """The dip between two spheres, by separation.
+    """The dip between two spheres, for each of the pairs of a layout.
 
-    `separation` (S,) m; `true` (S, 4), dip of the marker surface itself; by reading KEY
-    `KEY_dip` (S, 4, seeds).
+    `separation` (4,) m; `true` (4,), dip of the marker surface itself; by reading KEY
+    `KEY_dip` (4, seeds).
     """
-    results: dict[str, list[Array]] = {}
-    prints: BothPrints | None = None
-    for separation in separations:
-        scene = replace(pair_scene(layout, separation), contact_nodes=nodes_along(place))
-        mechanics, pattern = mechanics_of(scene, place), scene.sensor.pattern
-        prints = prints or BothPrints(scene.sensor)
-        field = DepthField(pattern, PAIR_SPACING)
-        lines = [
-            line_through(np.array(pair.middle), pair.angle, separation or ASSUMED)
-            for pair in pairs_of(layout, pattern.pitch)
+    scene = replace(pair_scene(layout, separation), contact_nodes=nodes_along(place))
+    mechanics, pattern = mechanics_of(scene, place), scene.sensor.pattern
+    field = DepthField(pattern, PAIR_SPACING)
+    lines = [
+        line_through(np.array(pair.middle), pair.angle, separation or ASSUMED)
+        for pair in pairs_of(layout, pattern.pitch)
+    ]
+    last = len(mechanics) - 1
+    moved = mechanics.surface(last, pattern)
+    dips = [dip_between(-true_displacement(moved, line)[..., 2]) for line in lines]
+    results = {"separation": np.full(len(lines), separation), TRUE: np.array(dips)}
+    frames = [*mechanics.frames("press").tolist(), last]
+    for key, found in BothPrints(scene.sensor).contacts(mechanics, frames, seeds).items():
+        depths = [field.depth(contact.pressed) for contact in found]
+        measured = [
+            [dip_between(sampled(field.grid, depth, line)) for depth in depths] for line in lines
         ]
-        last = len(mechanics) - 1
-        moved = mechanics.surface(last, pattern)
-        dips = [dip_between(-true_displacement(moved, line)[..., 2]) for line in lines]
-        results.setdefault("true", []).append(np.array(dips))
-        frames = [*mechanics.frames("press").tolist(), last]
-        for key, found in _by_reading(prints, mechanics, (frames, seeds)):
-            depths = [field.depth(surface) for surface in found]
-            measured = [
-                [dip_between(sampled(field.grid, depth, line)) for depth in depths]
-                for line in lines
-            ]
-            results.setdefault(f"{key}_dip", []).append(np.array(measured))
-    return {"separation": np.array(separations), **{k: np.array(v) for k, v in results.items()}}
+        results[f"{key}_dip"] = np.array(measured)
+    return results
 
 
 def pairs_of(layout: int, pitch: float) -> tuple[Pair, ...]:
@@ -239,36 +232,9 @@ def pair_scene(layout: int, separation: float) -> Scene:
     )
 
 
-def _by_reading(
-    prints: BothPrints, mechanics: Mechanics, course: tuple[Sequence[int], Sequence[int]]
-) -> Iterator[tuple[str, list[Surface]]]:
-    """Key and surfaces, one for each noise, of the last frame by reading; course: frames, seeds."""
-    frames, seeds = course
-    last = frames[-1]
-    courses = list(prints.courses(mechanics, frames, seeds))
-    exact = Course("", 0, [prints.rest_surface], {last: prints.true_surface(mechanics, last)})
-    for reading in READINGS:
-        found = [course.surfaces[last] for course in reading.courses(courses, exact)]
-        yield reading.key, [reading.choose(surface) for surface in found]
-
-
 def _deepest(displacement: Array, distance: Array) -> float:
     """Largest depth (rows, cols, 3) within a radius of a sphere, m; distance (rows, cols) m."""
     return float(np.nanmax(-displacement[distance < RADIUS][:, 2]))
-
-
-def joined_pairs(parts: Sequence[Arrays]) -> dict[str, Array]:
-    """Dips of all pairs: `separation` (n,) m, `true` (n,), by reading KEY `KEY_dip` (n, seeds)."""
-    at_once = parts[0][TRUE].shape[1]
-    joined = {
-        "separation": np.concatenate([np.repeat(part["separation"], at_once) for part in parts]),
-        TRUE: np.concatenate([part[TRUE].ravel() for part in parts]),
-    }
-    for reading in READINGS:
-        dips = [part[f"{reading.key}_dip"] for part in parts]
-        flat = [dip.reshape(-1, dip.shape[-1]) for dip in dips]
-        joined[f"{reading.key}_dip"] = np.concatenate(flat)
-    return joined
 
 
 def resolved(pairs: Arrays, key: str, dip: float, share: float = 1.0) -> tuple[float, float]:
@@ -307,7 +273,7 @@ def _pair_table(pairs: Arrays, page: Page) -> None:
 
 
 def claims(spheres: Arrays, pairs: Arrays, page: Page) -> None:
-    """Compare the paper's claims with the results of spheres and joined pairs."""
+    """Compare the paper's claims with the results of spheres and pairs."""
     near = {r.key: 1e6 * float(spheres[f"{r.key}_near"].mean()) for r in MEASURED}
     least = {r.key: float(spheres[f"{r.key}_share"].mean(axis=0).min()) for r in MEASURED}
     apart = {r.key: resolved(pairs, r.key, RAYLEIGH_DIP)[0] for r in MEASURED}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -13,15 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cmp_tactile_bringup.terminal.output import processor_name
-from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import Chain, Method
-from paper.dot_tracking import ALL_METHODS
-from paper.gel import mechanics_of
+from paper.dot_trackers import ALL_METHODS
+from paper.gel import mechanics_of, shortened
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
 from paper.sequence import Exposure, RenderedSequence
@@ -54,7 +48,7 @@ def measure_speed(place: Workplace, name: str, frames: int, passes: int) -> dict
     every pass each frame is given to all methods, one after another.  PLAIN has extraction alone;
     plain_found: dots that it finds in a view.
     """
-    scene = _scene(name, frames, fast=place.fast)
+    scene = shortened(name, {"rest": 1, "press": frames}, fast=place.fast)
     mechanics = mechanics_of(scene, place)
     pressed = mechanics.frames("press")
     surfaces = [mechanics.surface(int(k), scene.sensor.pattern) for k in pressed]
@@ -101,61 +95,40 @@ def find_plainly(view: Image, earlier: Points) -> Points:
     return np.asarray(found[nearest])
 
 
-def _scene(name: str, frames: int, *, fast: bool) -> Scene:
-    scene = load_scene(name)
-    few = {"rest": 1, "press": frames}
-    phases = (phase for phase in scene.motion if phase.name in few)
-    motion = tuple(replace(phase, frames=few[phase.name]) for phase in phases)
-    return replace(scene, motion=motion, contact_nodes=24 if fast else scene.contact_nodes)
-
-
 class _Clocked:
-    """Times the tracker of a method and its whole chain."""
+    """Times the tracker of a method and its whole chain, each in a chain that follows by itself."""
 
     def __init__(self, sensor: SensorDescription, method: Method, shown: Exposure) -> None:
         self._frames = shown.frames
-        self._chain = Chain(sensor, method, with_force=True)
-        self._chain.set_reference(shown.rest)
-        sensor = method.settings(sensor)
-        self._views = StereoRig(sensor).views
-        first = shown.rest[0]
-        none = np.empty((0, 2))
-        self._plain = {name: find_plainly(self._view(first, name), none) for name in self._views}
+        self._tracking, self._chain = (
+            Chain(sensor, method, with_force=with_force) for with_force in (False, True)
+        )
+        for chain in (self._tracking, self._chain):
+            chain.set_reference(shown.rest)
+        self._plain = {name: np.empty((0, 2)) for name in sensor.views}
+        self._find_plainly(shown.rest[0])
         self.plain_found = [len(found) for found in self._plain.values()]
-        self._trackers = {name: method.tracker(sensor, name) for name in self._views}
-        for name, tracker in self._trackers.items():
-            tracker.learn([self._view(image, name) for image in shown.rest])
 
     def reset(self) -> None:
         """Begin with the first frame again."""
+        self._tracking.reset()
         self._chain.reset()
-        for tracker in self._trackers.values():
-            tracker.reset()
 
     def plain_ms(self, frame: int) -> float:
         """Both views cut out and their dots found plainly."""
-        return _ms(lambda: [self._plainly(frame, name) for name in self._views])
+        return _ms(lambda: self._find_plainly(self._frames[frame]))
 
     def extraction_ms(self, frame: int) -> float:
         """Both views cut out and tracked."""
-        return _ms(lambda: [self._track(frame, name) for name in self._trackers])
+        return _ms(lambda: self._tracking.track(self._frames[frame]))
 
     def chain_ms(self, frame: int) -> float:
         """From the frame to the force."""
         return _ms(lambda: self._chain.measure(self._frames[frame]))
 
-    def _track(self, frame: int, name: str) -> Grid:
-        return self._trackers[name].track(self._view(self._frames[frame], name))
-
-    def _plainly(self, frame: int, name: str) -> Points:
-        view = self._view(self._frames[frame], name)
-        self._plain[name] = find_plainly(view, self._plain[name])
-        return self._plain[name]
-
-    def _view(self, image: Image, name: str) -> Image:
-        placement = self._views[name].placement
-        room = np.empty((placement.height, placement.width), np.uint8)
-        return split_frame(image, placement, room)
+    def _find_plainly(self, image: Image) -> None:
+        for name, view in self._tracking.views(image).items():
+            self._plain[name] = find_plainly(view, self._plain[name])
 
 
 def _ms(work: Callable[[], object]) -> float:
