@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,12 +27,10 @@ from hard_frames.deformation import (
     SHIFTED,
     Deformation,
     Zone,
-    deformation_of,
     jump,
 )
-from hard_frames.studio import PatternCase, PatternFrame, pattern_rig
+from hard_frames.studio import PatternCase, PatternFrame, bent, pattern_rig
 
-CLEAN = CameraSettings()
 GREY_MARGIN = 125.0
 # Lengths over which flaws of a worn print are alike, and the mean radius of its blobs, m.
 RAGGED_LENGTH, BLOB_RADIUS = 2.2e-4, 1.2e-4
@@ -53,52 +52,39 @@ KNOCKED = ("knock", "slide", "press", "twist")
 Cases = list[PatternCase]
 
 
-def _bent(sensor: SensorDescription, name: str, kind: str, seed: int) -> PatternCase:
-    zones = deformation_of(kind, sensor.pattern, seed)
-    return PatternCase(f"{name} {kind} {seed}", sensor, zones, seed=seed)
-
-
 def _clean(sensor: SensorDescription, seed: int) -> Cases:
-    return [_bent(sensor, "clean", kind, seed) for kind in DEFORMATIONS if kind != "spheres"]
+    return [bent(sensor, kind, seed) for kind in DEFORMATIONS if kind != "spheres"]
 
 
 def _spheres(sensor: SensorDescription, seed: int) -> Cases:
-    return [_bent(sensor, "clean", "spheres", seed)]
+    return [bent(sensor, "spheres", seed)]
 
 
-def _seen_by(camera: CameraSettings) -> Callable[[SensorDescription, int], Cases]:
+def _with(**changes: Any) -> Callable[[SensorDescription, int], Cases]:
+    """A gel at rest and a knocked one, with these fields changed."""
+
     def cases(sensor: SensorDescription, seed: int) -> Cases:
-        return [
-            replace(_bent(sensor, "seen", kind, seed), camera=camera)
-            for kind in ("rest", KNOCKED[seed % len(KNOCKED)])
-        ]
+        kinds = "rest", KNOCKED[seed % len(KNOCKED)]
+        return [bent(sensor, kind, seed, **changes) for kind in kinds]
 
     return cases
 
 
-def _printed(defects: PrintDefects) -> Callable[[SensorDescription, int], Cases]:
-    def cases(sensor: SensorDescription, seed: int) -> Cases:
-        return [
-            replace(_bent(sensor, "printed", kind, seed), defects=defects)
-            for kind in ("rest", KNOCKED[seed % len(KNOCKED)])
-        ]
-
-    return cases
+def _seen_by(**camera: float) -> Callable[[SensorDescription, int], Cases]:
+    return _with(camera=CameraSettings(**camera))  # type: ignore[arg-type]
 
 
 def _cluttered(sensor: SensorDescription, seed: int) -> Cases:
     scenery = Scenery(parts=14, lamps=3)
     return [
-        replace(_bent(sensor, "cluttered", kind, seed), scenery=scenery, margin=margin)
+        bent(sensor, kind, seed, scenery=scenery, margin=margin)
         for kind, margin in (("slide", 205.0), ("press", GREY_MARGIN), ("knock", 60.0))
     ]
 
 
 def _dirty(sensor: SensorDescription, seed: int) -> Cases:
     camera = CameraSettings(clutter=12, glare_spots=2, glare_size=5.0, glare_strength=300.0)
-    return [
-        replace(_bent(sensor, "dirty", kind, seed), camera=camera) for kind in ("slide", "bumps")
-    ]
+    return [bent(sensor, kind, seed, camera=camera) for kind in ("slide", "bumps")]
 
 
 def _hidden(sensor: SensorDescription, seed: int) -> Cases:
@@ -109,8 +95,8 @@ def _hidden(sensor: SensorDescription, seed: int) -> Cases:
         texture = TEXTURE if rng.random() < 0.5 else 0.0
         cover = Cover(shape, COVER_SHARES.get(shape, 1 / 3), grey, texture)
         kind = ("rest", "press", "slide", "twist")[(seed + number) % 4]
-        case = _bent(sensor, f"hidden {shape} {grey:g}/{texture:g}", kind, seed)
-        cases.append(replace(case, cover=cover))
+        name = f"hidden {shape} {grey:g}/{texture:g} {kind} {seed}"
+        cases.append(bent(sensor, kind, seed, name=name, cover=cover))
     return cases
 
 
@@ -119,9 +105,8 @@ def _all_at_once(sensor: SensorDescription, seed: int) -> Cases:
         blur=1.3, read_noise=3.0, light_ratio=2.5, vignette=0.4, salt_and_pepper=2e-3, clutter=5
     )
     defects = PrintDefects(20, 10, BLOB_RADIUS, 1.5e-5, RAGGED_LENGTH)
-    case = _bent(sensor, "all at once", KNOCKED[seed % len(KNOCKED)], seed)
-    scenery = Scenery(parts=10, lamps=2)
-    return [replace(case, camera=camera, defects=defects, scenery=scenery)]
+    kind, scenery = KNOCKED[seed % len(KNOCKED)], Scenery(parts=10, lamps=2)
+    return [bent(sensor, kind, seed, camera=camera, defects=defects, scenery=scenery)]
 
 
 def _other_rigs(sensor: SensorDescription, seed: int) -> Cases:  # noqa: ARG001
@@ -129,30 +114,30 @@ def _other_rigs(sensor: SensorDescription, seed: int) -> Cases:  # noqa: ARG001
     for number, (rows, cols, corner, surface) in enumerate(RIGS):
         rig = pattern_rig(rows, cols, corner_checker=corner, surface=surface)
         kind = ("slide", "press", "twist")[(seed + number) % 3]
-        name = f"{rows} x {cols} {corner} {surface.type}"
-        cases.append(_bent(rig, name, kind, seed))
+        name = f"{rows} x {cols} {corner} {surface.type} {kind} {seed}"
+        cases.append(bent(rig, kind, seed, name=name))
     return cases
 
 
 CASE_KINDS: dict[str, Callable[[SensorDescription, int], Cases]] = {
     "clean": _clean,
     "small spheres": _spheres,
-    "blur 2": _seen_by(replace(CLEAN, blur=2.0)),
-    "blur 3": _seen_by(replace(CLEAN, blur=3.0)),
-    "blur 4": _seen_by(replace(CLEAN, blur=4.0)),
-    "noise 4": _seen_by(replace(CLEAN, read_noise=4.0)),
-    "noise 8": _seen_by(replace(CLEAN, read_noise=8.0)),
-    "noise 16": _seen_by(replace(CLEAN, read_noise=16.0)),
-    "salt and pepper 1 %": _seen_by(replace(CLEAN, salt_and_pepper=0.01)),
-    "salt and pepper 10 %": _seen_by(replace(CLEAN, salt_and_pepper=0.1)),
-    "light 0.35": _seen_by(replace(CLEAN, light_ratio=1 / 0.35, vignette=0.4)),
-    "light 0.2": _seen_by(replace(CLEAN, light_ratio=5.0, vignette=0.4)),
-    "low contrast": _seen_by(replace(CLEAN, light_level=85.0, dark_level=55.0)),
-    "dark": _seen_by(replace(CLEAN, light_level=40.0, dark_level=9.0)),
-    "missing ink 40": _printed(PrintDefects(40, 0, BLOB_RADIUS)),
-    "blobs 40": _printed(PrintDefects(20, 20, BLOB_RADIUS)),
-    "ragged 0.015 mm": _printed(PrintDefects(0, 0, BLOB_RADIUS, 1.5e-5, RAGGED_LENGTH)),
-    "ragged 0.06 mm": _printed(PrintDefects(0, 0, BLOB_RADIUS, 6e-5, RAGGED_LENGTH)),
+    "blur 2": _seen_by(blur=2.0),
+    "blur 3": _seen_by(blur=3.0),
+    "blur 4": _seen_by(blur=4.0),
+    "noise 4": _seen_by(read_noise=4.0),
+    "noise 8": _seen_by(read_noise=8.0),
+    "noise 16": _seen_by(read_noise=16.0),
+    "salt and pepper 1 %": _seen_by(salt_and_pepper=0.01),
+    "salt and pepper 10 %": _seen_by(salt_and_pepper=0.1),
+    "light 0.35": _seen_by(light_ratio=1 / 0.35, vignette=0.4),
+    "light 0.2": _seen_by(light_ratio=5.0, vignette=0.4),
+    "low contrast": _seen_by(light_level=85.0, dark_level=55.0),
+    "dark": _seen_by(light_level=40.0, dark_level=9.0),
+    "missing ink 40": _with(defects=PrintDefects(40, 0, BLOB_RADIUS)),
+    "blobs 40": _with(defects=PrintDefects(20, 20, BLOB_RADIUS)),
+    "ragged 0.015 mm": _with(defects=PrintDefects(0, 0, BLOB_RADIUS, 1.5e-5, RAGGED_LENGTH)),
+    "ragged 0.06 mm": _with(defects=PrintDefects(0, 0, BLOB_RADIUS, 6e-5, RAGGED_LENGTH)),
     "clutter, glare, margin": _cluttered,
     "dirt on the optics": _dirty,
     "hidden": _hidden,
@@ -176,8 +161,8 @@ def flawed_pairs(sensor: SensorDescription, seed: int = 0) -> list[tuple[Pattern
     )
     return [
         (
-            replace(_bent(sensor, "flawed", "rest", seed), camera=camera, defects=defects),
-            replace(_bent(sensor, "flawed", kind, seed), camera=camera, defects=defects, frame=1),
+            bent(sensor, "rest", seed, camera=camera, defects=defects),
+            bent(sensor, kind, seed, camera=camera, defects=defects, frame=1),
         )
         for kind, defects in zip(("slide", "slide", "press"), prints, strict=True)
     ]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from cmp_tactile_simulation.rendering.ink import LIGHT_GREY, Checkerboard, Print
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from hard_frames.covers import Cover, Scenery, cover_views, far_corners, pixels_of
-from hard_frames.deformation import EXTENT, Deformation, deform
+from hard_frames.deformation import EXTENT, Deformation, deform, deformation_of
 
 # A corner in the middle of so many pixels that are all white shows nothing.
 BLOWN_OUT_PX, WHITE = 5, 254
@@ -75,6 +76,12 @@ class PatternCase:
     cover: Cover | None = None
     seed: int = 0
     frame: int = 0
+
+
+def bent(sensor: SensorDescription, kind: str, seed: int = 0, **changes: Any) -> PatternCase:
+    """A case with a deformation of that kind, named after it; changes: of the other fields."""
+    zones = deformation_of(kind, sensor.pattern, seed)
+    return replace(PatternCase(f"{kind} {seed}", sensor, zones, seed=seed), **changes)
 
 
 @dataclass(frozen=True)

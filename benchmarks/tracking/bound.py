@@ -28,7 +28,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
-from hard_frames.library import CLEAN, cases_of
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from hard_frames.library import cases_of
 from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
 
 SENSOR = "sample_rig"
@@ -134,7 +135,7 @@ def _variance(slope: Array, noise: float) -> float:
 
 def _seen(**camera: float) -> Callable[[SensorDescription, int], list[PatternCase]]:
     def cases(sensor: SensorDescription, seed: int) -> list[PatternCase]:
-        seen = replace(CLEAN, **camera)
+        seen = CameraSettings(**camera)
         return [replace(case, camera=seen) for case in cases_of("clean", sensor, seed)]
 
     return cases

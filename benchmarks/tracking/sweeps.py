@@ -14,10 +14,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from hard_frames.covers import Cover
-from hard_frames.deformation import deformation_of, jump
+from hard_frames.deformation import jump
 from hard_frames.grid_score import join_scores
 from hard_frames.library import BLOB_RADIUS, RAGGED_LENGTH
-from hard_frames.studio import PatternCase, PatternFrame, PatternStudio, pattern_rig
+from hard_frames.studio import PatternCase, PatternFrame, PatternStudio, bent, pattern_rig
 
 KINDS = ("slide", "press", "twist")
 SIDES = ("left", "top", "right", "bottom")
@@ -60,19 +60,13 @@ class Point:
     ms: float
 
 
-def _bent(sensor: SensorDescription, kind: str) -> PatternCase:
-    return PatternCase(kind, sensor, deformation_of(kind, sensor.pattern))
-
-
 def _camera(make: Callable[[float], CameraSettings]) -> Make:
-    return lambda sensor, level: [
-        replace(_bent(sensor, kind), camera=make(level)) for kind in KINDS
-    ]
+    return lambda sensor, level: [bent(sensor, kind, camera=make(level)) for kind in KINDS]
 
 
 def _printed(make: Callable[[float], PrintDefects]) -> Make:
     return lambda sensor, level: [
-        replace(_bent(sensor, kind), defects=make(level), seed=seed, frame=number)
+        replace(bent(sensor, kind), defects=make(level), seed=seed, frame=number)
         for seed in range(2)
         for number, kind in enumerate(("rest", KINDS[seed]))
     ]
@@ -80,7 +74,7 @@ def _printed(make: Callable[[float], PrintDefects]) -> Make:
 
 def _hidden(sensor: SensorDescription, level: float) -> list[PatternCase]:
     return [
-        replace(_bent(sensor, KINDS[number % 3]), cover=Cover(side, level) if level else None)
+        bent(sensor, KINDS[number % 3], cover=Cover(side, level) if level else None)
         for number, side in enumerate(SIDES)
     ]
 
@@ -95,7 +89,7 @@ def _jumps(sensor: SensorDescription, level: float) -> list[PatternCase]:
 
 def _sizes(sensor: SensorDescription, level: float) -> list[PatternCase]:  # noqa: ARG001
     rig = pattern_rig(int(level), int(level))
-    return [_bent(rig, kind) for kind in KINDS[:2]]
+    return [bent(rig, kind) for kind in KINDS[:2]]
 
 
 SWEEPS = (
