@@ -179,6 +179,12 @@ def far_corners(
     return np.asarray(far & (distance[y, x] >= cells * side))
 
 
+def far_from_edge(corners: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which corners (rows, cols, 2) px lie FAR_CELLS checkers within a view of (height, width)."""
+    beyond = np.pad(np.zeros(size, np.bool_), 1, constant_values=True)
+    return far_corners(corners + 1, beyond)
+
+
 def pixels_of(
     corners: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

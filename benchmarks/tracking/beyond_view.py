@@ -29,10 +29,10 @@ from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
-from hard_frames.covers import COVERS, Cover, far_corners
+from hard_frames.covers import COVERS, Cover, far_from_edge
 from hard_frames.deformation import Deformation, Zone, deformation_of
 from hard_frames.grid_score import WRONG_SHARE
-from hard_frames.studio import PatternCase, PatternFrame, PatternStudio
+from hard_frames.studio import PatternCase, PatternStudio
 
 # Of the corners along each side of a recording's pattern such shares are numbered.
 NUMBERED = (0.4, 0.6, 0.8)
@@ -190,18 +190,11 @@ def rendered(studio: PatternStudio, sensor: SensorDescription) -> Iterator[tuple
             views.reset()
             list(views.track(rest))
             for view, grid, seconds in views.track(frame.image):
-                corners = frame.truth[view].corners
-                count.add(grid, corners, _far(frame, view), seconds)
+                truth = frame.truth[view]
+                size = truth.placement.height, truth.placement.width
+                far = frame.far[view] & far_from_edge(truth.corners, size)
+                count.add(grid, truth.corners, far, seconds)
         yield f"sheet {dots} dots, {name}", count
-
-
-def _far(frame: PatternFrame, view: str) -> NDArray[np.bool_]:
-    """Corners two checkers from what is covered and from the view's edge."""
-    truth = frame.truth[view]
-    place = truth.placement
-    beyond = np.ones((place.height + 2, place.width + 2), np.bool_)
-    beyond[1:-1, 1:-1] = False
-    return frame.far[view] & far_corners(truth.corners + 1, beyond)
 
 
 def main() -> None:

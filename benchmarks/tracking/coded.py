@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from time import process_time
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import cv2
 import numpy as np
+from detectors import Ours, run_frames
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
@@ -27,12 +27,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription, load_se
 from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.sensor.parts import FEWEST_CODED
 from cmp_tactile_processing.tracking.dots.decoder import DotDecoder
-from cmp_tactile_processing.tracking.tracker import GridTracker
-from hard_frames.covers import COVERS, Cover, far_corners
-from hard_frames.deformation import deformation_of
-from hard_frames.grid_score import GridScore, join_scores, score_grid
-from hard_frames.library import CASE_KINDS, cases_of
-from hard_frames.studio import PatternCase, PatternFrame, PatternStudio, pattern_rig
+from hard_frames.covers import COVERS, Cover, far_from_edge
+from hard_frames.grid_score import GridScore, join_scores
+from hard_frames.library import CASE_KINDS, COVER_GREYS, cases_of
+from hard_frames.studio import PatternFrame, PatternStudio, bent, pattern_rig
 
 SHARES = (0.2, 0.4, 0.6, 0.8)
 # In checkers, to the right and down.
@@ -51,52 +49,27 @@ def coded(sensor: SensorDescription, code: str = "dots") -> SensorDescription:
     return replace(sensor, pattern=replace(pattern, code="none" if small else code))
 
 
-class Views:
-    """Tracks the views of frames, each by itself; keeps trackers."""
+def shifted(frame: PatternFrame, moved: tuple[float, float]) -> PatternFrame:
+    """Each view shifted by whole px within its part of the frame; what comes in is grey.
 
-    def __init__(self) -> None:
-        self._trackers: dict[int, tuple[SensorDescription, dict[str, GridTracker]]] = {}
-        self.seconds: list[float] = []
-
-    def score(self, frame: PatternFrame, moved: tuple[float, float] = (0.0, 0.0)) -> GridScore:
-        """Of both views together; moved: by how much the image is shifted, px."""
-        return join_scores(self._one(frame, view, moved) for view in frame.truth)
-
-    def _one(self, frame: PatternFrame, view: str, moved: tuple[float, float]) -> GridScore:
-        truth, place = frame.truth[view], frame.truth[view].placement
-        image = frame.image[place.y : place.y + place.height, place.x : place.x + place.width]
-        image = np.ascontiguousarray(image[:, ::-1] if place.flipped else image)
-        far, visible = frame.far[view], frame.visible[view]
-        if any(moved):
-            image, truth, inside = _shifted(image, truth, moved)
-            visible = visible & inside
-            around = np.ones((image.shape[0] + 2, image.shape[1] + 2), bool)
-            around[1:-1, 1:-1] = False
-            held = np.clip(truth.corners, 0, np.array(image.shape[::-1]) - 1)
-            far = far & visible & far_corners(held + 1, around)
-        tracker = self._tracker(frame.sensor, view)
-        tracker.reset()
-        began = process_time()
-        grid = tracker.track(image)
-        self.seconds.append(process_time() - began)
-        return score_grid(grid, truth, visible, far)
-
-    def _tracker(self, sensor: SensorDescription, view: str) -> GridTracker:
-        known = self._trackers.setdefault(id(sensor), (sensor, {}))[1]
-        if view not in known:
-            known[view] = GridTracker(sensor, view)
-        return known[view]
-
-
-def _shifted(image, truth, moved):  # noqa: ANN001, ANN202 - three of a kind in, three out
-    """The image shifted by px, the truth with it, and which corners are still in it."""
-    shift = np.array([[1.0, 0.0, moved[0]], [0.0, 1.0, moved[1]]])
-    size = image.shape[1], image.shape[0]
-    image = cv2.warpAffine(image, shift, size, flags=cv2.INTER_NEAREST, borderValue=BEHIND)
-    corners = truth.corners + moved
-    inside = ((corners >= 0) & (corners <= np.array(size) - 1)).all(axis=-1)
-    lines = [np.full_like(points, np.nan) for points in (truth.row_lines, truth.col_lines)]
-    return image, replace(truth, corners=corners, row_lines=lines[0], col_lines=lines[1]), inside
+    Virtual markers are not known then.
+    """
+    image, truth, visible, far = frame.image.copy(), {}, {}, {}
+    for view, grid in frame.truth.items():
+        place = grid.placement
+        part = image[place.y : place.y + place.height, place.x : place.x + place.width]
+        size = place.width, place.height
+        way = np.array([[1.0, 0.0, -moved[0] if place.flipped else moved[0]], [0.0, 1.0, moved[1]]])
+        part[:] = cv2.warpAffine(part, way, size, flags=cv2.INTER_NEAREST, borderValue=BEHIND)
+        corners = grid.corners + moved
+        lines = {
+            name: np.full_like(getattr(grid, name), np.nan) for name in ("row_lines", "col_lines")
+        }
+        truth[view] = replace(grid, corners=corners, **lines)
+        inside = ((corners >= 0) & (corners <= np.array(size) - 1)).all(axis=-1)
+        visible[view] = frame.visible[view] & inside
+        far[view] = frame.far[view] & visible[view] & far_from_edge(corners, size[::-1])
+    return replace(frame, image=image, truth=truth, visible=visible, far=far)
 
 
 def row(name: str, score: GridScore) -> None:
@@ -113,7 +86,7 @@ def head(title: str) -> None:
     print(f"\n{title:30s} | views | far corners numbered | visible corners numbered | wrong")
 
 
-def pieces() -> None:
+def pieces(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:  # noqa: ARG001
     """Pieces of sheets with misread dots: how many are certain of their place, and wrong."""
     print("\npieces of the sheet, by misread dots: share with numbers (wrong numbers of 500)")
     for size in (21, 42, 61):
@@ -149,52 +122,49 @@ def _placed(
     return right, wrong
 
 
-def occlusions(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None:
+def occlusions(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """Covers of all shapes and shares."""
     head("hidden share of the pattern")
     for share in SHARES:
-        scores = []
-        for number, shape in enumerate(COVERS):
-            for kind in ("rest", "slide"):
-                cover = Cover(shape, share, (15.0, 110.0, 200.0)[number % 3])
-                zones = deformation_of(kind, sensor.pattern, number)
-                case = PatternCase("hidden", sensor, zones, cover=cover, seed=number)
-                scores.append(views.score(studio.photograph(case)))
-        row(f"{share:.0%}", join_scores(scores))
+        frames = [
+            studio.photograph(
+                bent(sensor, kind, number, cover=Cover(shape, share, COVER_GREYS[number % 3]))
+            )
+            for number, shape in enumerate(COVERS)
+            for kind in ("rest", "slide")
+        ]
+        row(f"{share:.0%}", run_frames(tracker, frames).score)
 
 
-def slides(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None:
+def slides(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """Images that are shifted by whole checkers and parts of one, border out of view or not."""
     head("slide, checkers")
     side = float(np.median(np.concatenate(list(checker_sides_px(sensor).values()))))
+    still = [studio.photograph(bent(sensor, kind)) for kind in ("rest", "twist")]
     for slide in SLIDES:
-        scores = []
-        for kind in ("rest", "twist"):
-            frame = studio.photograph(
-                PatternCase("slid", sensor, deformation_of(kind, sensor.pattern))
-            )
-            for part in (0.0, 0.4):
-                moved = tuple(float(round((value + part) * side)) for value in slide)
-                scores.append(views.score(frame, moved))
-        row(f"{slide[0]}, {slide[1]}", join_scores(scores))
+        frames = [
+            shifted(frame, tuple(float(round((value + part) * side)) for value in slide))
+            for frame in still
+            for part in (0.0, 0.4)
+        ]
+        row(f"{slide[0]}, {slide[1]}", run_frames(tracker, frames).score)
 
 
-def hard(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None:
+def hard(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """All kinds of hard frames of the extraction benchmark."""
     head("hard frames")
     for kind in CASE_KINDS:
         scores = []
         for case in cases_of(kind, sensor):
             try:
-                found = views.score(studio.photograph(replace(case, sensor=coded(case.sensor))))
+                frame = studio.photograph(replace(case, sensor=coded(case.sensor)))
+                scores.append(run_frames(tracker, [frame]).score)
             except GeometryError as error:
                 print(f"{case.name}: {error}")
-                continue
-            scores.append(found)
         row(kind, join_scores(scores))
 
 
-def exactness(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None:  # noqa: ARG001
+def exactness(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:  # noqa: ARG001
     """Corners and virtual markers with and without dots, by the size of checkers."""
     print("\nsmallest checker, px | corner rms px, without and with dots | virtual marker rms px")
     for count in SIDES:
@@ -203,12 +173,12 @@ def exactness(studio: PatternStudio, views: Views, sensor: SensorDescription) ->
         found = []
         for code in ("none", "dots"):
             made = coded(rig, code)
-            cases = [
-                PatternCase(kind, made, deformation_of(kind, made.pattern, seed), seed=seed)
+            frames = [
+                studio.photograph(bent(made, kind, seed))
                 for kind in ("rest", "press", "slide", "twist", "knock")
                 for seed in range(2)
             ]
-            found.append(join_scores(views.score(studio.photograph(case)) for case in cases))
+            found.append(run_frames(tracker, frames).score)
         plain, dotted = found
         print(
             f"{side:20.1f} | {plain.corner_rmse:.4f}, {dotted.corner_rmse:.4f} "
@@ -219,22 +189,21 @@ def exactness(studio: PatternStudio, views: Views, sensor: SensorDescription) ->
         )
 
 
-def speed(studio: PatternStudio, views: Views, sensor: SensorDescription) -> None:
+def speed(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """Processor time of detecting a view with and without dots, in turns."""
-    seconds: dict[str, list[float]] = {"none": [], "dots": []}
     frames = {
-        code: studio.photograph(PatternCase("at rest", coded(sensor, code))) for code in seconds
+        code: studio.photograph(bent(coded(sensor, code), "rest")) for code in ("none", "dots")
     }
+    seconds: dict[str, list[float]] = {code: [] for code in frames}
     for _ in range(40):
         for code, frame in frames.items():
-            views.seconds.clear()
-            views.score(frame)
-            seconds[code] += views.seconds
+            seconds[code] += run_frames(tracker, [frame]).seconds
     found = {code: 1e3 * float(np.median(values)) for code, values in seconds.items()}
     print(f"\ndetecting a view: {found['none']:.1f} ms without dots, {found['dots']:.1f} ms with")
 
 
-PARTS: dict[str, Callable[[PatternStudio, Views, SensorDescription], None]] = {
+PARTS: dict[str, Callable[[PatternStudio, Ours, SensorDescription], None]] = {
+    "pieces": pieces,
     "occlusions": occlusions,
     "slides": slides,
     "hard": hard,
@@ -243,29 +212,19 @@ PARTS: dict[str, Callable[[PatternStudio, Views, SensorDescription], None]] = {
 }
 
 
-def chosen_parts(names: list[str]) -> Iterator[str]:
-    """The parts to run, in order."""
-    return (name for name in ("pieces", *PARTS) if not names or name in names)
-
-
-def main() -> int:
+def main() -> None:
     """Measure the parts that are asked for."""
     given = argparse.ArgumentParser(description=__doc__)
     given.add_argument(
-        "parts", nargs="*", metavar="PART", help=f"run only these: pieces, {', '.join(PARTS)}"
+        "--only", nargs="+", choices=PARTS, default=PARTS, help="run only these parts"
     )
-    asked = given.parse_args().parts
-    if unknown := set(asked) - {"pieces", *PARTS}:
-        given.error(f"found {', '.join(sorted(unknown))}, expected pieces, {', '.join(PARTS)}")
+    asked = given.parse_args().only
     cv2.setNumThreads(1)
-    studio, views, sensor = PatternStudio(), Views(), coded(load_sensor("sample_rig"))
-    for name in chosen_parts(asked):
-        if name == "pieces":
-            pieces()
-        else:
-            PARTS[name](studio, views, sensor)
-    return 0
+    studio, tracker, sensor = PatternStudio(), Ours("cmp_tactile"), coded(load_sensor("sample_rig"))
+    for name, measure in PARTS.items():
+        if name in asked:
+            measure(studio, tracker, sensor)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
