@@ -158,9 +158,10 @@ def hard(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> Non
         for case in cases_of(kind, sensor):
             try:
                 frame = studio.photograph(replace(case, sensor=coded(case.sensor)))
-                scores.append(run_frames(tracker, [frame]).score)
             except GeometryError as error:
                 print(f"{case.name}: {error}")
+                continue
+            scores.append(run_frames(tracker, [frame]).score)
         row(kind, join_scores(scores))
 
 

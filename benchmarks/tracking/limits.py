@@ -97,6 +97,11 @@ class LimitRun:
             raise FrameError(msg)
         return load_sample(self.sensor, self.samples, name)
 
+    def _samples(self, kind: str) -> list[PatternFrame]:
+        """The sample frames of a subfolder; none where no folder is given."""
+        names = sample_names(self.samples, kind) if self.samples else []
+        return [self._sample(name) for name in names]
+
     def _frames(self, kind: str) -> list[PatternFrame]:
         return [
             self._studio.photograph(case)
@@ -118,8 +123,7 @@ class LimitRun:
             yield _complete(kind, score)
         if self.samples is None:
             return
-        stills = [self._sample(name) for name in sample_names(self.samples, "still")]
-        yield _complete("sample stills", self._run(stills))
+        yield _complete("sample stills", self._run(self._samples("still")))
         for name, camera in SAMPLE_CAMERAS.items():
             frames = [degrade(self._sample(f"still/{still}"), camera) for still in SAMPLE_STILLS]
             yield _complete(f"sample stills, {name}", self._run(frames))
@@ -133,9 +137,8 @@ class LimitRun:
                 for case in sequence_of(kind, self.sensor, seed)
             ]
             yield self._followed(kind, following, frames)
-        if self.samples is not None:
-            frames = [self._sample(name) for name in sample_names(self.samples, "grasp")]
-            yield self._followed("sample grasp", following, frames)
+        if grasp := self._samples("grasp"):
+            yield self._followed("sample grasp", following, grasp)
 
     def _followed(self, name: str, following: Ours, frames: Sequence[PatternFrame]) -> Limit:
         score = join_scores(part.score for part in run_sequence(following, frames))
@@ -167,12 +170,8 @@ class LimitRun:
             yield _below("corners max, sample stills, px", clean.corner_max, 0.08)
 
     def _virtual(self) -> Iterable[Limit]:
-        scores = {
-            kind: self._by_kind[name]
-            for kind, name in (("clean", "clean"), ("small spheres", "small spheres"))
-        }
-        scores["blur 2"] = self._by_kind["blur 2"]
         most = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.03}
+        scores = {kind: self._by_kind[kind] for kind in most}
         if self.samples is not None:
             stills = [self._sample(f"still/{name}") for name in SAMPLE_STILLS]
             scores["sample stills"] = self._run(stills[:-1])
@@ -218,19 +217,12 @@ class LimitRun:
         yield _below(f"bad input ({count} views): with any corner", guessed, 0, "{:.0f}")
         yield _below(f"bad input ({count} views): without a fault", unnamed, 0, "{:.0f}")
 
-    def broken(self, kinds: Sequence[str] = tuple(BROKEN_KINDS)) -> Iterable[Limit]:
-        """A row for each kind of broken frames."""
+    def _broken(self) -> Iterable[Limit]:
         tracking = replace(self.sensor.tracking, detector=self.detector)
         sensor = replace(self.sensor, tracking=tracking)
-        frames = [
-            frame for kind in ("clean", "clutter, glare, margin") for frame in self._frames(kind)
-        ]
-        if self.samples is not None:
-            names = [
-                name for kind in ("still", "grasp") for name in sample_names(self.samples, kind)
-            ]
-            frames += [self._sample(name) for name in names]
-        for kind in kinds:
+        frames = [*self._frames("clean"), *self._frames("clutter, glare, margin")]
+        frames += [*self._samples("still"), *self._samples("grasp")]
+        for kind in BROKEN_KINDS:
             score = run_broken(kind, frames, sensor, seed=self.seeds[0])
             measured = (
                 f"{score.silent} of {score.trials} frames, {score.wrong} corners "
@@ -238,9 +230,6 @@ class LimitRun:
             )
             yield Limit(f"{kind}: silently misnumbered", "<= 0", measured, score.silent == 0)
             yield _below(f"{kind}: wrong forces without a flag", score.wrong_forces, 0, "{:.0f}")
-
-    def _broken(self) -> Iterable[Limit]:
-        yield from self.broken()
 
 
 def _below(name: str, measured: float, most: float, form: str = "{:.4f}") -> Limit:
