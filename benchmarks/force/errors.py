@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 from cases import LINEAR, ForceCase
@@ -34,6 +35,7 @@ L2_LIMITS = {10.0: 0.05, 1.0: 0.15}
 WITHIN = 0.95
 
 # What the oracle tries: smoothing lengths, m, and weights, relative to the data's own.
+ORACLE_FRAMES = 3
 ORACLE_LENGTHS = (0.5e-3, 1.5e-3)
 ORACLE_TANGENTIAL = (0.3, 1.0)
 ORACLE_WEIGHTS = 10.0 ** np.arange(-8, 0.1, 0.5)
@@ -100,9 +102,9 @@ class Limits:
         return [name for name, limit in named if errors.high(name) > limit]
 
 
-def noisy(case: ForceCase, frames: int, scale: float = 1.0, seed: int = 0) -> list[Array]:
+def noisy(case: ForceCase, frames: int, scale: float = 1.0) -> list[Array]:
     """The case's displacement with noise, as `frames` frames show it."""
-    random = np.random.default_rng([seed, *case.name.encode(), round(1e3 * case.newton)])
+    random = np.random.default_rng([0, *case.name.encode(), round(1e3 * case.newton)])
     shape = case.displacement.shape
     return [
         case.displacement + scale * NOISE_M * random.standard_normal(shape) for _ in range(frames)
@@ -143,7 +145,7 @@ def errors_of(model: ForceModel, case: ForceCase, frames: int, scale: float = 1.
     return ForceErrors.from_case(case, reconstructed(model, noisy(case, frames, scale)))
 
 
-def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
+def oracle_l2(model: ForceModel, case: ForceCase) -> float:
     """The least distribution error of a smoothing inverse that knows the truth's support.
 
     Nodes where nothing truly acts are held at 0; order and length of the smoothness, how small
@@ -156,7 +158,7 @@ def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
     columns = (3 * support[:, None] + np.arange(3)).ravel()
     noise = np.tile(NOISE_M, len(model.elastic.compliance) // 3)
     operator = model.elastic.compliance[:, columns] / noise[:, None]
-    data = np.stack([moved.ravel() / noise for moved in noisy(case, frames)], axis=1)
+    data = np.stack([moved.ravel() / noise for moved in noisy(case, ORACLE_FRAMES)], axis=1)
     normal, right = operator.T @ operator, operator.T @ data
     collect = nodal_force_matrix(nodes)[:, support]
     best = np.inf
@@ -167,7 +169,7 @@ def oracle_l2(model: ForceModel, case: ForceCase, frames: int = 3) -> float:
         parts = basis.T @ right
         for weight in ORACLE_WEIGHTS:
             found = basis @ (parts / (values + weight)[:, None])
-            force = np.einsum("mk,kcf->mcf", collect, found.reshape(len(support), 3, frames))
+            force = np.einsum("mk,kcf->mcf", collect, found.reshape(len(support), 3, -1))
             off = np.sqrt(((force - true[..., None]) ** 2).sum(axis=(0, 1)))
             best = min(best, float(off.mean()))
     return best / float(np.linalg.norm(true))
@@ -269,12 +271,12 @@ class Dependence:
     pixel: float
 
 
-def dependence(model: ForceModel, seeds: int = 4) -> Dependence:
+def dependence(model: ForceModel) -> Dependence:
     """Of a smooth hollow made by hand, which no elastic gel shows, that deepens and is dragged."""
     history, pixel = [0.0], [0.0]
     markers = model.elastic.markers
     distance2 = (markers.points**2).sum(axis=1).reshape(markers.rows, markers.cols, 1)
-    for seed, width in ((seed, width) for seed in range(seeds) for width in (2e-3, 2.6e-3, 3.2e-3)):
+    for seed, width in product(range(4), (2e-3, 2.6e-3, 3.2e-3)):
         random = np.random.default_rng(seed)
         hollow = np.exp(-distance2 / (2 * width**2))
         deep = [hollow * [0.0, 0.0, -depth] for depth in np.linspace(1e-4, 1e-3, 10)]

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from cases import LINEAR, SMOOTH, SOLVED_N, ForceCase, load_neo_hookean_cases
 from errors import ForceErrors, Limits, errors_of, noisy, oracle_l2, reconstructed
-from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.model import ForceModel
@@ -47,7 +46,6 @@ class Point:
 
     sweep: str
     condition: str
-    level: float
     case: ForceCase
     errors: ForceErrors
     limits: Limits | None = None
@@ -60,9 +58,7 @@ def by_case(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
         if case.newton in (10.0, 1.0):
             errors = errors_of(model, case, frames)
             best = oracle_l2(model, case) if case.material == LINEAR else float("nan")
-            yield Point(
-                "case", case.material, case.newton, case, errors, Limits.from_case(case), best
-            )
+            yield Point("case", case.material, case, errors, Limits.from_case(case), best)
 
 
 def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -77,7 +73,7 @@ def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
             if case.newton > SOLVED_N[-1]:
                 limits = replace(limits, torque=float("nan"))
             errors = errors_of(model, case, frames)
-            yield Point("load", f"{case.newton:g} N", case.newton, case, errors, limits)
+            yield Point("load", f"{case.newton:g} N", case, errors, limits)
 
 
 def by_noise(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -85,7 +81,7 @@ def by_noise(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iter
     for case in _some(cases):
         for scale in NOISE_SCALES:
             errors = errors_of(model, case, frames, scale)
-            yield Point("noise", f"noise x {scale:g}", scale, case, errors)
+            yield Point("noise", f"noise x {scale:g}", case, errors)
 
 
 def by_missing(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -102,9 +98,9 @@ def by_missing(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> It
     for case in _some(cases):
         for name, mask in masks.items():
             seen = np.where(mask, Status.MISSING, Status.MEASURED).astype(np.uint8)
-            moved = [_without(frame, mask) for frame in noisy(case, frames)]
+            moved = [np.where(mask[..., None], np.nan, frame) for frame in noisy(case, frames)]
             errors = ForceErrors.from_case(case, reconstructed(model, moved, seen))
-            yield Point("missing", name, float(mask.mean()), case, errors)
+            yield Point("missing", name, case, errors)
 
 
 def by_description(
@@ -117,7 +113,7 @@ def by_description(
             for case in _some(cases):
                 if case.newton == 10.0:
                     errors = errors_of(model, case, frames)
-                    yield Point("description", name, float("nan"), case, errors)
+                    yield Point("description", name, case, errors)
 
 
 def wrong_models(sensor: SensorDescription) -> dict[str, SensorDescription]:
@@ -125,20 +121,17 @@ def wrong_models(sensor: SensorDescription) -> dict[str, SensorDescription]:
     gel = sensor.elastomer
     layer = gel.shading_layer
     thicker = (*gel.size[:2], 1.05 * gel.size[2])
+    stiff = replace(layer, young=1.1 * layer.young)
     changed = {
         "as it is": gel,
-        "E 10 % too high": replace(gel, young=1.1 * gel.young),
+        "E 10 % too high": replace(gel, young=1.1 * gel.young, shading_layer=stiff),
         "nu 0.45 for 0.48": replace(gel, poisson=0.45),
         "nu 0.47 for 0.48": replace(gel, poisson=0.47),
         "gel 5 % too thick": replace(gel, size=thicker),
         "layer 0.4 mm for 0.3 mm": replace(gel, shading_layer=replace(layer, thickness=0.4e-3)),
         "layer twice as stiff": replace(gel, shading_layer=replace(layer, young=2 * layer.young)),
     }
-    found = {name: replace(sensor, elastomer=elastomer) for name, elastomer in changed.items()}
-    stiff = found["E 10 % too high"]
-    skin = replace(stiff.elastomer.shading_layer, young=1.1 * layer.young)
-    elastomer = replace(stiff.elastomer, shading_layer=skin)
-    return {**found, "E 10 % too high": replace(stiff, elastomer=elastomer)}
+    return {name: replace(sensor, elastomer=elastomer) for name, elastomer in changed.items()}
 
 
 def by_large_press(sensor: SensorDescription, frames: int) -> Iterator[Point]:
@@ -152,7 +145,7 @@ def by_large_press(sensor: SensorDescription, frames: int) -> Iterator[Point]:
                 continue
             if name == "corrected" and not any(field.corrected for field in found):
                 continue
-            yield Point("large press", name, case.depth, case, ForceErrors.from_case(case, found))
+            yield Point("large press", name, case, ForceErrors.from_case(case, found))
 
 
 def large_press_models(sensor: SensorDescription) -> dict[str, ForceModel]:
@@ -168,12 +161,6 @@ def _some(cases: Sequence[ForceCase]) -> Iterator[ForceCase]:
     for case in cases:
         if case.material != SMOOTH and case.name in SOME_CASES and case.newton in (1.0, 10.0):
             yield case
-
-
-def _without(moved: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-    kept = moved.copy()
-    kept[mask] = np.nan
-    return kept
 
 
 REST_FRAMES, HELD_FRAMES = 8, 2
@@ -224,9 +211,9 @@ class RenderedError:
         return SHARE * self.newton + NEWTON
 
 
-def rendered_errors(sensor: SensorDescription, quick: bool = False) -> Iterator[RenderedError]:
+def rendered_errors(sensor: SensorDescription) -> Iterator[RenderedError]:
     """Errors of every contact and load."""
-    for contact in RENDERED[: 1 if quick else None]:
+    for contact in RENDERED:
         pipeline = Pipeline(sensor)
         simulation = Simulation(_scene(sensor, contact))
         rest, held = [], []
@@ -244,14 +231,11 @@ def rendered_errors(sensor: SensorDescription, quick: bool = False) -> Iterator[
 
 def _scene(sensor: SensorDescription, contact: RenderedContact) -> Scene:
     x, y = contact.tangential
-    steps = tuple(
-        Phase(f"{load:g} N", HELD_FRAMES, Press(Load(load, (x * load, y * load))))
-        for load in RENDERED_LOADS
-    )
     phases = []
-    for step in steps:
+    for load in RENDERED_LOADS:
+        name, goal = f"{load:g} N", Press(Load(load, (x * load, y * load)))
         # The load is reached in the first frame and held in those that follow.
-        phases += [replace(step, frames=1), Phase(step.name, HELD_FRAMES - 1, Hold())]
+        phases += [Phase(name, 1, goal), Phase(name, HELD_FRAMES - 1, Hold())]
     return replace(
         load_scene("contact_sphere"),
         name=f"force_{contact.name}",

@@ -162,10 +162,8 @@ def cover_views(
     return replace(rendered, grey=painted), masks
 
 
-def far_corners(
-    corners: NDArray[np.float64], covered: NDArray[np.bool_], cells: float = FAR_CELLS
-) -> NDArray[np.bool_]:
-    """Which of the corners (rows, cols, 2) px lie that many checkers from what is covered.
+def far_corners(corners: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the corners (rows, cols, 2) px lie FAR_CELLS checkers from what is covered.
 
     covered: mask of the view, (height, width), or empty where nothing is.
     """
@@ -176,7 +174,7 @@ def far_corners(
     side = np.fmax(*steps)
     distance = cv2.distanceTransform((~covered).astype(np.uint8), cv2.DIST_L2, 5)
     x, y = pixels_of(corners, covered.shape)
-    return np.asarray(far & (distance[y, x] >= cells * side))
+    return np.asarray(far & (distance[y, x] >= FAR_CELLS * side))
 
 
 def far_from_edge(corners: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.bool_]:

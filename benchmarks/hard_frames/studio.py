@@ -105,11 +105,11 @@ class PatternFrame:
 class PatternStudio:
     """Makes frames of cases; keeps what cases of the same sensor and print share.
 
-    samples: of a pixel, along each side.  threads: default that of numba.
+    samples: of a pixel, along each side.
     """
 
-    def __init__(self, samples: int = 4, threads: int | None = None) -> None:
-        self._samples, self._threads = samples, threads
+    def __init__(self, samples: int = 4) -> None:
+        self._samples = samples
         self._renderers: list[tuple[SensorDescription, Checkerboard, Renderer]] = []
         self._truths: list[tuple[SensorDescription, OpticalTruth]] = []
 
@@ -130,7 +130,7 @@ class PatternStudio:
         for sensor, known, renderer in self._renderers:
             if sensor is case.sensor and known == ink:
                 return renderer
-        renderer = Renderer(case.sensor, ink, self._samples, self._threads)
+        renderer = Renderer(case.sensor, ink, self._samples)
         self._renderers = [(case.sensor, ink, renderer), *self._renderers][:KEPT_RENDERERS]
         return renderer
 

@@ -101,6 +101,8 @@ class Wrenches(Node):
         super().__init__("wrenches")
         self.seen: dict[str, list[tuple[int, int]]] = {name: [] for name in names}
         self.frames: dict[str, list[int]] = {name: [] for name in names}
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
         profile = QoSProfile(depth=1000)
         for name in names:
             seen, frames = self.seen[name], self.frames[name]
@@ -119,7 +121,18 @@ class Wrenches(Node):
         """Wrenches of the sensor that has the fewest."""
         return min(len(seen) for seen in self.seen.values())
 
-    def lost(self, name: str, first: int = 0) -> int:
+    def wait_for(self, count: int, process: subprocess.Popen[bytes]) -> None:
+        """Until each sensor has so many; ends the program where no more come."""
+        come, last = self.fewest, time.monotonic()
+        while self.fewest < count:
+            self._executor.spin_once(timeout_sec=0.5)
+            if self.fewest > come:
+                come, last = self.fewest, time.monotonic()
+            if process.poll() is not None or time.monotonic() - last > SILENCE_S:
+                ended = f"exit code of the container: {process.poll()}"
+                sys.exit(f"{self.fewest} wrenches, expected {count}; {ended}")
+
+    def lost(self, name: str, first: int) -> int:
         """Frames without a wrench between the wrenches from the one numbered `first` on."""
         stamps = {stamp for stamp, _ in self.seen[name][first:]}
         begin, end = min(stamps), max(stamps)
@@ -131,26 +144,43 @@ def container(
     recording: Input,
     names: Sequence[str],
     rate: float,
-    queue: str = "newest",
     environment: Mapping[str, str] | None = None,
 ) -> Iterator[subprocess.Popen[bytes]]:
     """Sensors of these names; each gets the frames of the recording."""
     with tempfile.TemporaryDirectory(prefix="frames_") as folder:
         bag = _plain_frames(recording, Path(folder) / "bag")
         given = {"input": bag, "sensor": recording.sensor_file, "names": " ".join(names)}
-        given |= {"frame_rate": rate, "frame_queue": queue}
+        given["frame_rate"] = rate
         arguments = [f"{name}:={value}" for name, value in given.items()]
-        process = subprocess.Popen(
-            python_command(EXECUTABLES, "standalone", str(GRAPH), *arguments),
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, **(environment or {})},
-        )
-        try:
+        command = python_command(EXECUTABLES, "standalone", str(GRAPH), *arguments)
+        with running(command, {**os.environ, **(environment or {})}) as process:
             yield process
-        finally:
-            process.terminate()
-            if process.wait(60) != 0:
-                sys.exit(f"the container ended with {process.returncode}")
+        if process.returncode != 0:
+            sys.exit(f"the container ended with {process.returncode}")
+
+
+@contextmanager
+def running(
+    command: Sequence[str], environment: Mapping[str, str] | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that prints nothing here, and is ended at last."""
+    silent = subprocess.DEVNULL
+    process = subprocess.Popen(command, stdout=silent, stderr=silent, env=environment)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+@contextmanager
+def wrenches_of(names: Sequence[str]) -> Iterator[Wrenches]:
+    """What subscribes to these sensors."""
+    node = Wrenches(names)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
 
 
 def _plain_frames(recording: Input, folder: Path) -> Path:
@@ -162,23 +192,6 @@ def _plain_frames(recording: Input, folder: Path) -> Path:
             data = serialize_message(image_to_msg(image, encoding_of(image), header))
             bag.write("/image_raw", stamp, data)
     return folder
-
-
-def spin_until(
-    executor: SingleThreadedExecutor,
-    node: Wrenches,
-    count: int,
-    *processes: subprocess.Popen[bytes],
-) -> None:
-    """Until each sensor has so many wrenches; ends the program where no more come."""
-    come, last = node.fewest, time.monotonic()
-    while node.fewest < count:
-        executor.spin_once(timeout_sec=0.5)
-        if node.fewest > come:
-            come, last = node.fewest, time.monotonic()
-        ended = [process.poll() for process in processes if process.poll() is not None]
-        if ended or time.monotonic() - last > SILENCE_S:
-            sys.exit(f"{node.fewest} wrenches, expected {count}; ended containers: {ended}")
 
 
 def busy_s(pid: int) -> float:
@@ -204,28 +217,23 @@ def memory_mb(pid: int) -> float:
 
 def run(recording: Input, case: Case) -> dict[str, float]:
     """The figures of a case."""
-    node = Wrenches(case.names)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="home_") as home,
-            container(
-                recording, case.names, case.rate, environment=_fresh(home) if case.fresh else None
-            ) as process,
-        ):
-            began = time.monotonic()
-            spin_until(executor, node, 1, process)
-            first = time.monotonic() - began
-            if not case.frames:
-                return {"first_wrench_s": first}
-            spin_until(executor, node, WARM_UP, process)
-            start, busy = time.monotonic(), _busy_together_s(process.pid)
-            spin_until(executor, node, node.fewest + case.frames, process)
-            cores = (_busy_together_s(process.pid) - busy) / (time.monotonic() - start)
-            memory = max(memory_mb(pid) for pid in tree(process.pid))
-    finally:
-        node.destroy_node()
+    with (
+        wrenches_of(case.names) as node,
+        tempfile.TemporaryDirectory(prefix="home_") as home,
+        container(
+            recording, case.names, case.rate, _fresh(home) if case.fresh else None
+        ) as process,
+    ):
+        began = time.monotonic()
+        node.wait_for(1, process)
+        first = time.monotonic() - began
+        if not case.frames:
+            return {"first_wrench_s": first}
+        node.wait_for(WARM_UP, process)
+        start, busy = time.monotonic(), _busy_together_s(process.pid)
+        node.wait_for(node.fewest + case.frames, process)
+        cores = (_busy_together_s(process.pid) - busy) / (time.monotonic() - start)
+        memory = max(memory_mb(pid) for pid in tree(process.pid))
     return {**figures(node), "cores": cores, "memory_mb": memory, "first_wrench_s": first}
 
 

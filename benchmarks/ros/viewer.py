@@ -23,8 +23,9 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -36,19 +37,18 @@ import viser
 import websockets
 from geometry_msgs.msg import WrenchStamped
 from playwright.sync_api import sync_playwright
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import serialize_message
 from real_time import (
     ONE,
     TWO,
     WARM_UP,
     Input,
-    Wrenches,
     busy_s,
     container,
     figures,
     memory_mb,
-    spin_until,
+    running,
+    wrenches_of,
 )
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -116,8 +116,8 @@ class Publisher:
     sent: time at which each number was published last, ms, by sensor.
     """
 
-    def __init__(self, names: Sequence[str], frames: Sequence[Processed], rate_hz: float) -> None:
-        self._frames, self._period_s = frames, 1 / rate_hz
+    def __init__(self, names: Sequence[str], frames: Sequence[Processed]) -> None:
+        self._frames = frames
         self._node = rclpy.create_node("frames")
         kinds = {
             "image_raw": Image,
@@ -163,7 +163,7 @@ class Publisher:
             now_ns = time.time_ns()
             for sensor in range(len(self._publishers)):
                 self._publish(sensor, count, now_ns)
-            count, due = count + 1, due + self._period_s
+            count, due = count + 1, due + 1 / RATE_HZ
 
     def _publish(self, sensor: int, count: int, now_ns: int) -> None:
         # There and back, so that no step between two frames is a jump.
@@ -186,6 +186,7 @@ class Publisher:
             publisher.publish(serialize_message(message))
 
 
+@cache
 def processed(bag: Path) -> list[Processed]:
     """The frames of the contact."""
     pipeline = Pipeline(SensorDescription.load(bag / "sensor.yaml"))
@@ -206,13 +207,9 @@ def viewer(names: Sequence[str], description: Path) -> Iterator[subprocess.Popen
     }
     words = [word for key, value in given.items() for word in ("-p", f'{key}:="{value}"')]
     command = python_command(VIEWER, "--ros-args", *words, "-p", f"port:={PORT}")
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    try:
+    with running(command) as process:
         _wait_for_page()
         yield process
-    finally:
-        process.terminate()
-        process.wait()
 
 
 def _wait_for_page() -> None:
@@ -284,33 +281,29 @@ def first_picture(bag: Path) -> dict[str, float]:
         command = python_command(
             "cmp_tactile_bringup.command", "view", str(bag), "--port", str(PORT)
         )
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        try:
+        with running(command):
             _wait_for_page()
             served = time.monotonic()
             browser.open()
             return {"page_s": served - begin, "picture_s": time.monotonic() - begin}
-        finally:
-            process.terminate()
-            process.wait()
 
 
 def updates(
     names: Sequence[str], frames: Sequence[Processed], bag: Path, duration_s: float
 ) -> dict[str, float]:
     """Pictures a second in a browser that draws in software, and the delay of each."""
-    publisher = Publisher(names, frames, RATE_HZ)
-    try:
-        with viewer(names, bag / "sensor.yaml") as process, Browser() as browser:
-            tab = browser.open()
-            tab.wait_for_timeout(1e3 * SETTLE_S)
-            tab.evaluate("window.pictures = []")
-            busy, begin = busy_s(process.pid), time.monotonic()
-            tab.wait_for_timeout(1e3 * duration_s)
-            pictures = tab.evaluate("window.pictures")
-            cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
-    finally:
-        publisher.close()
+    with (
+        closing(Publisher(names, frames)) as publisher,
+        viewer(names, bag / "sensor.yaml") as process,
+        Browser() as browser,
+    ):
+        tab = browser.open()
+        tab.wait_for_timeout(1e3 * SETTLE_S)
+        tab.evaluate("window.pictures = []")
+        busy, begin = busy_s(process.pid), time.monotonic()
+        tab.wait_for_timeout(1e3 * duration_s)
+        pictures = tab.evaluate("window.pictures")
+        cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
     rates, delays = [], []
     for sensor, sent in enumerate(publisher.sent):
         shown: dict[tuple[int, float], float] = {}
@@ -332,17 +325,17 @@ def updates(
 
 def cost(frames: Sequence[Processed], bag: Path, duration_s: float, **who: int) -> dict[str, float]:
     """Of the viewer's process with some readers, and what the slowest reader that reads gets."""
-    publisher = Publisher(ONE, frames, RATE_HZ)
-    try:
-        with viewer(ONE, bag / "sensor.yaml") as process, readers(**who) as looking:
-            time.sleep(SETTLE_S)
-            busy, begin, memory = busy_s(process.pid), time.monotonic(), memory_mb(process.pid)
-            time.sleep(duration_s)
-            cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
-            grown = memory_mb(process.pid) - memory
-            got = [_read_lines(item) for item in looking[: who["count"]]]
-    finally:
-        publisher.close()
+    with (
+        closing(Publisher(ONE, frames)),
+        viewer(ONE, bag / "sensor.yaml") as process,
+        readers(**who) as looking,
+    ):
+        time.sleep(SETTLE_S)
+        busy, begin, memory = busy_s(process.pid), time.monotonic(), memory_mb(process.pid)
+        time.sleep(duration_s)
+        cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
+        grown = memory_mb(process.pid) - memory
+        got = [_read_lines(item) for item in looking[: who["count"]]]
     found = {"viewer_cores": cores, "memory_mb": memory + grown, "grown_mb": grown}
     if got:
         slowest = min(got, key=lambda lines: float(np.median(lines[:, 0])))
@@ -360,35 +353,23 @@ def chain(
     scene: str, rate_hz: float, count: int, *, looked_at: bool, bag: Path
 ) -> dict[str, float]:
     """Lost frames and latency of one sensor, with the viewer or without."""
-    node = Wrenches(ONE)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        with ExitStack() as stack:
-            process = stack.enter_context(container(Input.from_name(scene), ONE, rate_hz))
-            spin_until(executor, node, WARM_UP, process)
-            if looked_at:
-                stack.enter_context(viewer(ONE, bag / "sensor.yaml"))
-                stack.enter_context(readers(1))
-            spin_until(executor, node, node.fewest + WARM_UP, process)
-            first = node.fewest
-            spin_until(executor, node, first + count, process)
-    finally:
-        node.destroy_node()
+    with ExitStack() as stack:
+        node = stack.enter_context(wrenches_of(ONE))
+        process = stack.enter_context(container(Input.from_name(scene), ONE, rate_hz))
+        node.wait_for(WARM_UP, process)
+        if looked_at:
+            stack.enter_context(viewer(ONE, bag / "sensor.yaml"))
+            stack.enter_context(readers(1))
+        node.wait_for(node.fewest + WARM_UP, process)
+        first = node.fewest
+        node.wait_for(first + count, process)
     return figures(node, first)
 
 
 def cases(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, float]]]:
     """By the key of the JSON file."""
     bag = find_recording(options.input).bag
-    frames: list[Processed] = []
-
-    def made() -> list[Processed]:
-        if not frames:
-            frames.extend(processed(bag))
-        return frames
-
-    seconds = options.seconds
+    made, seconds = partial(processed, bag), options.seconds
     return {
         "first_picture": lambda: first_picture(bag),
         "one": lambda: updates(ONE, made(), bag, seconds),
