@@ -92,26 +92,21 @@ def _difference(kept: np.ndarray, found: np.ndarray, relative: float) -> str:
         return f"{kept.dtype} {kept.shape} became {found.dtype} {found.shape}"
     if kept.tobytes() == found.tobytes():
         return ""
-    is_number = kept.dtype.kind in "fiub"
-    nan = np.isnan(kept) if kept.dtype.kind == "f" else np.zeros(kept.shape, bool)
-    other_nan = np.isnan(found) if kept.dtype.kind == "f" else nan
-    both = ~(nan | other_nan)
-    differ = (kept != found) & both | (nan != other_nan)
-    if not is_number:
-        return (
-            f"{differ.sum()} of {differ.size} elements, {kept[differ][0]} became {found[differ][0]}"
-        )
-    if not differ.any():
-        return "the sign of zeros or the bits of NaN" if relative == 0 else ""
-    a, b = kept[both].astype(np.float64), found[both].astype(np.float64)
-    # Infinity minus infinity would be NaN.
-    off = np.abs(np.where(a == b, 0.0, a - b))
-    largest = float(off.max(initial=0.0))
+    if kept.dtype.kind not in "fiub":
+        differ = kept != found
+        before, after = kept[differ][0], found[differ][0]
+        return f"{differ.sum()} of {differ.size} elements, {before} became {after}"
+    a, b = kept.astype(np.float64), found.astype(np.float64)
     scale = float(np.abs(a[np.isfinite(a)]).max(initial=0.0))
-    if (nan == other_nan).all() and largest <= relative * scale:
+    if np.allclose(b, a, rtol=0, atol=relative * scale, equal_nan=True) and relative:
         return ""
+    differ = ~np.isclose(b, a, rtol=0, atol=0, equal_nan=True)
+    if not differ.any():
+        return "the sign of zeros or the bits of NaN"
+    # NaN has no difference from a number.
+    off = np.abs(a - b)[differ & np.isfinite(a) & np.isfinite(b)]
     count = f"{differ.sum()} of {differ.size} elements"
-    return f"{count}, by {largest:.3g} at most (values to {scale:.3g})"
+    return f"{count}, by {off.max(initial=0.0):.3g} at most (values to {scale:.3g})"
 
 
 def collect(data: Path) -> Arrays:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import tempfile
 import time
@@ -29,7 +28,7 @@ from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from tracking.detectors import Ours, Peer, peers
+from tracking.detectors import Ours, Peer, children_time, peers
 
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
@@ -225,15 +224,14 @@ def compiling(sensor: str) -> dict[str, float]:
 def _prepared(sensor: str, folder: str) -> float:
     command = python_command("cmp_tactile_processing.prepare", sensor)
     core = min(os.sched_getaffinity(0))
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = children_time()
     subprocess.run(
         ["taskset", "-c", str(core), *command],  # noqa: S607
         env={**os.environ, "NUMBA_CACHE_DIR": folder},
         stdout=subprocess.DEVNULL,
         check=True,
     )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return children_time() - before
 
 
 def keep(path: Path, figures: Mapping[str, Any]) -> None:

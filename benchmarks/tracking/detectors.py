@@ -110,20 +110,15 @@ class Peer:
         return Detection(grid_of_corners(sensor.pattern.shape, corners, truth), seconds)
 
 
-def classic_corners(sensor: SensorDescription, image: Image, half: int = 5) -> Corners:
-    """OpenCV's classic detector, with corners refined in windows of 2 * half + 1 px."""
-    found, corners = cv2.findChessboardCorners(image, (sensor.pattern.cols, sensor.pattern.rows))
-    if not found:
-        return None
-    cv2.cornerSubPix(image, corners, (half, half), (-1, -1), SUBPIX_STOP)
-    return corners.reshape(-1, 2).astype(np.float64)
-
-
 def _classic(sensor: SensorDescription, image: Image, truth: Grid) -> tuple[Corners, float]:
-    half = _subpix_window(truth)
+    """OpenCV's classic detector, with corners refined in a window that suits the checkers."""
+    half, size = _subpix_window(truth), (sensor.pattern.cols, sensor.pattern.rows)
     began = thread_time()
-    corners = classic_corners(sensor, image, half)
-    return corners, thread_time() - began
+    found, corners = cv2.findChessboardCorners(image, size)
+    if found:
+        cv2.cornerSubPix(image, corners, (half, half), (-1, -1), SUBPIX_STOP)
+    seconds = thread_time() - began
+    return (corners.reshape(-1, 2).astype(np.float64) if found else None), seconds
 
 
 def _subpix_window(truth: Grid) -> int:
@@ -156,17 +151,18 @@ def _run_mrgingham(image: Image, side: int) -> tuple[str, float]:
         path = Path(folder) / "view.png"
         cv2.imwrite(str(path), image, [cv2.IMWRITE_PNG_COMPRESSION, 0])
         command = ["mrgingham", "--gridn", str(side), "--jobs", "1", str(path)]
-        began = _children_time()
+        began = children_time()
         try:
             output = subprocess.run(
                 command, capture_output=True, text=True, timeout=MRGINGHAM_LIMIT_S, check=False
             ).stdout
         except subprocess.TimeoutExpired:
             output = ""
-        return output, _children_time() - began
+        return output, children_time() - began
 
 
-def _children_time() -> float:
+def children_time() -> float:
+    """Processor time of ended child processes so far, s."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured import Grid, Surface
-from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
+from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import (
     CMP,
@@ -27,8 +26,8 @@ from paper.figure_style import panels
 from paper.gel import mechanics_of, shortened
 from paper.lab import Arrays, Lab, Workplace
 from paper.page import Page
-from paper.readings import nodes_of, true_displacement
-from paper.sequence import Exposure, RenderedSequence, measured, with_steps_between
+from paper.readings import DepthField, nodes_of, true_displacement
+from paper.sequence import RenderedSequence, Truth, measured, with_steps_between
 
 TITLE = "IV.C: Five objects: 3-D coordinates of all markers"
 SCENES = {
@@ -80,35 +79,27 @@ def press(place: Workplace, name: str, draws: int) -> dict[str, Any]:
         exposures = [sequence.exposed(draw) for draw in range(draws)]
         for method in ALL_METHODS:
             if method.pattern_type == pattern_type:
-                ends = _ends(Chain(scene.sensor, method), exposures)
-                result |= _errors(method, ends, truth.surface, truth.grids)
+                chain = Chain(scene.sensor, method)
+                ends = [list(measured(chain, exposure))[-1] for exposure in exposures]
+                result |= _errors(method, ends, truth)
                 if method is CMP:
                     result |= _depths(ends[0].surface, surfaces[-1])
     return result
 
 
-def _ends(chain: Chain, exposures: Sequence[Exposure]) -> list[Measurement]:
-    """What is measured at full press in each draw of the noise."""
-    return [list(measured(chain, exposure))[-1] for exposure in exposures]
-
-
-def _errors(
-    method: Method, ends: Sequence[Measurement], true: Surface, grids: Mapping[str, Grid]
-) -> dict[str, NDArray[Any]]:
-    scores = [score_markers(end.grids, grids) for end in ends]
-    errors = [mean_absolute(all_markers(end.surface, true)) for end in ends]
+def _errors(method: Method, ends: Sequence[Measurement], truth: Truth) -> dict[str, NDArray[Any]]:
+    scores = [score_markers(end.grids, truth.grids) for end in ends]
+    errors = [mean_absolute(all_markers(end.surface, truth.surface)) for end in ends]
     counts = [(score.visible, score.found_visible, score.wrong) for score in scores]
     return {f"{method.key}_all": np.array(errors), f"{method.key}_counts": np.array(counts)}
 
 
 def _depths(surface: Surface, true: DeformedSurface) -> dict[str, NDArray[Any]]:
-    pattern = true.pattern
-    grid = grid_over(pattern.shape, pattern.pitch, SPACING)
-    dense = SurfaceInterpolator(pattern.shape, pattern.pitch, grid).interpolate(surface)
+    field = DepthField(true.pattern, SPACING)
     return {
-        "extent": np.array(grid.extent),
-        "depth_field": -dense.displacement[..., 2],
-        "true_depth": -true_displacement(true, nodes_of(grid))[..., 2],
+        "extent": np.array(field.grid.extent),
+        "depth_field": field.depth(surface),
+        "true_depth": -true_displacement(true, nodes_of(field.grid))[..., 2],
     }
 
 
