@@ -12,7 +12,6 @@ all kernels on one core.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import tempfile
@@ -28,6 +27,7 @@ from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from tables import keep
 from tracking.detectors import Ours, Peer, children_time, peers
 
 from cmp_tactile_processing.force.stage import ForceStage
@@ -232,12 +232,6 @@ def _prepared(sensor: str, folder: str) -> float:
         check=True,
     )
     return children_time() - before
-
-
-def keep(path: Path, figures: Mapping[str, Any]) -> None:
-    """Write figures into a file of results; what it has of other inputs stays there."""
-    known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    path.write_text(json.dumps({**known, **figures}, indent=1) + "\n", encoding="utf-8")
 
 
 def _show(name: str, rows: Mapping[str, Mapping[str, float]], console: Console) -> None:

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
-from limits import ForceRun, Row
+from limits import ForceRun
+from tables import Limit, head, line, missed
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -34,16 +36,17 @@ TITLES = {
 }
 
 
-def write_markdown(rows: Sequence[Row], notes: Sequence[str], path: Path) -> None:
+def write_markdown(rows: Sequence[Limit], notes: Sequence[str], path: Path) -> None:
     """All rows, a table for each part."""
     lines = ["# Force", "", *(f"- {note}" for note in notes), "", _text("notes.md")]
-    for part in dict.fromkeys(row.part for row in rows):
-        lines += [f"## {TITLES[part]}", "", "| | limit | measured | met |", "|---|---|---|---|"]
-        verdict = {None: "-", True: "yes", False: "**no**"}
-        for row in rows:
-            if row.part == part:
-                cells = (row.name, row.limit, row.measured, verdict[row.met])
-                lines.append("| " + " | ".join(cells) + " |")
+    verdict = {None: "-", True: "yes", False: "**no**"}
+    for table in dict.fromkeys(row.table for row in rows):
+        lines += [f"## {TITLES[table]}", "", head("", "limit", "measured", "met")]
+        lines += [
+            line(row.name, row.limit, row.measured, verdict[row.met])
+            for row in rows
+            if row.table == table
+        ]
         lines.append("")
     path.write_text("\n".join([*lines, _text("published.md")]), encoding="utf-8")
 
@@ -90,28 +93,15 @@ def main() -> int:
     with threadpool_limits(1):
         run = ForceRun(sensor, arguments.frames)
         began = perf_counter()
-        rows = _printed(run.rows(arguments.part or ()))
-    missed = sum(row.met is False for row in rows)
-    print(f"{missed} limits missed, {perf_counter() - began:.0f} s")
+        rows = run.show(arguments.part or ())
+    print(f"{perf_counter() - began:.0f} s")
     if not arguments.limits:
         versions = f"cmp_tactile {version('cmp_tactile_processing')}, numpy {np.__version__}"
         notes = [versions, f"sensor {sensor.name}, {arguments.frames} frames of each load"]
         arguments.output.mkdir(parents=True, exist_ok=True)
         write_markdown(rows, notes, arguments.output / "force.md")
         print(arguments.output / "force.md")
-    return int(missed > 0)
-
-
-def _printed(rows: Iterable[Row]) -> list[Row]:
-    """The rows, each printed as it comes."""
-    done = []
-    print(f"{'part':11s} | {'what':44s} | {'limit':40s} | measured | met")
-    for row in rows:
-        verdict = {None: "-", True: "yes", False: "NO"}[row.met]
-        line = f"{row.part:11s} | {row.name:44s} | {row.limit:40s} | {row.measured} | {verdict}"
-        print(line, flush=True)
-        done.append(row)
-    return done
+    return int(missed(rows) > 0)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -28,28 +28,17 @@ from sweeps import (
     by_noise,
     rendered_errors,
 )
+from tables import Limit, LimitRun
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.sensor.description import SensorDescription
-
-
-@dataclass(frozen=True)
-class Row:
-    """A line of a table: what, its limit ("-" for none), what was measured, whether it is met."""
-
-    part: str
-    name: str
-    limit: str
-    measured: str
-    met: bool | None
-
 
 # Depth at which the corrected model is judged, m, and its limit, share of Fz.
 JUDGED_DEPTH, LARGE_PRESS_SHARE = 0.44e-3, 0.025
 
 
 @dataclass
-class ForceRun:
+class ForceRun(LimitRun):
     """Measures all parts."""
 
     sensor: SensorDescription
@@ -60,12 +49,6 @@ class ForceRun:
         "certainty", "floor", "rendered",
     )  # fmt: skip
 
-    def rows(self, parts: Sequence[str] = ()) -> Iterable[Row]:
-        """The lines of these parts, one after the other; all where none is named."""
-        for part in self.PARTS:
-            if not parts or part in parts:
-                yield from getattr(self, f"_{part}")()
-
     @cached_property
     def _model(self) -> ForceModel:
         return ForceModel(self.sensor)
@@ -74,22 +57,22 @@ class ForceRun:
     def _cases(self) -> list[ForceCase]:
         return load_cases(self.sensor)
 
-    def _case(self) -> Iterator[Row]:
+    def _case(self) -> Iterator[Limit]:
         yield from self._judged(by_case(self._model, self._cases, self.frames))
 
-    def _load(self) -> Iterator[Row]:
+    def _load(self) -> Iterator[Limit]:
         yield from self._judged(by_load(self._model, self._cases, self.frames))
 
-    def _noise(self) -> Iterator[Row]:
+    def _noise(self) -> Iterator[Limit]:
         yield from self._informed(by_noise(self._model, self._cases, self.frames))
 
-    def _missing(self) -> Iterator[Row]:
+    def _missing(self) -> Iterator[Limit]:
         yield from self._informed(by_missing(self._model, self._cases, self.frames))
 
-    def _description(self) -> Iterator[Row]:
+    def _description(self) -> Iterator[Limit]:
         yield from self._informed(by_description(self.sensor, self._cases, self.frames))
 
-    def _large_press(self) -> Iterator[Row]:
+    def _large_press(self) -> Iterator[Limit]:
         """A neo-Hookean gel."""
         corrected = False
         for point in by_large_press(self.sensor, min(self.frames, 3)):
@@ -100,11 +83,11 @@ class ForceRun:
             what = f"{case.name}, {1e3 * case.depth:.2f} mm, {case.newton:.2f} N, {point.condition}"
             limit = f"Fz {100 * LARGE_PRESS_SHARE:g} %" if judged else "-"
             met = bool(share <= LARGE_PRESS_SHARE) if judged else None
-            yield Row("large press", what, limit, _text(point.errors, case), met)
+            yield Limit(what, limit, _text(point.errors, case), met, "large press")
         if not corrected:
-            yield Row("large press", "corrected", "-", "not available", None)
+            yield Limit("corrected", "-", "not available", None, "large press")
 
-    def _certainty(self) -> Iterator[Row]:
+    def _certainty(self) -> Iterator[Limit]:
         """Share of errors within 1 and 2 standard deviations; normal ones: 68 % and 95 %."""
         bars = ErrorBars.from_cases(self._model, self._cases, self.frames)
         expected = " / ".join(f"{100 * share:.0f}" for share in NORMAL_SHARES)
@@ -115,25 +98,25 @@ class ForceRun:
             yield _shares(f"wrench at {newton:g} N, %", chosen)
         if len(bars.nodes):
             yield _shares("nodal forces in contact, %", bars.nodes)
-        yield Row("certainty", "normal errors, %", "-", expected, None)
+        yield Limit("normal errors, %", "-", expected, None, "certainty")
         found = dependence(self._model)
         for what, value in (("frames before", found.history), ("one pixel", found.pixel)):
             text = f"{value:.2f} std"
-            yield Row("certainty", f"changed by {what}", "1 std", text, bool(value <= 1.0))
+            yield Limit(f"changed by {what}", "1 std", text, bool(value <= 1.0), "certainty")
 
-    def _floor(self) -> Iterator[Row]:
+    def _floor(self) -> Iterator[Limit]:
         """What noise alone shows, and the smallest load that is seen."""
         for scale, frames in ((1.0, 100 * self.frames), (2.0, 500), (4.0, 500)):
             contacts = false_contacts(self._model, frames, scale)
             met = contacts == 0 if scale == 1 else None
             limit = "0" if scale == 1 else "-"
             what = f"false contacts in {frames} frames, noise x {scale:g}"
-            yield Row("floor", what, limit, str(contacts), met)
+            yield Limit(what, limit, str(contacts), met, "floor")
         seen = seen_shares(self._model, self._cases, self.frames)
         text = ", ".join(f"{newton:g} N {100 * share:.0f} %" for newton, share in seen.items())
-        yield Row("floor", "frames in which a sphere is seen, by load", "-", text, None)
+        yield Limit("frames in which a sphere is seen, by load", "-", text, None, "floor")
 
-    def _rendered(self) -> Iterator[Row]:
+    def _rendered(self) -> Iterator[Limit]:
         """From frames of the simulated camera."""
         for error in rendered_errors(self.sensor):
             measured = (
@@ -141,9 +124,9 @@ class ForceRun:
                 f"torque {1e3 * error.torque:.3f} N mm"
             )
             name, limit = f"{error.name}, {error.newton:g} N", f"Fz {error.limit:.3f} N"
-            yield Row("rendered", name, limit, measured, bool(error.fz <= error.limit))
+            yield Limit(name, limit, measured, bool(error.fz <= error.limit), "rendered")
 
-    def _judged(self, points: Iterable[Point]) -> Iterator[Row]:
+    def _judged(self, points: Iterable[Point]) -> Iterator[Limit]:
         for point in points:
             limits = point.limits
             if limits is None:
@@ -156,20 +139,20 @@ class ForceRun:
             text += "" if np.isnan(point.oracle) else f" (oracle {100 * point.oracle:.1f} %)"
             text += f", missed: {', '.join(missed)}" if missed else ""
             text += " (by the oracle as well)" if point.oracle > limits.l2 else ""
-            yield Row(point.sweep, f"{case.name}, {case.newton:g} N", limit, text, not missed)
+            yield Limit(f"{case.name}, {case.newton:g} N", limit, text, not missed, point.sweep)
 
-    def _informed(self, points: Iterable[Point]) -> Iterator[Row]:
+    def _informed(self, points: Iterable[Point]) -> Iterator[Limit]:
         for point in points:
             case = point.case
             name = f"{case.name}, {case.newton:g} N, {point.condition}"
-            yield Row(point.sweep, name, "-", _text(point.errors, case), None)
+            yield Limit(name, "-", _text(point.errors, case), None, point.sweep)
 
 
-def _shares(name: str, values: np.ndarray) -> Row:
+def _shares(name: str, values: np.ndarray) -> Limit:
     """Shares of errors, in deviations, within one and two of them."""
     one, two = (100 * float((np.abs(values) <= count).mean()) for count in (1, 2))
     spread = float(np.sqrt(np.mean(values**2)))
-    return Row("certainty", name, "-", f"{one:.0f} / {two:.0f} (RMS {spread:.2f} std)", None)
+    return Limit(name, "-", f"{one:.0f} / {two:.0f} (RMS {spread:.2f} std)", None, "certainty")
 
 
 def _text(errors: ForceErrors, case: ForceCase) -> str:

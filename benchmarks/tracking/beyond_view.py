@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
+from tables import head, line
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
@@ -76,17 +77,15 @@ class Count:
 
     def row(self, name: str) -> str:
         """A line of the table."""
-        return (
-            f"| {name} | {self.views} | {self.numbered} | {self.views - self.numbered} "
-            f"| {self.wrong} | {self.found_far} of {self.far} "
-            f"| {1e3 * float(np.median(self.seconds)):.1f} |"
-        )
+        without, far = self.views - self.numbered, f"{self.found_far} of {self.far}"
+        ms = f"{1e3 * float(np.median(self.seconds)):.1f}"
+        return line(name, self.views, self.numbered, without, self.wrong, far, ms)
 
 
-HEAD = (
-    "| frames | views | numbered | without numbers | wrong corners | far corners numbered "
-    "| processor time, ms |\n|---|---|---|---|---|---|---|"
-)
+COLUMNS = (
+    "frames", "views", "numbered", "without numbers", "wrong corners", "far corners numbered",
+    "processor time, ms",
+)  # fmt: skip
 
 
 def part_of(sensor: SensorDescription, rows: int, cols: int) -> SensorDescription:
@@ -204,7 +203,7 @@ def main() -> None:
     parser.set_defaults(input=("grasp",))
     options = parser.parse_args()
     cv2.setNumThreads(1)
-    print(HEAD)
+    print(head(*COLUMNS))
     studio = PatternStudio()
     found = [recorded(given) for given in chosen(options)]
     found += [rendered(studio, sheet(code)) for code in ("none", "dots")]

@@ -25,6 +25,7 @@ import numpy as np
 from detectors import Detector, ours, peers, view_image
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
+from tables import head, line
 
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
@@ -222,10 +223,9 @@ def main() -> int:
     detectors: list[Detector] = [ours()[0], *peers()]
     names = [detector.name for detector in detectors]
     print("RMS error, and how many times the bound that is")
-    print("| " + " | ".join(["frames", "bound", *names, "our virtual markers"]) + " |")
-    print("|" + "---|" * (len(names) + 3))
+    print(head("frames", "bound", *names, "our virtual markers"))
     for kind in arguments.kind or KINDS:
-        print("| " + " | ".join(measure(kind, arguments.seeds, detectors)) + " |", flush=True)
+        print(line(*measure(kind, arguments.seeds, detectors)), flush=True)
     return 0
 
 

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 from detectors import Ours, run_frames
 from numpy.typing import NDArray
+from tables import head, line
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.printing.advice import checker_sides_px
@@ -73,17 +74,15 @@ def shifted(frame: PatternFrame, moved: tuple[float, float]) -> PatternFrame:
 
 
 def row(name: str, score: GridScore) -> None:
-    """One line of the tables of frames."""
-    print(
-        f"{name:30s} | {score.grids:5d} | {score.found_far:6d} of {score.far:6d} | "
-        f"{score.found_visible:6d} of {score.visible:6d} | {score.wrong:5d}",
-        flush=True,
-    )
+    """A line of the tables of frames."""
+    far = f"{score.found_far} of {score.far}"
+    visible = f"{score.found_visible} of {score.visible}"
+    print(line(name, score.grids, far, visible, score.wrong), flush=True)
 
 
-def head(title: str) -> None:
-    """The first line of such a table; far: two checkers from what hides or cuts off the rest."""
-    print(f"\n{title:30s} | views | far corners numbered | visible corners numbered | wrong")
+def title(text: str) -> None:
+    """The head of such a table; far: two checkers from what hides or cuts off the rest."""
+    print(f"\n{head(text, 'views', 'far corners numbered', 'visible corners numbered', 'wrong')}")
 
 
 def pieces(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:  # noqa: ARG001
@@ -124,7 +123,7 @@ def _placed(
 
 def occlusions(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """Covers of all shapes and shares."""
-    head("hidden share of the pattern")
+    title("hidden share of the pattern")
     for share in SHARES:
         frames = [
             studio.photograph(
@@ -138,7 +137,7 @@ def occlusions(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) 
 
 def slides(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """Images that are shifted by whole checkers and parts of one, border out of view or not."""
-    head("slide, checkers")
+    title("slide, checkers")
     side = float(np.median(np.concatenate(list(checker_sides_px(sensor).values()))))
     still = [studio.photograph(bent(sensor, kind)) for kind in ("rest", "twist")]
     for slide in SLIDES:
@@ -152,7 +151,7 @@ def slides(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> N
 
 def hard(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> None:
     """All kinds of hard frames of the extraction benchmark."""
-    head("hard frames")
+    title("hard frames")
     for kind in CASE_KINDS:
         scores = []
         for case in cases_of(kind, sensor):

@@ -18,8 +18,9 @@ from time import perf_counter
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import cv2
 from detectors import ours, peers
-from limits import LimitRun
+from limits import TrackingLimits
 from sweeps import SWEEPS, Point, SweepRun, write_markdown
+from tables import missed
 
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -47,10 +48,10 @@ def parser() -> argparse.ArgumentParser:
     given.add_argument(
         "--limits",
         nargs="*",
-        choices=LimitRun.PARTS,
+        choices=TrackingLimits.PARTS,
         metavar="PART",
         help="print a row for each limit of these parts: limit, measured, met (default: all of "
-        f"{', '.join(LimitRun.PARTS)})",
+        f"{', '.join(TrackingLimits.PARTS)})",
     )
     given.add_argument(
         "--sweep",
@@ -79,29 +80,6 @@ def parser() -> argparse.ArgumentParser:
         help=f"folder of sample frames (default: ${DATA_VARIABLE})",
     )
     return given
-
-
-def limit_run(arguments: argparse.Namespace) -> LimitRun:
-    """What measures limits and broken frames."""
-    return LimitRun(
-        load_sensor(SENSOR),
-        Path(arguments.data) if arguments.data else None,
-        range(arguments.seed, arguments.seed + arguments.seeds),
-        arguments.detector,
-    )
-
-
-def limits(arguments: argparse.Namespace) -> int:
-    """A row for each limit; the number of those that are missed."""
-    run = limit_run(arguments)
-    missed = 0
-    print(f"{'limit':58s} | {'':8s} | {'measured':44s} | met")
-    for row in run.limits(arguments.limits):
-        missed += not row.met
-        verdict = "yes" if row.met else "NO"
-        print(f"{row.name:58s} | {row.limit:8s} | {row.measured:44s} | {verdict}", flush=True)
-    print(f"{missed} limits missed")
-    return missed
 
 
 def sweeps(arguments: argparse.Namespace) -> None:
@@ -140,7 +118,13 @@ def main() -> int:
     arguments = parser().parse_args()
     cv2.setNumThreads(1)
     if arguments.limits is not None:
-        return int(limits(arguments) > 0)
+        run = TrackingLimits(
+            load_sensor(SENSOR),
+            Path(arguments.data) if arguments.data else None,
+            range(arguments.seed, arguments.seed + arguments.seeds),
+            arguments.detector,
+        )
+        return int(missed(run.show(arguments.limits)) > 0)
     sweeps(arguments)
     return 0
 

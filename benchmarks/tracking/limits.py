@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from broken import BROKEN_KINDS, run_broken
 from detectors import Ours, run_frames, run_pair, run_sequence
+from tables import Limit, LimitRun
 
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.split import split_frame
@@ -48,18 +49,8 @@ SAMPLE_CAMERAS = {
 SAMPLE_STILLS = ("rest", "press", "slide", "twist", "bumps")
 
 
-@dataclass(frozen=True)
-class Limit:
-    """A line of the table: what is limited, by what, and what was measured."""
-
-    name: str
-    limit: str
-    measured: str
-    met: bool
-
-
 @dataclass
-class LimitRun:
+class TrackingLimits(LimitRun):
     """Measures all limits of our tracker.  samples: folder of sample frames, or None."""
 
     sensor: SensorDescription
@@ -72,12 +63,6 @@ class LimitRun:
         "found", "sequences", "hidden", "wrong", "corners", "virtual", "displacement",
         "bad_input", "broken",
     )  # fmt: skip
-
-    def limits(self, parts: Sequence[str] = ()) -> Iterable[Limit]:
-        """The limits of these parts, one after the other; all where none is named."""
-        for part in self.PARTS:
-            if not parts or part in parts:
-                yield from getattr(self, f"_{part}")()
 
     def _wrong(self) -> Iterable[Limit]:
         total = join_scores(self.scores)

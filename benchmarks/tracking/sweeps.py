@@ -9,6 +9,7 @@ from time import perf_counter
 
 import numpy as np
 from detectors import Detector, Ours, Result, run_frames, run_pair, run_sequence
+from tables import head, line
 
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.camera import CameraSettings
@@ -239,19 +240,17 @@ def write_markdown(points: Sequence[Point], versions: Sequence[str], path: Path)
         mine = [point for point in points if point.sweep == sweep]
         levels = list(dict.fromkeys(point.level for point in mine))
         lines += ["", f"## {sweep.capitalize()}", ""]
-        lines.append(f"| {mine[0].axis} | " + " | ".join(f"{level:.3g}" for level in levels) + " |")
-        lines.append("|---" * (len(levels) + 1) + "|")
+        lines.append(head(mine[0].axis, *(f"{level:.3g}" for level in levels)))
         for detector in dict.fromkeys(point.detector for point in mine):
             by_level = {point.level: point for point in mine if point.detector == detector}
-            cells = [_cell(by_level.get(level)) for level in levels]
-            lines.append(f"| {detector} | " + " | ".join(cells) + " |")
+            lines.append(line(detector, *(_cell(by_level.get(level)) for level in levels)))
     path.write_text("\n".join(lines) + "\n")
 
 
 def _summary(points: Sequence[Point]) -> list[str]:
     """The hardest level up to which all views of all levels were complete, per sweep."""
     detectors = list(dict.fromkeys(point.detector for point in points))
-    lines = ["| | " + " | ".join(detectors) + " |", "|---" * (len(detectors) + 1) + "|"]
+    lines = [head("", *detectors)]
     for sweep in dict.fromkeys(point.sweep for point in points):
         mine = [point for point in points if point.sweep == sweep]
         hardest = mine[-1].level
@@ -259,7 +258,7 @@ def _summary(points: Sequence[Point]) -> list[str]:
             _reached([point for point in mine if point.detector == detector], hardest)
             for detector in detectors
         ]
-        lines.append(f"| {sweep}: {mine[0].axis} | " + " | ".join(reached) + " |")
+        lines.append(line(f"{sweep}: {mine[0].axis}", *reached))
     return lines
 
 
