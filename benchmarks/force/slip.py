@@ -9,19 +9,15 @@ contact solver's nodes. `--noise` scales the noise of 2 um in plane and 5 um in 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from cases import at_markers
 from errors import NOISE_M, surface_of
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tables import head, line
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
@@ -199,7 +195,7 @@ def row(name: str, trial: Trial, data: list[SlipEstimate]) -> str:
         name, f"{mu:g}", begin, delay, f"{false}/{still}", f"{early}", f"{unknown}/{len(pairs)}",
         _percent(full, mu), _percent(part, mu), f"{np.nanmax(ratio):.3f}",
     ]  # fmt: skip
-    return line(*cells)
+    return "| " + " | ".join(cells) + " |"
 
 
 def _percent(values: NDArray[np.float64], mu: float) -> str:
@@ -221,12 +217,11 @@ def main() -> None:
     gel = LinearElastomer(sensor, arguments.nodes)
     observer = Observer(sensor, gel, arguments.noise)
     print(
-        head(
-            "contact", "friction", "reported from slip ratio", "full, frames late", "false",
-            "early", "unknown", "friction, full", "foreseen",
-            "largest error of the traction ratio",
-        )
-    )  # fmt: skip
+        "| contact | friction | reported from slip ratio | full, frames late | false | early "
+        "| unknown | friction, full | foreseen | largest error of the traction ratio |\n"
+        + 10 * "|---"
+        + "|"
+    )
     for name, make in CASES.items():
         if arguments.only in name:
             trial = make(gel)

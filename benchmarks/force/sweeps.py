@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cases import LINEAR, SMOOTH, SOLVED_N, ForceCase, load_neo_hookean_cases
+from cases import (
+    CONTACTS,
+    LINEAR,
+    SMOOTH,
+    SOLVED_N,
+    Contacting,
+    ForceCase,
+    load_neo_hookean_cases,
+)
 from errors import ForceErrors, Limits, errors_of, noisy, oracle_l2, reconstructed
 
 from cmp_tactile_processing.errors import CmpTactileError
@@ -168,30 +176,8 @@ RENDERED_LOADS = (0.5, 1.0, 2.0, 5.0)
 SHARE, NEWTON = 0.03, 0.02
 
 
-@dataclass(frozen=True)
-class RenderedContact:
-    """An indenter, where it is let down, m, and its tangential force as a share of the normal."""
-
-    name: str
-    type: str
-    values: Mapping[str, Any]
-    at: tuple[float, float] = (0.0, 0.0)
-    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tangential: tuple[float, float] = (0.0, 0.0)
-
-
-RENDERED = (
-    RenderedContact("sphere", "sphere", {"radius": 8e-3}, (0.4e-3, -0.3e-3)),
-    RenderedContact(
-        "edge", "cylinder", {"radius": 2e-3, "length": 8e-3, "edge_radius": 1e-3},
-        rotation_deg=(0.0, 0.0, 20.0),
-    ),
-    RenderedContact("ring", "ring", {"radius": 3.2e-3, "tube_radius": 1e-3}),
-    RenderedContact(
-        "off centre", "sphere", {"radius": 6e-3}, (2e-3, -1.4e-3), tangential=(0.1, -0.1)
-    ),
-    RenderedContact("shear", "sphere", {"radius": 8e-3}, tangential=(0.3, 0.1)),
-)  # fmt: skip
+RENDERED = {name: CONTACTS[name] for name in ("sphere", "edge", "ring", "off centre", "shear")}
+RENDERED["ring"] = replace(CONTACTS["ring"], at=(0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -213,9 +199,9 @@ class RenderedError:
 
 def rendered_errors(sensor: SensorDescription) -> Iterator[RenderedError]:
     """Errors of every contact and load."""
-    for contact in RENDERED:
+    for name, contact in RENDERED.items():
         pipeline = Pipeline(sensor)
-        simulation = Simulation(_scene(sensor, contact))
+        simulation = Simulation(_scene(sensor, name, contact))
         rest, held = [], []
         for frame in simulation.frames():
             if frame.phase == "rest":
@@ -225,12 +211,13 @@ def rendered_errors(sensor: SensorDescription) -> Iterator[RenderedError]:
                 continue
             held.append(_error(pipeline, frame))
             if len(held) == HELD_FRAMES:
-                yield _largest(contact.name, held)
+                yield _largest(name, held)
                 held = []
 
 
-def _scene(sensor: SensorDescription, contact: RenderedContact) -> Scene:
+def _scene(sensor: SensorDescription, case: str, contact: Contacting) -> Scene:
     x, y = contact.tangential
+    indenter: Any = contact.indenter
     phases = []
     for load in RENDERED_LOADS:
         name, goal = f"{load:g} N", Press(Load(load, (x * load, y * load)))
@@ -238,9 +225,9 @@ def _scene(sensor: SensorDescription, contact: RenderedContact) -> Scene:
         phases += [Phase(name, 1, goal), Phase(name, HELD_FRAMES - 1, Hold())]
     return replace(
         load_scene("contact_sphere"),
-        name=f"force_{contact.name}",
+        name=f"force_{case}",
         sensor=sensor,
-        indenter=IndenterDescription(contact.type, 0.6, contact.values),
+        indenter=IndenterDescription(indenter.name, contact.friction, asdict(indenter)),
         start=Start(Touch(contact.at, 0.3e-3), contact.rotation_deg),
         motion=(Phase("rest", REST_FRAMES, Hold()), *phases),
     )

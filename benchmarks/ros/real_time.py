@@ -37,7 +37,7 @@ from sensor_msgs.msg import CameraInfo
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from inputs import Input, add_options, chosen
 from pipeline_speed import BOTH, PEER, Chain, Times, take_peer
-from tables import head, keep, line
+from tables import keep
 from tracking.detectors import peers
 
 from cmp_tactile_driver.bags.writer import BagWriter
@@ -292,14 +292,12 @@ def figures(node: Wrenches, first: int = WARM_UP) -> dict[str, float]:
 
 def _row(key: str, found: Mapping[str, float]) -> str:
     if "lost" not in found:
-        return line(key, *6 * ("",), f"{found['first_wrench_s']:.1f}", "")
-    formats = {
-        "median_ms": ".1f", "p99_ms": ".1f", "cores": ".2f", "memory_mb": ".0f",
-        "first_wrench_s": ".1f", "frame_ms": ".1f",
-    }  # fmt: skip
-    lost = f"{found['lost']:.0f} of {found['sent']:.0f}"
-    cells = (format(found[name], form) for name, form in formats.items())
-    return line(key, f"{found['rate_hz']:.1f}", lost, *cells)
+        return f"| {key} | | | | | | | {found['first_wrench_s']:.1f} | |"
+    return (
+        f"| {key} | {found['rate_hz']:.1f} | {found['lost']:.0f} of {found['sent']:.0f} | "
+        f"{found['median_ms']:.1f} | {found['p99_ms']:.1f} | {found['cores']:.2f} | "
+        f"{found['memory_mb']:.0f} | {found['first_wrench_s']:.1f} | {found['frame_ms']:.1f} |"
+    )
 
 
 def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, dict[str, float]]:
@@ -307,8 +305,10 @@ def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, di
     found = {"beside": beside(recording, PACE_HZ)}
     opencv, pipeline = found["beside"].values()
     print(f"\n{recording.name}: OpenCV {opencv:.1f} ms, Pipeline {pipeline:.1f} ms for a frame\n")
-    names = "case", "Hz each", "lost", "median ms", "p99 ms", "cores", "MB"
-    print(head(*names, "first wrench s", "ms a frame"))
+    print(
+        "| case | Hz each | lost | median ms | p99 ms | cores | MB | first wrench s | ms a frame |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
     for key, case in chosen_cases.items():
         found[key] = run(recording, case)
         if "cores" in found[key]:
