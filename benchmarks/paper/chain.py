@@ -102,6 +102,12 @@ def score_markers(grids: Mapping[str, Grid], truth: Mapping[str, Grid]) -> GridS
     )
 
 
+def found_and_wrong(counts: NDArray[np.intp]) -> str:
+    """Share of the visible markers found, and wrong numbers, of counts (n, 3) of all three."""
+    visible, found, wrong = counts.sum(axis=0).tolist()
+    return f"{found / visible:.1%} / {wrong}"
+
+
 @dataclass(frozen=True)
 class Measurement:
     """What a method measured in a frame; grids by view.  force: None where it is not asked for."""

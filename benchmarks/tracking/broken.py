@@ -185,8 +185,13 @@ def _blurred(frame: PatternFrame, kernel: Float, rng: np.random.Generator) -> Tr
     image = cv2.filter2D(frame.image, cv2.CV_32F, spread, borderType=cv2.BORDER_REPLICATE)
     noisy = image + rng.normal(0.0, rng.uniform(0.0, 1.5), image.shape)
     broken = noisy.round().clip(0, 255).astype(np.uint8)
+    return _trial(frame, broken, places_of(frame), rng)
+
+
+def _trial(frame: PatternFrame, broken: Image, places: Float, rng: np.random.Generator) -> Trial:
+    """What a good frame was made into, after the good one or alone."""
     before = [frame.image] if rng.random() < FOLLOWED else []
-    return Trial([*before, broken], places_of(frame), [frame.image])
+    return Trial([*before, broken], places, [frame.image])
 
 
 def _out_of_focus(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
@@ -215,9 +220,8 @@ def _turned(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
     image = cv2.warpAffine(
         frame.image, turn, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     )
-    before = [frame.image] if rng.random() < FOLLOWED else []
     turned = places @ turn[:, :2].T + turn[:, 2]
-    return Trial([*before, np.asarray(image, np.uint8)], turned, [frame.image])
+    return _trial(frame, np.asarray(image, np.uint8), turned, rng)
 
 
 def _torn(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
@@ -253,9 +257,8 @@ def _lost(frames: Sequence[PatternFrame], rng: np.random.Generator) -> Trial:
     x, y = below[..., 0] - lost % width, below[..., 1] - lost // width
     below = np.stack([np.where(x < 0, x + width, x), np.where(x < 0, y - 1, y)], axis=-1)
     below[below[..., 1] < row] = np.nan
-    before = [frame.image] if rng.random() < FOLLOWED else []
-    image = stream.reshape(height, width)
-    return Trial([*before, image], np.concatenate([above, below]), [frame.image])
+    places = np.concatenate([above, below])
+    return _trial(frame, stream.reshape(height, width), places, rng)
 
 
 def _row_across(frame: PatternFrame, rng: np.random.Generator) -> int:

@@ -90,13 +90,14 @@ def sweeps(arguments: argparse.Namespace) -> None:
         f"Peers get at most {arguments.peer_images} views of a level and "
         f"{arguments.peer_seconds:g} s for a sweep"
     )
-    print("\n".join([*versions, caps]))
-    notes = [*versions, caps]
+    notes: list[str] = []
 
     def note(text: str) -> None:
         notes.append(text)
         print(text, flush=True)
 
+    for text in (*versions, caps):
+        note(text)
     run = SweepRun(
         load_sensor(SENSOR), detectors, arguments.peer_images, arguments.peer_seconds, note
     )

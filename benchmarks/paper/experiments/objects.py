@@ -18,6 +18,7 @@ from paper.chain import (
     Measurement,
     Method,
     all_markers,
+    found_and_wrong,
     mean_absolute,
     score_markers,
 )
@@ -119,9 +120,8 @@ def _distance(data: Arrays, method: Method) -> float:
 
 
 def _counts(results: Mapping[str, Arrays], method: Method) -> str:
-    counts = np.concatenate([data[f"{method.key}_counts"] for data in results.values()])
-    visible, found, wrong = counts.sum(axis=0).tolist()
-    return f"{found / visible:.1%} / {wrong}"
+    counts = [data[f"{method.key}_counts"] for data in results.values()]
+    return found_and_wrong(np.concatenate(counts))
 
 
 def claim(results: Mapping[str, Arrays], method: Method, page: Page) -> None:

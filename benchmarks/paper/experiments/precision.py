@@ -22,6 +22,7 @@ from paper.chain import (
     CMP,
     Chain,
     Method,
+    found_and_wrong,
     in_contact,
     largest,
     root_mean_square,
@@ -154,26 +155,23 @@ class Summary:
 
     rms, largest (3,) along x, y, z: RMS over markers and draws, mean over draws of the largest.
     concentration (3,): how many times larger the RMS is in contact than outside of it.
-    found: share of the visible markers.  wrong: number of those with wrong numbers.
+    counts: share of the visible markers that is found, and number of those with wrong numbers.
     """
 
     rms: Array
     largest: Array
     concentration: Array
-    found: float
-    wrong: int
+    counts: str
 
     @classmethod
     def from_arrays(cls, data: Arrays, method: Method) -> Summary:
         """Of the results of `loads`."""
         errors, inside = data[f"{method.key}_errors"], data["inside"]
-        visible, found, wrong = data[f"{method.key}_counts"].sum(axis=0).tolist()
         return cls(
             root_mean_square(errors),
             np.mean([largest(draw) for draw in errors], axis=0),
             root_mean_square(errors[:, inside]) / root_mean_square(errors[:, ~inside]),
-            found / visible,
-            wrong,
+            found_and_wrong(data[f"{method.key}_counts"]),
         )
 
     @property
@@ -201,8 +199,7 @@ def _table(summaries: Mapping[str, Summary], page: Page) -> None:
         found = summaries[method.key]
         errors = (f"{1e6 * value:.3g}" for value in (*found.rms, *found.largest))
         ratio = f"{np.linalg.norm(found.rms) / ours:.2f}"
-        counts = f"{found.found:.1%} / {found.wrong}"
-        rows.append((method.label, *errors, ratio, _times(found.concentration), counts))
+        rows.append((method.label, *errors, ratio, _times(found.concentration), found.counts))
     page.table("precision.loads", rows)
 
 
@@ -211,9 +208,9 @@ def _dots_table(data: Arrays, page: Page) -> None:
     for size, centres in product(DOT_SIZES, CENTRES):
         errors = data[f"{size:g}_{centres}_errors"]
         both = float(np.linalg.norm(root_mean_square(errors)))
-        visible, found, wrong = data[f"{size:g}_{centres}_counts"].sum(axis=0).tolist()
+        counts = found_and_wrong(data[f"{size:g}_{centres}_counts"])
         parts = (f"{1e6 * value:.3g}" for value in (*split_of(errors), both))
-        rows.append((f"{size:g}", centres, *parts, f"{found / visible:.1%} / {wrong}"))
+        rows.append((f"{size:g}", centres, *parts, counts))
     page.table("precision.dots", rows, method=DMP_GRID.label, diameter=DOT_DIAMETER)
 
 
