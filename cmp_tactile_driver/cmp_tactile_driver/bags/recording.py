@@ -14,7 +14,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 
 class ImageRecording:
-    """Images or a video: frame k has the stamp k / frame_rate, and there is no calibration."""
+    """Images or a video: stamps are times from the first frame, and there is no calibration."""
 
     has_camera_info = of_surfaces = False
     gaps = ""
@@ -46,9 +46,7 @@ class ImageRecording:
         self, span: timeline.TimeSpan = timeline.WHOLE
     ) -> Iterator[reader.RecordedMessage]:
         """The good frames; FrameSourceError where there is none, or of another size."""
-        # A bad image leaves a gap, as a lost frame does.
-        for number, image in self._source.images():
-            time_s = number / self.frame_rate
+        for time_s, image in self._source.images():
             if time_s >= span.end:
                 return
             if time_s in span:

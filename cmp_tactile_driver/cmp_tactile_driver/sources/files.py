@@ -120,9 +120,10 @@ class ImageFolder(_Images):
         self.declared_frames = len(self._files)
         self._depth = BitDepth(str(folder), look_ahead=self._used_bits)
 
-    def images(self) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Number and pixels of the good images, from the first on; bad ones are counted.
+    def images(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Time in s and pixels of the good images, from the first on; bad ones are counted.
 
+        A bad image leaves a gap, as a lost frame does.
         Raises FrameSourceError where none of them is good.
         """
         self.health = frames.SourceHealth()
@@ -137,7 +138,7 @@ class ImageFolder(_Images):
                     raise self._none_good(number + 1) from None
                 continue
             good += 1
-            yield number, image
+            yield number / self.frame_rate, image
         if not good:
             raise self._none_good(len(self._files))
 
@@ -167,11 +168,17 @@ def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
 
 
-class VideoFile(_Images):
-    """The frames of a video file, which are BGR.
+# Of videos that state their number of frames.  Of others, OpenCV multiplies duration and frame rate.
+COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
+# Matroska and WebM round times to it.
+TIME_STEP_S = 1e-3
 
-    frame_rate: the file's own, frames per second.  declared_frames: how many frames the file says
-    that it has; 0 where it does not.
+
+class VideoFile(_Images):
+    """The frames of a video file, which are BGR; as the camera made them, not turned for viewing.
+
+    frame_rate: the file's own, frames per second, the mean where it varies.  declared_frames: how
+    many frames the file says that it has; 0 where it does not.
     """
 
     def __init__(self, path: Path, *, expected_size: frames.ImageSize | None = None) -> None:
@@ -186,13 +193,13 @@ class VideoFile(_Images):
         sensible = math.isfinite(rate) and 0 < rate <= 1000
         self.frame_rate = rate if sensible else DEFAULT_FRAME_RATE
 
-    def images(self) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Number and pixels of the frames, from the first on; those that are missing are counted.
+    def images(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Time in s and pixels of the frames, from the first on; those that are missing are counted.
 
         Raises FrameSourceError where there is none at all, or its size is wrong.
         """
         self.health = frames.SourceHealth()
-        count = 0
+        count, first_s, time_s = 0, 0.0, 0.0
         with self._opened() as capture:
             while (read := capture.read())[0]:
                 image = np.asarray(read[1], np.uint8)
@@ -200,16 +207,33 @@ class VideoFile(_Images):
                 if wrong:
                     msg = f"{self._path}: {wrong}"
                     raise FrameSourceError(msg)
-                yield count, image
+                position_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3
+                if count:
+                    time_s = self._time_after(time_s, position_s - first_s)
+                else:
+                    first_s = position_s
+                yield time_s, image
                 count += 1
         if not count:
             msg = f"{self._path}: no frame can be decoded"
             raise FrameSourceError(msg)
+        self._count_missing(count, time_s)
+
+    def _time_after(self, before_s: float, position_s: float) -> float:
+        """Time of a frame; position_s: as the file has it, perhaps rounded, or the same for all."""
+        regular_s = round(position_s * self.frame_rate) / self.frame_rate
+        time_s = regular_s if abs(regular_s - position_s) <= TIME_STEP_S else position_s
+        return time_s if time_s > before_s else before_s + 1 / self.frame_rate
+
+    def _count_missing(self, count: int, last_s: float) -> None:
+        if self._path.suffix.lower() not in COUNTING_SUFFIXES:
+            # Where the frame rate varies, there are fewer in the same time.
+            count = max(count, round(last_s * self.frame_rate) + 1)
         missing = self.declared_frames - count
         if missing > 0:
             text = (
                 f"{self._path}: {count} of {self.declared_frames} frames can be read; the others "
-                "are damaged"
+                "are damaged, or were cut off without encoding the video again"
             )
             self.health = frames.SourceHealth(missing, text)
 
@@ -220,6 +244,7 @@ class VideoFile(_Images):
             if not capture.isOpened():
                 msg = f"{self._path}: found {self._path.stat().st_size} bytes, expected a video"
                 raise FrameSourceError(msg)
+            capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
             yield capture
         finally:
             capture.release()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -59,7 +61,8 @@ def test_bad_image_in_the_middle_is_skipped_and_named(image_folder, frames, keep
 def test_one_of_another_size_is_skipped_and_named(image_folder, frames, number):
     cv2.imwrite(str(image_folder / f"{number}.png"), np.zeros((10, 20), np.uint8))
     source = ImageFolder(image_folder, expected_size=(64, 48))
-    assert [n for n, _ in source.images()] == [n for n in range(len(frames)) if n != number]
+    times_s = [n / source.frame_rate for n in range(len(frames)) if n != number]
+    assert [time_s for time_s, _ in source.images()] == times_s
     assert f"{number}.png: found 20 x 10 px, expected 64 x 48 px" in source.health.problem
 
 
@@ -127,6 +130,60 @@ def test_truncated_end_is_counted(tmp_path):
     assert 0 < count < FRAMES
     assert source.health.bad_frames == FRAMES - count
     assert f"{count} of {FRAMES} frames can be read" in source.health.problem
+
+
+def _recorded(path, codec):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 25.0, (64, 48))
+    assert writer.isOpened()
+    for number in range(FRAMES):
+        writer.write(_ramp(number))
+    writer.release()
+    return path.read_bytes()
+
+
+def _replaced_once(content, old, new):
+    assert content.count(old) == 1
+    return content.replace(old, new)
+
+
+def test_frames_of_a_variable_rate_have_their_own_times_and_none_is_missing(tmp_path):
+    """Cameras in the dark, telephones and screen recorders write such videos.
+
+    Reports: IntelligentSensingAndRehabilitation/PosePipeline 59, opencv/opencv 15569; tried: times
+    were those of a constant rate, and frames that never were counted as damaged.
+    """
+    path = tmp_path / "slow.mkv"
+    content = _recorded(path, "FFV1")
+    for number in reversed(range(6, FRAMES)):
+        # In a block of Matroska: track 1, then the time in ms.
+        old, new = (struct.pack(">Bh", 0x81, ms) for ms in (40 * number, 100 * number - 360))
+        content = _replaced_once(content, old, new)
+    last_ms = 100 * (FRAMES - 1) - 360
+    duration = struct.pack(">d", 40.0 * FRAMES)
+    path.write_bytes(_replaced_once(content, duration, struct.pack(">d", last_ms + 40.0)))
+    source = VideoFile(path)
+    assert source.declared_frames > FRAMES
+    times_s = [time_s for time_s, _ in source.images()]
+    expected_s = [0.04 * n for n in range(6)] + [0.1 * n - 0.36 for n in range(6, FRAMES)]
+    assert times_s == pytest.approx(expected_s, abs=1e-9)
+    assert source.health.bad_frames == 0
+
+
+def test_a_video_is_not_turned_for_viewing(tmp_path):
+    """As photographs are not: the description is that of the camera's own pixels.
+
+    Reports: openmpf/openmpf 1501, opencv/opencv 28644; tried: a video that says it is to be shown
+    upside down was read so.
+    """
+    path = tmp_path / "held_upside_down.mp4"
+    content = _recorded(path, "mp4v")
+    before, header, track = content.partition(b"tkhd")
+    upright, turned = (
+        struct.pack(">9i", s << 16, 0, 0, 0, s << 16, 0, 0, 0, 1 << 30) for s in (1, -1)
+    )
+    path.write_bytes(before + header + track.replace(upright, turned, 1))
+    for number, image in enumerate(_read_all(VideoFile(path))):
+        assert np.abs(image.astype(int) - _ramp(number)).max() <= JPEG_TOLERANCE
 
 
 def test_wrong_size_is_named(video):
