@@ -23,14 +23,26 @@ def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
     """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
 
     depth: of the images that the file is one of; absent for one by itself.
-    Raises FrameError naming the file.
+    Raises FrameError naming the file, also where more images of its size are in it.
     """
     try:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise FrameError(msg) from None
-    return decode_image(content, str(path), depth)
+    image = decode_image(content, str(path), depth)
+    if _next_shape(content)[:2] == image.shape[:2]:
+        msg = f"{path}: found several images in one file, expected one: write each to its own file"
+        raise FrameError(msg)
+    return image
+
+
+def _next_shape(content: NDArray[np.uint8]) -> tuple[int, ...]:
+    """Of the second image of a TIFF, which is smaller where it is a preview; () for none."""
+    if content[:2].tobytes() not in (b"II", b"MM"):
+        return ()
+    _, images = cv2.imdecodemulti(content, cv2.IMREAD_UNCHANGED, range=(1, 2))
+    return images[0].shape if images else ()
 
 
 DEFAULT_FRAME_RATE = 30.0
@@ -168,7 +180,7 @@ def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
 
 
-# Of videos that state their number of frames.  Of others, OpenCV multiplies duration and frame rate.
+# Of videos that state their number of frames.  For others, OpenCV multiplies duration and rate.
 COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
 # Matroska and WebM round times to it.
 TIME_STEP_S = 1e-3
@@ -194,7 +206,7 @@ class VideoFile(_Images):
         self.frame_rate = rate if sensible else DEFAULT_FRAME_RATE
 
     def images(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-        """Time in s and pixels of the frames, from the first on; those that are missing are counted.
+        """Time in s and pixels of the frames, from the first on; missing ones are counted.
 
         Raises FrameSourceError where there is none at all, or its size is wrong.
         """

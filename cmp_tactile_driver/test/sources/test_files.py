@@ -203,6 +203,20 @@ def test_a_folder_of_16_bits_has_one_scale_from_its_dark_beginning(tmp_path, fra
     assert caplog.text.count("12 of 16 bits") == 1
 
 
+def test_several_images_in_a_file_are_not_taken_for_one(tmp_path, frames):
+    """ImageJ writes recordings so; tried: of 12 frames one was read, and nothing said so.
+
+    Reports: imageio/imageio 449 and 558, cgohlke/tifffile 30.
+    """
+    path = tmp_path / "stack.tif"
+    cv2.imwritemulti(str(path), frames)
+    with pytest.raises(FrameSourceError, match=r"stack.tif: found several images in one file"):
+        _read_all(ImageFolder(path))
+    preview = cv2.resize(frames[0], None, fx=0.25, fy=0.25)
+    cv2.imwritemulti(str(path), [frames[0], preview])
+    assert np.array_equal(_read_all(ImageFolder(path)), frames[:1])
+
+
 def test_a_jpeg_with_a_part_missing_is_no_frame(image_folder, frames):
     """huggingface/lerobot 1487: frames half grey were recorded, learned from and never noticed."""
     smooth = cv2.GaussianBlur(frames[0], (0, 0), 2)

@@ -50,11 +50,12 @@ def decode_image(
     if image is None:
         msg = f"{origin}: found {content.size} bytes that are not a readable image"
         raise FrameError(msg)
-    if image.dtype == np.uint16:
-        image = (depth or BitDepth(origin)).to_8_bits(np.asarray(image, np.uint16))
-    if image.dtype != np.uint8:
+    if image.dtype not in (np.uint8, np.uint16):
         msg = f"{origin}: found {image.dtype} pixels, expected uint8 or uint16"
         raise FrameError(msg)
     if image.ndim == 3 and image.shape[2] == 4:
+        # First: alpha uses all 16 bits.
         image = cv2.cvtColor(image, cv2.COLOR_BGRA2BGR)
+    if image.dtype == np.uint16:
+        image = (depth or BitDepth(origin)).to_8_bits(np.asarray(image, np.uint16))
     return np.asarray(image, np.uint8)

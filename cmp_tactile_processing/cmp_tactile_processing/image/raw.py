@@ -148,6 +148,9 @@ def decode_raw(  # noqa: PLR0913  the fields of a message
     if layout.deep:
         kind = np.dtype(">u2" if big_endian else "<u2")
         deep = np.ascontiguousarray(rows).view(kind).astype(np.uint16, copy=False)
+        if layout.samples == 4:
+            deep = deep.copy()
+            deep[:, 3::4] = 0  # alpha, which uses all 16 bits
         rows = (depth or BitDepth()).to_8_bits(deep)
     if layout.luma is not None and luminance:
         # The luminance as the camera measured it.
