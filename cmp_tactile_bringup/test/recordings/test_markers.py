@@ -109,6 +109,59 @@ def test_a_lost_marker_that_stays_at_nought_is_warned_of(tmp_path, sensor, posit
     assert "warning: finger: in 3 of 6 frames implausible" in printed(capsys)
 
 
+COLUMNS = "frame,row,col,x,y"
+
+
+def _table(position, separator=",", point=".", quote=""):
+    rows = [
+        (str(k), str(i), str(j), *(repr(float(v)).replace(".", point) for v in position[k, i, j]))
+        for k, i, j in np.ndindex(position.shape[:3])
+    ]
+    lines = (separator.join(f"{quote}{cell}{quote}" for cell in row) for row in rows)
+    return "\n".join([COLUMNS.replace(",", separator), *lines, ""])
+
+
+@pytest.mark.parametrize(
+    ("before", "signs"),
+    [
+        ("\ufeff", {}),
+        ("", {"separator": ";", "point": ","}),
+        ("sep=;\n", {"separator": ";", "point": ","}),
+        ("", {"separator": "\t"}),
+        ("", {"quote": '"'}),
+        ("# frame rate 30\n\n", {}),
+    ],
+)
+def test_tables_that_spreadsheets_write_are_read(tmp_path, sensor, position, before, signs):
+    """Tried: refused with "Some errors were detected !", or quoted numbers were NaN.
+
+    Reports: dotCMS/core 36508 and molgenis/molgenis 6492 (mark of UTF-8), actualbudget/actual 1769
+    and oroinc/crm 96 (German and French tables).
+    """
+    plane = position[..., :2]
+    text = before + _table(plane, **signs)
+    (tmp_path / "table.csv").write_text(text, encoding="utf-8")
+    of_table = read_markers(tmp_path / "table.csv", sensor.pattern)
+    np.save(tmp_path / "array.npy", plane)
+    of_array = read_markers(tmp_path / "array.npy", sensor.pattern)
+    np.testing.assert_array_equal(of_table.displacement, of_array.displacement)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda text: text + "1,2,3,0.0,0.0\n", "frame 1, row 2, col 3 in 2 lines"),
+        (lambda text: text.replace("\n0,0,1,", "\n0,0\n0,0,1,"), r"Line #3 \(got 2 columns"),
+        (lambda _: "", "no table .it is empty"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_named(tmp_path, sensor, position, change, found):
+    path = tmp_path / "table.csv"
+    path.write_text(change(_table(position[..., :2])))
+    with pytest.raises(FrameSourceError, match=rf"table\.csv: found .*{found}"):
+        read_markers(path, sensor.pattern)
+
+
 def test_tables_of_trackers_are_read(tmp_path, sensor, position):
     """The columns of GelSight's tracker, in px, and those of others."""
     pixels = SCALE * position[..., :2] + MIDDLE_PX

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ LEAST_STEP, MOST_STEP, STRAY_SHARE = 0.5, 1.5, 0.05
 LEAST_KNOWN = 0.5
 # Columns of a table, by what else trackers call them: (Ox, Oy) is at rest, (Cx, Cy) now.
 ALIASES = {"frameno": "frame", "cx": "x", "cy": "y"}
+HEADER = re.compile(r"[#\s]*(\w+\s*[,;\t]\s*)*frame(no)?\s*[,;\t]", re.IGNORECASE)
 TABLE = "the columns frame, row, col, x, y; optional: z, time_s, Ox, Oy"
 
 
@@ -112,11 +114,13 @@ def _no_number(values: NDArray[Any]) -> bool:
 def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]]:
     """The arrays of a table with a row for each marker that was seen in a frame."""
     try:
-        table = np.atleast_1d(np.genfromtxt(path, delimiter=",", names=True, autostrip=True))
+        lines, separator = _table_lines(path)
+        table = np.atleast_1d(np.genfromtxt(lines, delimiter=separator, names=True, autostrip=True))
         names = table.dtype.names or ()
         columns = {ALIASES.get(name.lower(), name.lower()): table[name] for name in names}
     except (OSError, ValueError, TypeError) as error:
-        raise _error(path, f"no table ({str(error).splitlines()[0]})", TABLE) from None
+        # The last line of numpy's text names a row.
+        raise _error(path, f"no table ({str(error).splitlines()[-1].strip()})", TABLE) from None
     missing = [name for name in ("frame", "row", "col", "x", "y") if name not in columns]
     if missing or not table.size:
         found = f"no column {missing[0]}; columns: {', '.join(columns)}" if missing else "no row"
@@ -130,6 +134,11 @@ def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]
         raise _error(path, found, expected)
     frames, frame = np.unique(columns["frame"], return_inverse=True)
     row, col = at.astype(int)
+    markers, count = np.unique([frame, row, col], axis=1, return_counts=True)
+    if (count > 1).any():
+        k, i, j = markers[:, np.argmax(count)]
+        found = f"frame {frames[k]:g}, row {i}, col {j} in {count.max()} lines"
+        raise _error(path, found, "each marker once in a frame")
 
     def filled(names: tuple[str, ...]) -> Array:
         values = np.full((len(frames), *shape, len(names)), np.nan)
@@ -143,6 +152,24 @@ def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]
         arrays[TIME] = np.full(len(frames), np.nan)
         arrays[TIME][frame] = columns[TIME]
     return arrays
+
+
+def _table_lines(path: Path) -> tuple[list[str], str]:
+    """The lines of a table from its header on, without quotes; and what separates its columns.
+
+    Spreadsheets begin with a mark of UTF-8 or with "sep=;", and separate columns by semicolons
+    where the decimal sign is a comma.  Raises ValueError where nothing is in it.
+    """
+    lines = path.read_text(encoding="utf-8-sig").replace('"', "").splitlines()
+    headers = (number for number, line in enumerate(lines) if HEADER.match(line))
+    lines = lines[next(headers, 0) :]
+    if not any(map(str.strip, lines)):
+        msg = "it is empty"
+        raise ValueError(msg)
+    separator = next((sign for sign in ";\t" if sign in lines[0]), ",")
+    if separator != ",":
+        lines = [line.replace(",", ".") for line in lines]
+    return lines, separator
 
 
 def _on_grid(path: Path, name: str, values: NDArray[Any], shape: tuple[int, int]) -> Array:
