@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -23,9 +24,18 @@ REPEAT_S = 0.05
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
     with _Interruption(is_process=argv is None) as interruption:
+        _print_any_character()
         from cmp_tactile_bringup.commands import parse
 
         return _run(parse(sys.argv[1:] if argv is None else argv), interruption)
+
+
+def _print_any_character() -> None:
+    """Write what the terminal's encoding lacks, as in a path, by its number; else it would fail."""
+    for stream in (sys.stdout, sys.stderr):
+        # None where the shell closed it.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 class _Interruption:

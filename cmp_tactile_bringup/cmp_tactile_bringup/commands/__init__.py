@@ -92,6 +92,9 @@ def parse(words: Sequence[str]) -> Command:
         made = command.main(args=given, prog_name=PROGRAM, standalone_mode=False)
     except UsageError as error:
         misuse(_message(error))
+    except SystemExit as ended:
+        # So rich ends where the reader of a help text has gone, as `| head` does.
+        sys.exit(0 if ended.code == 1 else ended.code)
     if isinstance(made, Command):
         return made
     # The exit code after a help text.

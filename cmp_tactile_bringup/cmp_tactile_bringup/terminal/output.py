@@ -30,7 +30,16 @@ OnStage = Callable[[str, float], None]
 UNBOUNDED = 10_000
 
 
-class _PlainConsole(Console):
+class _PipedConsole(Console):
+    """Lets the work go on where the reader of the output has gone, as `| head` does."""
+
+    def on_broken_pipe(self) -> None:
+        """Write nothing more; rich would end the process with an exit code of 1."""
+        self.quiet = True
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())
+
+
+class _PlainConsole(_PipedConsole):
     """Draws tables and bars of characters that every terminal has."""
 
     @property
@@ -45,7 +54,8 @@ def output_console(*, stderr: bool = False) -> Console:
     Whole lines in a pipe or file, where words and paths are to be found and copied.  Plain
     characters where TERM is dumb.
     """
-    made = (_PlainConsole if os.environ.get("TERM") == "dumb" else Console)(stderr=stderr)
+    kind = _PlainConsole if os.environ.get("TERM") == "dumb" else _PipedConsole
+    made = kind(stderr=stderr)
     if not made.is_terminal and "COLUMNS" not in os.environ:
         made.width = UNBOUNDED
     return made

@@ -1,7 +1,9 @@
 """The command: files that it writes, errors in one line, exit codes."""
 
+import os
 import re
 import runpy
+import shutil
 import signal
 import subprocess
 import sys
@@ -155,6 +157,54 @@ def test_a_signal_while_the_command_is_loaded_ends_it_with_its_code(number):
         _, err = process.communicate(timeout=60)
         assert process.returncode == 128 + number
         assert err == "stopped\n"
+
+
+def _command(*words):
+    return [sys.executable, "-m", "cmp_tactile_bringup.command", *words]
+
+
+@pytest.mark.parametrize("words", [["info"], ["info", "--help"], ["pattern", "--help"]])
+def test_a_reader_that_has_gone_is_no_error(words):
+    """As in `cmp_tactile info | head -1`, by which a script with pipefail must not end.
+
+    Reports: Textualize/rich 3400, pypa/pip 13878, Backblaze/B2_Command_Line_Tool 1071; tried: the
+    exit code was 1.
+    """
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            _command(*words), stdout=writer, stderr=subprocess.PIPE, text=True, check=False
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_error_is_one_though_nobody_reads_the_output(tmp_path):
+    """Of several recordings the later ones are processed, too."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        words = _command("process", str(tmp_path), "--sensor", "sample_rig", "--output", "results")
+        done = subprocess.run(words, cwd=tmp_path, stdout=writer, stderr=writer, check=False)
+    finally:
+        os.close(writer)
+    assert done.returncode == 1
+
+
+def test_a_path_that_the_terminal_cannot_show_is_shown_by_its_numbers(tmp_path):
+    """Reports: Textualize/rich 212, docker-pretty-ps 22; tried: an error in place of the table."""
+    path = tmp_path / "größe Ω.yaml"
+    shutil.copy(find_sensor_description("sample_rig"), path)
+    done = subprocess.run(
+        _command("info", str(path)),
+        env=os.environ | {"PYTHONIOENCODING": "latin-1"},
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert r"größe \u03a9.yaml".encode("latin-1") in done.stdout
 
 
 def test_a_misspelt_subcommand_is_asked_about(capsys):

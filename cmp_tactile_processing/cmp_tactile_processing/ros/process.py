@@ -32,20 +32,27 @@ EXPECTED = {
     "parameter override rule": "NAME:=VALUE",
     "log level": "debug, info, warn, error or fatal",
 }
+MOST_DOMAIN = 232
+"""A higher one has no UDP ports (7400 + 250 x domain; DDSI-RTPS 2.5, 9.6.1.1)."""
 _NOT_PARSED = re.compile(r"Couldn't parse ([\w ]+): '([^']*)'")
 
 
 class JoinError(CmpTactileError):
-    """ROS refuses this process: for its arguments, or because it cannot protect the graph."""
+    """ROS refuses this process: its arguments, its domain, or as it cannot protect the graph."""
 
 
 @contextmanager
 def joining_ros() -> Iterator[None]:
     """Names in one line why the ROS context or the first node cannot be made.
 
-    Raises JoinError for ROS arguments that cannot be read, and where ROS_SECURITY_ENABLE asks for
-    what the middleware lacks.  What rcl says has several lines, or only "error not set".
+    Raises JoinError for ROS arguments that cannot be read, for ROS_DOMAIN_ID, and where
+    ROS_SECURITY_ENABLE asks for what the middleware lacks.  What rcl says has several lines, or
+    only "error not set"; of domains it takes 5.5 for 5 and -1 for 0.
     """
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= MOST_DOMAIN):
+        msg = f"ROS_DOMAIN_ID: found {domain!r}, expected a whole number from 0 to {MOST_DOMAIN}"
+        raise JoinError(msg)
     try:
         with warnings.catch_warnings():
             # Of the half-made node.

@@ -12,6 +12,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from cmp_tactile_processing.ros.process import JoinError, Listener
+
 pytestmark = pytest.mark.ros
 
 START_TIMEOUT_S = 60.0
@@ -141,3 +143,15 @@ def test_missing_security_is_reported_in_one_line(tmp_path):
     assert done.returncode == 1
     assert len(errors) == 1
     assert errors[0].startswith("error: ROS_SECURITY_ENABLE=true: found no secure")
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "5.5", "233"])
+def test_a_domain_that_is_none_is_named(monkeypatch, domain):
+    """Reports: ros2/rmw_cyclonedds 61, ros2/rcl 694, strands-labs/robots 1976.
+
+    Tried: nodes of domain -1 ran in domain 0, those of 5.5 in 5; 233 was an error of Fast DDS with
+    a traceback.
+    """
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(JoinError, match=f"ROS_DOMAIN_ID: found '{domain}', expected .* 0 to 232"):
+        Listener("somebody").__enter__()
