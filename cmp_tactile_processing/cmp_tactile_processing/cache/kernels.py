@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import functools
+import logging
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numpy as np
 from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+LOGGER = logging.getLogger(__name__)
 
 # Nobody calls them by address; a division by zero gives what NumPy gives.
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -27,7 +32,34 @@ def kernel(function: Any = None, **options: Any) -> Any:
     options: those of `numba.njit`, such as `fastmath`.
     """
     decorate = njit(cache=True, **OPTIONS, **options)
-    return decorate if function is None else decorate(function)
+
+    def made(function: Any) -> Any:
+        return _running_on_a_full_disk(decorate(function))
+
+    return made if function is None else made(function)
+
+
+def _running_on_a_full_disk(dispatcher: Any) -> Any:
+    """The dispatcher; where its cache cannot be written, numba would not run what it compiled."""
+    cache = getattr(dispatcher, "_cache", None)
+    if cache is None:  # a plain function, by NUMBA_DISABLE_JIT
+        return dispatcher
+    save = cache.save_overload
+
+    def try_to_save(signature: Any, compiled: Any) -> None:
+        try:
+            save(signature, compiled)
+        except OSError as error:
+            folder = Path(cache.cache_path).parent
+            _warn_once(f"{folder}: {error.strerror}: compiled functions are not kept")
+
+    cache.save_overload = try_to_save
+    return dispatcher
+
+
+@functools.cache
+def _warn_once(text: str) -> None:
+    LOGGER.warning(text)
 
 
 @overload
