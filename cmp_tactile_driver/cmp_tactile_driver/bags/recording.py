@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
     frame_id: of images and videos.  expected_size: absent for the size of the first image.
     Raises FrameSourceError where there is nothing to replay.
     """
-    if not path.exists():
+    if not (path.is_file() or path.is_dir()):
         kinds = "a ROS 2 bag, a folder of images, an image or a video"
         msg = f"{path}: found no such file or folder, expected {kinds}"
         raise FrameSourceError(msg)
@@ -90,9 +91,27 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
     if is_image or (path.is_dir() and not is_bag(path)):
         images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
         return ImageRecording(images, frame_id)
-    if path.is_file() and path.suffix.lower() not in storage.STORAGE_SUFFIXES:
-        return ImageRecording(files.VideoFile(path, expected_size=expected_size), frame_id)
-    return reader.BagReader(path, topic, expected_size, shape)
+    if path.is_dir() or storage.is_bag_file(path):
+        return reader.BagReader(path, topic, expected_size, shape)
+    return ImageRecording(_video(path, expected_size), frame_id)
+
+
+def _video(path: Path, expected_size: frames.ImageSize | None) -> files.VideoFile:
+    suffix = path.suffix.lower()
+    if suffix == ".bag":
+        msg = (
+            f"{path}: found a bag of ROS 1, expected one of ROS 2; to convert it: "
+            f"rosbags-convert --src {shlex.quote(str(path))} --dst NEW_FOLDER"
+        )
+        raise FrameSourceError(msg)
+    try:
+        return files.VideoFile(path, expected_size=expected_size)
+    except FrameSourceError as error:
+        if suffix in files.VIDEO_SUFFIXES:
+            raise
+        kinds = ", ".join([*storage.STORAGE_SUFFIXES, *files.IMAGE_SUFFIXES])
+        msg = f"{error}, or a file named {kinds}"
+        raise FrameSourceError(msg) from None
 
 
 def open_recording_of(

@@ -158,7 +158,7 @@ class BagStorage:
 
     def _open_file(self, path: Path) -> BagFile:
         unpacked = self._unpack(path) if path.suffix == PACKED_SUFFIX else path
-        return FORMATS[unpacked.suffix](unpacked)
+        return FORMATS[unpacked.suffix.lower()](unpacked)
 
     def _unpack(self, path: Path) -> Path:
         """A file that rosbag2 compressed as a whole, unpacked for as long as the bag is read."""
@@ -183,10 +183,15 @@ def open_storage(path: Path) -> BagStorage:
     if not path.exists():
         msg = f"{path}: found no such file or folder, expected a ROS 2 bag"
         raise BagError(msg)
-    if path.is_file() and path.suffix not in STORAGE_SUFFIXES:
+    if path.is_file() and not is_bag_file(path):
         msg = f"{path}: found a {path.suffix or 'nameless'} file, expected a folder, .mcap or .db3"
         raise BagError(msg)
     return BagStorage(path)
+
+
+def is_bag_file(path: Path) -> bool:
+    """Whether a file is named as one of a bag is, also one that was compressed as a whole."""
+    return Path(path.name.removesuffix(PACKED_SUFFIX)).suffix.lower() in STORAGE_SUFFIXES
 
 
 def bag_files(folder: Path) -> list[Path]:
@@ -194,9 +199,7 @@ def bag_files(folder: Path) -> list[Path]:
     files = [
         file
         for file in folder.iterdir()
-        if Path(file.name.removesuffix(PACKED_SUFFIX)).suffix in STORAGE_SUFFIXES
-        and not file.name.startswith(".")
-        and file.is_file()
+        if is_bag_file(file) and not file.name.startswith(".") and file.is_file()
     ]
     return sorted(files, key=lambda file: (len(file.name), file.name))
 

@@ -37,9 +37,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.files import Place
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.storage import bag_files, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
-from cmp_tactile_driver.errors import BagError
+from cmp_tactile_driver.errors import BagError, FrameSourceError
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
@@ -230,6 +231,37 @@ def test_zstd_of_files_and_of_messages(tmp_path, bags, frames, mode, storage):
     _check_whole(BagReader(bag), bags, frames)
     (bag / "metadata.yaml").unlink()
     _check_whole(BagReader(bag), bags, frames)
+    # One file by itself, as it is copied; a disk of Windows may have made its name upper case.
+    file = next(iter(bag_files(bag)))
+    _check_whole(open_recording(file), bags, frames)
+    if mode is CompressionMode.MESSAGE:
+        _check_whole(open_recording(file.rename(bag / file.name.upper())), bags, frames)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (
+            "a run.bag",
+            "a bag of ROS 1, expected one of ROS 2.*--src '.*a run.bag' --dst NEW_FOLDER",
+        ),
+        ("frames.zip", r"6 bytes, expected a video, or a file named \.mcap, .*\.png"),
+    ],
+)
+def test_what_is_no_recording_is_distinguished_from_a_broken_video(tmp_path, name, expected):
+    """Reports: MIT-SPARK/Kimera-Multi-Data 15, ros2/rosbag2 139, rsasaki0109/littleslam_ros2 4.
+
+    Tried: "found 6 bytes, expected a video" of each, and of a bag that was compressed as a file.
+    """
+    path = tmp_path / name
+    path.write_bytes(b"#ROSBA")
+    with pytest.raises(FrameSourceError, match=f"{name}: found {expected}"):
+        open_recording(path)
+
+
+def test_a_device_is_no_recording():
+    with pytest.raises(FrameSourceError, match="/dev/null: found no such file or folder"):
+        open_recording(Path("/dev/null"))
 
 
 def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, bags, frames):

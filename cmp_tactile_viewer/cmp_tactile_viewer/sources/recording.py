@@ -14,7 +14,7 @@ from rosbags.serde import SerdeError
 
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
-from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage, open_storage
+from cmp_tactile_driver.bags.storage import BagStorage, is_bag_file, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
@@ -184,7 +184,7 @@ def _is_frame(topic: str) -> bool:
 
 def _bag(path: Path) -> BagStorage | None:
     """None for a folder of images or a video."""
-    whether = path.suffix in STORAGE_SUFFIXES if path.is_file() else path.is_dir() and is_bag(path)
+    whether = is_bag_file(path) if path.is_file() else path.is_dir() and is_bag(path)
     return open_storage(path) if whether else None
 
 
