@@ -109,9 +109,9 @@ class SensorDescription:
 
     @property
     def ros_name(self) -> str:
-        """The name as a ROS namespace and frame prefix: other characters become underscores."""
-        name = re.sub(r"[^A-Za-z0-9_]", "_", self.name)
-        return name if name[0].isalpha() else f"sensor_{name}"
+        """The name as a ROS namespace and frame prefix: other characters become one underscore."""
+        name = re.sub(r"[^A-Za-z0-9]+", "_", self.name).strip("_")
+        return name if name[:1].isalpha() else f"sensor_{name}".rstrip("_")
 
     @classmethod
     def load(cls, path: str | Path) -> SensorDescription:

@@ -304,9 +304,24 @@ def test_other_rigs_load(content, load):
     assert load(two_view).views["right"].T_view_gel.shape == (4, 4)
 
 
-def test_name_becomes_a_legal_ros_name(content, load):
-    assert load(changed(content, "name", "finger-2 left")).ros_name == "finger_2_left"
-    assert load(changed(content, "name", "3rd")).ros_name == "sensor_3rd"
+@pytest.mark.parametrize(
+    ("name", "legal"),
+    [
+        ("finger-2 left", "finger_2_left"),
+        ("3rd", "sensor_3rd"),
+        ("größe", "gr_e"),
+        ("finger - 2", "finger_2"),
+        ("__a__b_", "a_b"),
+        ("指", "sensor"),
+    ],
+)
+def test_name_becomes_a_legal_ros_name(content, load, name, legal):
+    """Of letters, digits and single underscores, as graphs expect.
+
+    Reports: KTH-SML/motion_capture_system 9, strands-labs/robots 3208; tried: a sensor "größe"
+    could be processed, and no graph could be started.
+    """
+    assert load(changed(content, "name", name)).ros_name == legal
 
 
 def test_a_sensor_that_measures_its_markers_itself_has_neither_camera_nor_views(content, load):
