@@ -24,16 +24,24 @@ REPEAT_S = 0.05
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit code."""
     with _Interruption(is_process=argv is None) as interruption:
-        _print_any_character()
+        _repair_standard_streams()
         from cmp_tactile_bringup.commands import parse
 
         return _run(parse(sys.argv[1:] if argv is None else argv), interruption)
 
 
-def _print_any_character() -> None:
-    """Write what the terminal's encoding lacks, as in a path, by its number; else it would fail."""
+def _repair_standard_streams() -> None:
+    """Open those that the shell closed (`>&-`), and let them print every character.
+
+    What is opened next would take the place of a closed one, and be written into by libraries.
+    What the terminal's encoding lacks, as in a path, is written by its number.
+    """
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(number)
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        # None where the shell closed it.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 

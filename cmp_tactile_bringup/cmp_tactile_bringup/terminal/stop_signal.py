@@ -1,4 +1,4 @@
-"""Waits for SIGINT or SIGTERM.
+"""Waits for SIGINT, SIGTERM or, as a terminal or ssh is closed, SIGHUP.
 
 rclpy's own handlers end the ROS context at once, under the feet of running callbacks.  These
 only inform the main thread, which then destroys what there is in order and ends the context last.
@@ -16,12 +16,12 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from types import FrameType
 
-NUMBERS = (signal.SIGINT, signal.SIGTERM)
+NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 LONGEST_SLEEP = 1.0  # s
 
 
 class StopSignal:
-    """Set by the first SIGINT or SIGTERM.  To be made, and waited for, in the main thread."""
+    """Set by the first of these signals.  To be made, and waited for, in the main thread."""
 
     def __init__(self) -> None:
         # `put` may interrupt `get`, where Event.set would wait for a lock that Event.wait holds.
@@ -29,7 +29,9 @@ class StopSignal:
         self._is_set = False
         self._by_signal = False
         for number in NUMBERS:
-            signal.signal(number, self._on_signal)
+            # `nohup` lets SIGHUP be ignored.
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, self._on_signal)
         atexit.register(_ignore)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

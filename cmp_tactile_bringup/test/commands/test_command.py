@@ -193,8 +193,52 @@ def test_an_error_is_one_though_nobody_reads_the_output(tmp_path):
     assert done.returncode == 1
 
 
+OPENED = """
+import os, sys
+from cmp_tactile_bringup import command
+
+command._run = lambda *_: os.open(os.devnull, os.O_RDONLY)
+sys.exit(command.main())
+"""
+
+
+def test_what_is_opened_does_not_take_the_place_of_a_closed_stream():
+    """There libraries write what they log; tried: live and replay ended with an AttributeError.
+
+    Reports: treeverse/dvc 10041, mar10/wsgidav 141.
+    """
+    shell = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", sys.executable, "-c", OPENED, "info"]
+    assert subprocess.run(shell, check=False).returncode > 2
+
+
+UNTIL_STOPPED = """
+import signal, sys
+from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+
+if sys.argv[1:] == ["nohup"]:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+stop = StopSignal()
+signal.raise_signal(signal.SIGHUP)
+print(stop.wait(0.1))
+"""
+
+
+@pytest.mark.parametrize(("words", "stops"), [([], "True\n"), (["nohup"], "False\n")])
+def test_a_closed_terminal_ends_in_order_what_runs_in_it(words, stops):
+    """So that a recording gets its index; tried: the process was killed.  Not under `nohup`.
+
+    Reports: ros2/rosbag2 791 and 901.
+    """
+    command = [sys.executable, "-c", UNTIL_STOPPED, *words]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    assert done.stdout == stops
+
+
 def test_a_path_that_the_terminal_cannot_show_is_shown_by_its_numbers(tmp_path):
-    """Reports: Textualize/rich 212, docker-pretty-ps 22; tried: an error in place of the table."""
+    """Tried: an error in place of the table.
+
+    Reports: Textualize/rich 212, politeauthority/docker-pretty-ps 22.
+    """
     path = tmp_path / "größe Ω.yaml"
     shutil.copy(find_sensor_description("sample_rig"), path)
     done = subprocess.run(
