@@ -7,6 +7,9 @@ virtual marker, of a shift across its gridline of the pixels in its share of the
 estimate that also uses what lies farther away can be better than this bound. The pixels' gradients
 come from the rendered frame without noise, the noise from the camera's settings.
 
+How many times its reported deviation an error is, as a root mean square, stands beside ours: 1 is
+right.
+
 setup/run python3 benchmarks/tracking/bound.py                    all kinds, ours and the peers
 setup/run python3 benchmarks/tracking/bound.py --kind clean       one kind
 """
@@ -42,6 +45,21 @@ REACH = 0.75
 CORNERS = (12, 30, 40)
 
 Array = NDArray[np.float64]
+
+
+@dataclass
+class Reported:
+    """Errors over the deviations that are reported of them."""
+
+    ratio: list[Array] = field(default_factory=list)
+
+    def add(self, error: Array, std: Array) -> None:
+        """Errors, px, and their deviations, px; NaN for what is not measured."""
+        ratio = (error / std).ravel()
+        self.ratio.append(ratio[np.isfinite(ratio)])
+
+    def __str__(self) -> str:
+        return f"{np.sqrt(np.mean(np.concatenate(self.ratio) ** 2)):.2f}"
 
 
 @dataclass
@@ -179,23 +197,28 @@ def corner_error(grid: Grid, truth: Grid) -> Array:
     return np.where(grid.corner_status == Status.MEASURED, error, np.nan)
 
 
-def marker_errors(grid: Grid, view: View) -> Iterator[tuple[Array, Array]]:
-    """Squared errors across the gridlines and bounds of measured virtual markers, px^2."""
+def marker_errors(grid: Grid, view: View) -> Iterator[tuple[Array, Array, Array]]:
+    """Errors of measured virtual markers across the gridlines and their reported deviations, px,
+    and squared bounds, px^2.
+    """
     lines = (
-        (1, grid.row_lines, view.truth.row_lines, grid.row_line_status),
-        (0, grid.col_lines, view.truth.col_lines, grid.col_line_status),
+        (1, grid.row_lines, view.truth.row_lines, grid.row_line_status, grid.row_line_std),
+        (0, grid.col_lines, view.truth.col_lines, grid.col_line_status, grid.col_line_std),
     )
-    for axis, found, true, status in lines:
+    for axis, found, true, status, std in lines:
         bound, normal = view.of_markers(true, axis)
-        error = np.einsum("ijkd,ijd->ijk", found - true, normal) ** 2
-        yield error, np.where(status == Status.MEASURED, bound, np.nan)
+        error = np.einsum("ijkd,ijd->ijk", found - true, normal)
+        yield np.where(status == Status.MEASURED, error, np.nan), std, bound
 
 
 def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
-    """A row of the table: kind, bound of a corner, each detector, our virtual markers."""
+    """A row of the table: kind, bound of a corner, each detector, our virtual markers, and our
+    errors over the reported deviations.
+    """
     sensor, studio = load_sensor(SENSOR), PatternStudio()
     corners = {detector.name: Squares() for detector in detectors}
     markers, bounds = Squares(), []
+    of_corners, of_markers = Reported(), Reported()
     for seed in range(seeds):
         for case in KINDS[kind](sensor, seed):
             for name, image, view in _views(case, studio):
@@ -205,10 +228,13 @@ def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
                     found = detector.detect(case.sensor, name, image, view.truth).grid
                     corners[detector.name].add(corner_error(found, view.truth), bound)
                     if number == 0:
-                        for pair in marker_errors(found, view):
-                            markers.add(*pair)
-    limit = f"{np.sqrt(np.concatenate(bounds).mean()):.4f} px"
-    return [kind, limit, *map(str, corners.values()), str(markers)]
+                        off = found.corners - view.truth.corners
+                        of_corners.add(off, found.corner_std[..., None])
+                        for error, std, limit in marker_errors(found, view):
+                            markers.add(error**2, limit)
+                            of_markers.add(error, std)
+    least = f"{np.sqrt(np.concatenate(bounds).mean()):.4f} px"
+    return [kind, least, *map(str, (*corners.values(), markers, of_corners, of_markers))]
 
 
 def main() -> int:
@@ -223,7 +249,7 @@ def main() -> int:
     detectors: list[Detector] = [ours()[0], *peers()]
     names = [detector.name for detector in detectors]
     print("RMS error, and how many times the bound that is")
-    print(head("frames", "bound", *names, "our virtual markers"))
+    print(head("frames", "bound", *names, "our virtual markers", "z of corners", "z of markers"))
     for kind in arguments.kind or KINDS:
         print(line(*measure(kind, arguments.seeds, detectors)), flush=True)
     return 0

@@ -10,7 +10,11 @@ from cmp_tactile_processing.tracking.virtual_markers.crossings import (
     fused_corners,
     gather_lines,
 )
-from cmp_tactile_processing.tracking.virtual_markers.fusion import Fits
+from cmp_tactile_processing.tracking.virtual_markers.fusion import (
+    CORNER_BIAS_PX,
+    SHARED_PIXELS,
+    Fits,
+)
 
 STD, LINE_STD, LENGTH_PX = 0.01, 0.005, 20.0
 
@@ -38,7 +42,16 @@ def test_a_line_moves_a_corner_across_itself_alone():
     weight, own = 1 / LINE_STD**2, 1 / STD**2
     assert corners[0, 1] == pytest.approx((0.0, weight * 0.012 / (2 * weight + own)), rel=1e-9)
     variances = 1 / own, 1 / (2 * weight + own)
-    assert std[0, 1] == pytest.approx(np.sqrt(np.mean(variances)), rel=1e-9)
+    # Both share pixels, and the line takes out what a corner's deviation allows for bias.
+    fused = SHARED_PIXELS * (np.mean(variances) - CORNER_BIAS_PX**2)
+    assert std[0, 1] == pytest.approx(np.sqrt(fused), rel=1e-9)
+
+
+def test_a_corner_of_which_no_line_says_anything_stays_as_it_is():
+    nothing = np.zeros((1, 3, ENTRIES))
+    corners, std = fused_corners(np.ones((1, 3, 2)), np.full((1, 3), STD), nothing)
+    assert (corners == 1).all()
+    assert (std == STD).all()
 
 
 @pytest.mark.parametrize("offsets", [(0.02, -0.02), (0.06, 0.06)])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.tracking.virtual_markers.fusion import Fits
+from cmp_tactile_processing.tracking.virtual_markers.fusion import CORNER_BIAS_PX, Fits, true_std
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -100,7 +100,8 @@ def fused_corners(corners: Array, std: Array, lines: Array) -> tuple[Array, Arra
     """Corners (rows, cols, 2) px and their deviations per coordinate, with the lines' information.
 
     std (rows, cols) px of the saddles; lines (rows, cols, ENTRIES): the sum of `gather_lines` of
-    rows and columns.  Missing corners stay missing.
+    rows and columns.  Missing corners stay missing, and those of which the lines say nothing as
+    they are.
     """
     fused, fused_std = np.empty(corners.shape), np.empty(std.shape)
     for i in range(len(corners)):
@@ -111,5 +112,6 @@ def fused_corners(corners: Array, std: Array, lines: Array) -> tuple[Array, Arra
             scale = 1 / (xx * yy - xy * xy)
             fused[i, j, 0] = corners[i, j, 0] + (yy * x - xy * y) * scale
             fused[i, j, 1] = corners[i, j, 1] + (xx * y - xy * x) * scale
-            fused_std[i, j] = math.sqrt((xx + yy) * scale / 2)
+            seen = xx + yy > 2 * own
+            fused_std[i, j] = true_std((xx + yy) * scale / 2, CORNER_BIAS_PX) if seen else std[i, j]
     return fused, fused_std
