@@ -101,6 +101,25 @@ def test_corners_of_blurred_and_noisy_frames_are_exact_enough(scored, kind):
     assert scored(kind).corner_rmse <= CORNER_RMSE[kind]
 
 
+@pytest.mark.parametrize("blur", [1.2, 2.0])
+def test_blur_alone_moves_no_corner(sensor, studio, trackers, blur):
+    """Rounding to grey levels is left; light that aliases before it is blurred costs 0.01 px."""
+    case = cases_of("clean", sensor)[0]
+    frame = studio.photograph(replace(case, camera=CameraSettings(blur=blur, read_noise=0.0)))
+    assert score_of(trackers, [frame]).corner_rmse <= 0.006
+
+
+@pytest.mark.parametrize("kind", ["clean", "noise 16", "blur 3"])
+def test_reported_deviations_are_those_of_the_errors(sensor, studio, trackers, kind):
+    """Within what is measured of more frames and kinds (`benchmarks/tracking/bound.py`)."""
+    frame = studio.photograph(cases_of(kind, sensor)[0])
+    ratios = []
+    for view, truth in frame.truth.items():
+        grid = trackers[view].track(split_frame(frame.image, truth.placement))
+        ratios.append((grid.corners - truth.corners) / grid.corner_std[..., None])
+    assert 0.8 < np.sqrt(np.nanmean(np.square(ratios))) < 1.2
+
+
 @pytest.mark.parametrize("kind", VIRTUAL_RMS)
 def test_virtual_markers_lie_on_their_gridlines(scored, kind):
     score = scored(kind)
