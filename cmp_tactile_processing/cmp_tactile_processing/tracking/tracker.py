@@ -269,7 +269,7 @@ class GridTracker:
             predicted = predicted | (self._defects.corner_weight < LEAST_WEIGHT)
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
-        position, std = self._fused(position, std, predicted)
+        position, std = self._fused(position, std, predicted | corners.off_model)
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(
@@ -296,11 +296,14 @@ class GridTracker:
         self,
         position: NDArray[np.float64],
         std: NDArray[np.float64],
-        predicted: NDArray[np.bool_],
+        alone: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Measured corners with what the gridlines through them know; the others as they are."""
+        """Corners with what the gridlines through them know, but for those that stand alone.
+
+        Where the print is flawed, corner and lines are off by other amounts in each frame.
+        """
         crossing, crossing_std = self._virtual.crossings()
-        kept = predicted | np.isnan(std)
+        kept = alone | np.isnan(std)
         position = np.where(kept[..., None], position, crossing)
         return position, np.where(kept, std, crossing_std)
 

@@ -71,6 +71,12 @@ class MeasuredCorners:
         """Number of corners without a position."""
         return int(np.isnan(self.position[..., 0]).sum())
 
+    @property
+    def off_model(self) -> NDArray[np.bool_]:
+        """Corners (rows, cols) to which no model was fitted though it was to others: of a flaw."""
+        fitted = self.pull.any(axis=(-2, -1))
+        return np.asarray(~fitted & fitted.any())
+
     def without(self, lost: NDArray[np.bool_]) -> MeasuredCorners:
         """The corners less those of a mask (rows, cols)."""
         position = np.where(lost[..., None], np.nan, self.position)
@@ -244,6 +250,8 @@ class MeasuredMarkers:
             return corners
         moved = corners.position - self._nominal.corners
         off = np.linalg.norm(moved - predicted_places(moved), axis=-1) / self._nominal.side_px
+        if np.isnan(off).all():
+            return corners
         # On a ragged print all corners scatter.
         limit = max(FARTHEST_AT_RIM, RIM_TIMES * float(np.nanmedian(off)))
         with np.errstate(invalid="ignore"):
