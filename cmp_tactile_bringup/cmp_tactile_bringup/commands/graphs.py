@@ -5,11 +5,21 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from cmp_tactile_bringup.commands.options import Command, Number, argument, misuse, option
+from cmp_tactile_bringup.commands.options import (
+    Command,
+    Number,
+    argument,
+    misuse,
+    option,
+    parameter_option,
+)
+from cmp_tactile_driver.sources.parameters import ReplayParameters
 
+_setting = partial(parameter_option, ReplayParameters)
 ASSIGNMENTS = (
     "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
 )
@@ -139,9 +149,6 @@ class Live(_Graph):
         return self._start("simulate", values)
 
 
-SECONDS = Number(0, 1e6, "s")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Replay(_Graph):
     """Start the nodes of one sensor in a component container and play bags, videos or folders of
@@ -166,16 +173,12 @@ class Replay(_Graph):
             "with a sensor.yaml in the recording's folder"
         ),
     ] = None
-    rate: Annotated[
-        float, option("speed; 1 is as recorded", Number(0.01, 100), metavar="SPEED")
-    ] = 1.0
-    start: Annotated[float, option("time in the recording to begin at", SECONDS)] = 0.0
-    end: Annotated[float, option("time in the recording to end at; 0: the last frame", SECONDS)] = (
-        0.0
-    )
-    loop: Annotated[bool, option("begin again at the end")] = False
-    paused: Annotated[bool, option("begin paused, until replay/pause is called")] = False
-    topic: Annotated[str, option("image topic, if the bag has several", metavar="NAME")] = ""
+    rate: Annotated[float, _setting("rate")] = ReplayParameters.rate
+    start: Annotated[float, _setting("start")] = ReplayParameters.start
+    end: Annotated[float, _setting("end")] = ReplayParameters.end
+    loop: Annotated[bool, _setting("loop")] = ReplayParameters.loop
+    paused: Annotated[bool, _setting("paused")] = ReplayParameters.paused
+    topic: Annotated[str, _setting("topic")] = ReplayParameters.topic
     namespace: Annotated[str, option("namespace, instead of the sensor's name", metavar="NAME")] = (
         ""
     )

@@ -104,13 +104,14 @@ def option(
 def parameter_option(parameters: Any, name: str, *, group: str | None = None) -> Any:
     """An option with description, limits and choices of a field of these Parameters."""
     item = parameters.__dataclass_fields__[name]
-    meta = item.metadata
+    meta, kind = item.metadata, type(item.default)
     if meta["choices"]:
         return option(meta["description"], Choice(meta["choices"]), group=group)
+    if kind not in {int, float}:
+        return option(meta["description"], group=group)
     low = -math.inf if meta["low"] is None else meta["low"]
     high = math.inf if meta["high"] is None else meta["high"]
-    number = Number(low, high, meta["unit"], type(item.default))
-    return option(meta["description"], number, group=group)
+    return option(meta["description"], Number(low, high, meta["unit"], kind), group=group)
 
 
 def argument(metavar: str, text: str) -> Any:

@@ -22,6 +22,12 @@ from cmp_tactile_bringup.graphs.description import (
 )
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_driver.bags.recording import split_inputs
+from cmp_tactile_driver.sources.parameters import (
+    CameraDriverParameters,
+    CameraParameters,
+    RecorderParameters,
+    ReplayParameters,
+)
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import (
     find_sensor_description,
@@ -33,8 +39,6 @@ SOURCES = ("simulated", "replay", "v4l2", "topic")
 SIMULATED, REPLAY, CAMERA, TOPIC = (Condition("source", (name,)) for name in SOURCES)
 SIMULATED_OR_CAMERA = Condition("source", ("simulated", "v4l2"))
 RECORDING, MOUNTED = Condition("record"), Condition("parent_frame")
-COMPRESSIONS = ("zstd", "png", "jpeg", "none")
-PIXEL_FORMATS = ("auto", "GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
 # Time after which markers vanish that are not drawn again, s; those of a replay stay while it is
 # paused, or over.
 MARKER_LIFETIME_S, REPLAYED_MARKER_LIFETIME_S = 2.0, 0.0
@@ -58,6 +62,15 @@ def _setting(
     return field(default=default, metadata={"argument": argument})
 
 
+def _parameter_of(node: Any, name: str, only_with: Condition) -> Any:
+    """A setting with default, description and choices of a parameter of the node that takes it."""
+    item = node.__dataclass_fields__[name]
+    what, mark, rest = item.metadata["description"].partition(";")
+    unit = f", {item.metadata['unit']}" if item.metadata["unit"] else ""
+    description = f"{what}{unit}{mark}{rest}"
+    return _setting(item.default, description, only_with, choices=item.metadata["choices"])
+
+
 @dataclass(frozen=True)
 class SensorSettings:
     """What may be set of one sensor; the arguments of the graphs are made from it."""
@@ -78,7 +91,7 @@ class SensorSettings:
     frame_rate: float = _setting(
         0.0, "frames per second, Hz; 0: rate of the source", SIMULATED_OR_CAMERA
     )
-    image_rate: float = _setting(30.0, "frames per second of a folder of images, Hz", REPLAY)
+    image_rate: float = _parameter_of(ReplayParameters, "frame_rate", REPLAY)
     input_transport: str = _setting(
         "raw",
         "topic of the frames: image_raw, or image_raw/compressed (PNG or JPEG)",
@@ -104,43 +117,23 @@ class SensorSettings:
         REPLAY,
         kind="recording",
     )
-    topic: str = _setting("", "image topic of the bag; may be empty if there is only one", REPLAY)
-    rate: float = _setting(1.0, "speed of the replay, 1 as recorded", REPLAY)
-    start: float = _setting(0.0, "time in the recording to begin at, s", REPLAY)
-    end: float = _setting(
-        0.0, "time in the recording to end at, s; 0 for the end of the recording", REPLAY
-    )
-    loop: bool = _setting(False, "begin again at the end, with the same stamps", REPLAY)
-    paused: bool = _setting(False, "begin paused, until replay/pause is called with false", REPLAY)
+    topic: str = _parameter_of(ReplayParameters, "topic", REPLAY)
+    rate: float = _parameter_of(ReplayParameters, "rate", REPLAY)
+    start: float = _parameter_of(ReplayParameters, "start", REPLAY)
+    end: float = _parameter_of(ReplayParameters, "end", REPLAY)
+    loop: bool = _parameter_of(ReplayParameters, "loop", REPLAY)
+    paused: bool = _parameter_of(ReplayParameters, "paused", REPLAY)
     wait_for_subscribers: int = _setting(
         1,
         "number of subscribers on image_raw before the first frame is sent: 1 for the view "
         "splitter, 1 more for a recorder",
         REPLAY,
     )
-    publish_clock: bool = _setting(
-        True, "publish /clock; set it to true for only one of several sensors", REPLAY
-    )
-    device: str = _setting(
-        "",
-        "camera: serial number, name in /dev/v4l/by-id or /dev/v4l/by-path, or path; "
-        "LEFT,RIGHT for two cameras",
-        CAMERA,
-    )
-    pixel_format: str = _setting(
-        "auto",
-        "pixel format of the camera; auto prefers uncompressed formats",
-        CAMERA,
-        choices=PIXEL_FORMATS,
-    )
-    colour: bool = _setting(
-        False, "publish colours if the camera has them; else grey values", CAMERA
-    )
-    camera_info_url: str = _setting(
-        "",
-        "YAML file with camera_info to use in place of the description's, file:// or package://",
-        CAMERA,
-    )
+    publish_clock: bool = _parameter_of(ReplayParameters, "publish_clock", REPLAY)
+    device: str = _parameter_of(CameraParameters, "device", CAMERA)
+    pixel_format: str = _parameter_of(CameraParameters, "pixel_format", CAMERA)
+    colour: bool = _parameter_of(CameraParameters, "colour", CAMERA)
+    camera_info_url: str = _parameter_of(CameraDriverParameters, "camera_info_url", CAMERA)
     frame_queue: str = _setting(
         "auto",
         "frames to process if they come too quickly: every frame, or only the newest; auto: "
@@ -158,18 +151,8 @@ class SensorSettings:
         "folder for a recorded bag, which must not exist; empty for none",
         kind="path",
     )
-    record_topics: str = _setting(
-        "image_raw camera_info /tf /tf_static wrench force_field",
-        "topics to record, separated by spaces, relative to the namespace or absolute; * "
-        "matches anything",
-        RECORDING,
-    )
-    record_compression: str = _setting(
-        "zstd",
-        "compression of recorded frames; only jpeg is lossy",
-        RECORDING,
-        choices=COMPRESSIONS,
-    )
+    record_topics: str = _parameter_of(RecorderParameters, "topics", RECORDING)
+    record_compression: str = _parameter_of(RecorderParameters, "compression", RECORDING)
 
     @classmethod
     def from_arguments(

@@ -7,6 +7,7 @@ marker line of that file.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,6 @@ from cmp_tactile_bringup.graphs.description import (
     load_graph_file,
 )
 from cmp_tactile_bringup.graphs.one_sensor import (
-    RECORDING,
     SensorSettings,
     sensor_arguments,
     sensor_components,
@@ -80,6 +80,14 @@ OF_FINGERS = ("namespace", "image_rate", "wait_for_subscribers", "max_speed")
 OF_BOTH = ("rate", "start", "end", "loop", "paused", "record_topics", "record_compression")
 
 
+def _common_arguments() -> Iterator[Argument]:
+    """Those of OF_BOTH, which have an effect whatever the source of one finger is."""
+    for item in sensor_arguments():
+        if item.name in OF_BOTH:
+            others = (some for some in item.only_with if some.argument != "source")
+            yield replace(item, only_with=tuple(others))
+
+
 def _finger_arguments(
     side: str, y: float, turned: float, *, publish_clock: bool
 ) -> tuple[Argument, ...]:
@@ -96,25 +104,13 @@ def _finger_arguments(
 
 @graph(
     Argument("namespace", "text", "namespace of container and fingers; empty for none", ""),
-    Argument("rate", "number", "speed of replays, 1 as recorded", 1.0),
-    Argument("start", "number", "time in the recordings to begin at, s", 0.0),
-    Argument(
-        "end", "number", "time in the recordings to end at, s; 0 for the end of the recordings", 0.0
-    ),
-    Argument("loop", "boolean", "begin recordings again at their end, with the same stamps", False),
-    Argument(
-        "paused",
-        "boolean",
-        "begin replays paused, until replay/pause of each finger is called with false",
-        default=False,
-    ),
     Argument(
         "record",
         "path",
         "folder to record into, with a bag for each finger; it must not exist yet; empty for none",
         "",
     ),
-    *(item for item in sensor_arguments() if item.name in OF_BOTH and RECORDING in item.only_with),
+    *_common_arguments(),
     *_finger_arguments("left", 0.02, 1.5707963, publish_clock=True),
     *_finger_arguments("right", -0.02, -1.5707963, publish_clock=False),
 )

@@ -122,7 +122,7 @@ class ReplayParameters(Parameters):
         within=(0.0, 1e6),
     )
     loop: bool = parameter(False, "begin again at the end, with the same stamps")
-    paused: bool = parameter(False, "begin paused, until the service ~/pause is called with false")
+    paused: bool = parameter(False, "begin paused, until replay/pause is called with false")
     wait_for_subscribers: int = parameter(
         0, "number of subscribers on image_raw to wait for before the first frame", within=(0, 100)
     )
@@ -135,7 +135,11 @@ class ReplayParameters(Parameters):
     begin_with: str = parameter(
         "", "full names of other replays, separated by spaces, to begin at the same time"
     )
-    publish_clock: bool = parameter(True, "publish /clock with the recorded time of each message")
+    publish_clock: bool = parameter(
+        True,
+        "publish /clock with the recorded time of each message; set it to true for only one of "
+        "several sensors",
+    )
 
 
 COMPRESSIONS = ("zstd", "png", "jpeg", "none")
