@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +28,9 @@ MOST_COPIES = 1000
 
 CORNERS = Number(FEWEST_CORNERS, MOST_CORNERS, kind=int)
 LENGTH = Number(0, 100, "mm")
-CHANGES, PRINT, SHEET = "Pattern (default: the description's)", "Print", "Sheet and files"
+_change = partial(option, group="Pattern (default: the description's)")
+_printing = partial(option, group="Print")
+_sheet = partial(option, group="Sheet and files")
 
 
 def _formats(text: str) -> str:
@@ -59,131 +62,100 @@ class Pattern(Command):
     """
 
     sensor: Annotated[str, argument("SENSOR", "sensor description: a file or a packaged name")]
-    rows: Annotated[int | None, option("inner corners along y", CORNERS, group=CHANGES)] = None
-    cols: Annotated[int | None, option("inner corners along x", CORNERS, group=CHANGES)] = None
+    rows: Annotated[int | None, _change("inner corners along y", CORNERS)] = None
+    cols: Annotated[int | None, _change("inner corners along x", CORNERS)] = None
     pitch: Annotated[
         float | None,
-        option(
-            "distance of neighbouring corners in x and y, mm",
-            Number(0.01, 100, "mm"),
-            group=CHANGES,
-        ),
+        _change("distance of neighbouring corners in x and y, mm", Number(0.01, 100, "mm")),
     ] = None
     corner_checker: Annotated[
-        str | None,
-        option("checker outside corner (0, 0)", Choice(("dark", "light")), group=CHANGES),
+        str | None, _change("checker outside corner (0, 0)", Choice(("dark", "light")))
     ] = None
     code: Annotated[
         str | None,
-        option(
+        _change(
             "dots: a code in the checkers shows the place of each part of the pattern",
             Choice(CODES),
-            group=CHANGES,
         ),
     ] = None
     code_seed: Annotated[
         int | None,
-        option(
-            "number of the sheet; each has different dots (0)",
-            Number(0, LARGEST_SEED, kind=int),
-            group=CHANGES,
+        _change(
+            "number of the sheet; each has different dots (0)", Number(0, LARGEST_SEED, kind=int)
         ),
     ] = None
     advised: Annotated[
         bool,
-        option(
-            "use the rows, cols, pitch and virtual markers that are advised for this camera",
-            group=CHANGES,
-        ),
+        _change("use the rows, cols, pitch and virtual markers that are advised for this camera"),
     ] = False
     type: Annotated[
-        str,
-        option("cmp: checkers; dmp: dots at the places of the corners", Choice(TYPES), group=PRINT),
+        str, _printing("cmp: checkers; dmp: dots at the places of the corners", Choice(TYPES))
     ] = "cmp"
     dot_diameter: Annotated[
         float | None,
-        option(
+        _printing(
             "diameter of a dot as a share of the pitch; with --type dmp (default: "
             f"{DOT_DIAMETER:g})",
             Number(0.01, 0.99),
             metavar="SHARE",
-            group=PRINT,
         ),
     ] = None
     process: Annotated[
         str | None,
-        option(
+        _printing(
             "along_axis: printed along the gel's z axis (pad or transfer printing, exposure). "
             "unrolled: a film is printed flat and laid around the gel (default: unrolled for a "
             "cylinder, else along_axis, because a film on a sphere wrinkles)",
             Choice(PROCESSES),
-            group=PRINT,
         ),
     ] = None
     mirror: Annotated[
         bool,
-        option(
-            "mirror the sheet: the printed side goes onto the gel, as with a transfer film",
-            group=PRINT,
-        ),
+        _printing("mirror the sheet: the printed side goes onto the gel, as with a transfer film"),
     ] = False
     invert: Annotated[
         bool,
-        option(
+        _printing(
             "print the light parts and the margin instead of the dark ones: for light ink on a "
-            "dark skin, or if the drawn parts are removed",
-            group=PRINT,
+            "dark skin, or if the drawn parts are removed"
         ),
     ] = False
     ink_gain: Annotated[
         float,
-        option(
+        _printing(
             "spread of the ink at each edge; the drawing is made smaller by it",
             Number(0, 10_000, "um"),
-            group=PRINT,
         ),
     ] = 0.0
     margin: Annotated[
-        float,
-        option("width of the light skin around the checkers, without print", LENGTH, group=PRINT),
+        float, _printing("width of the light skin around the checkers, without print", LENGTH)
     ] = 1.0
     bleed: Annotated[
         float,
-        option(
-            "distance beyond the margin that inverted ink covers and that marks keep free",
-            LENGTH,
-            group=PRINT,
+        _printing(
+            "distance beyond the margin that inverted ink covers and that marks keep free", LENGTH
         ),
     ] = 0.0
-    paper: Annotated[
-        str, option("size of the sheet; fit: as large as needed", Choice(PAPERS), group=SHEET)
-    ] = "A4"
+    paper: Annotated[str, _sheet("size of the sheet; fit: as large as needed", Choice(PAPERS))] = (
+        "A4"
+    )
     copies: Annotated[
-        int,
-        option(
-            "copies on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int), group=SHEET
-        ),
+        int, _sheet("copies on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int))
     ] = 1
     output: Annotated[
         Path | None,
-        option(
+        _sheet(
             "write NAME.svg, NAME.pdf, NAME.dxf and NAME.yaml (default: the name of the "
             "description's file with _pattern, in this folder)",
             metavar="NAME",
             short="-o",
-            group=SHEET,
         ),
     ] = None
     format: Annotated[
         str | None,
-        option(
-            "svg, pdf and dxf, separated by commas (default: all)",
-            _formats,
-            metavar="LIST",
-            group=SHEET,
-        ),
+        _sheet("svg, pdf and dxf, separated by commas (default: all)", _formats, metavar="LIST"),
     ] = None
-    overwrite: Annotated[bool, option("replace existing files", group=SHEET)] = False
+    overwrite: Annotated[bool, _sheet("replace existing files")] = False
 
     def run(self) -> int:
         """Write the files and print what is on them."""

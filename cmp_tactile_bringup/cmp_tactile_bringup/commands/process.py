@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +24,9 @@ MOST_JOBS = 256
 # What a process needs, twice over.
 BYTES_PER_JOB = 1 << 30
 SECONDS = Number(0, 1e6, "s")
-READING, RESULTS, WORK = "Input", "Results", "Work"
+_reading = partial(option, group="Input")
+_results = partial(option, group="Results")
+_work = partial(option, group="Work")
 
 
 def _reference(text: str) -> str:
@@ -68,68 +71,52 @@ class Process(Command):
             "with a sensor.yaml in the recording's folder"
         ),
     ] = None
-    topic: Annotated[str, option("image topic, if the bag has several", group=READING)] = ""
+    topic: Annotated[str, _reading("image topic, if the bag has several")] = ""
     frame_rate: Annotated[
         float,
-        option(
-            "frames per second of a folder of images, which has no stamps",
-            Number(0.01, 1000, "Hz"),
-            group=READING,
+        _reading(
+            "frames per second of a folder of images, which has no stamps", Number(0.01, 1000, "Hz")
         ),
     ] = 30.0
-    start: Annotated[
-        float, option("begin this long after the first frame", SECONDS, group=READING)
-    ] = 0.0
-    end: Annotated[float, option("end this long after the first frame", SECONDS, group=READING)] = (
-        math.inf
-    )
+    start: Annotated[float, _reading("begin this long after the first frame", SECONDS)] = 0.0
+    end: Annotated[float, _reading("end this long after the first frame", SECONDS)] = math.inf
     reference: Annotated[
         str,
-        option(
+        _results(
             "reference of displacement and force. nominal: the description's surface; when_still "
             "or at_start: taken automatically, as by the parameter auto_reference of "
             "stereo_triangulator; first-N: mean of the first N frames, in which the gel must be "
             "at rest",
             _reference,
             metavar="WHAT",
-            group=RESULTS,
         ),
     ] = "nominal"
     views: Annotated[
         str,
-        option(
+        _results(
             "views with grids in the results; both views are always processed",
             Choice(("both", "left", "right", "none")),
-            group=RESULTS,
         ),
     ] = "both"
-    parquet: Annotated[
-        bool, option("write NAME_wrench.parquet, too (needs pyarrow)", group=RESULTS)
-    ] = False
-    arrays: Annotated[bool, option("write NAME.npz, too", group=RESULTS)] = False
+    parquet: Annotated[bool, _results("write NAME_wrench.parquet, too (needs pyarrow)")] = False
+    arrays: Annotated[bool, _results("write NAME.npz, too")] = False
     overwrite: Annotated[
-        bool,
-        option(
-            "replace existing results that were made with other input or options",
-            group=RESULTS,
-        ),
+        bool, _results("replace existing results that were made with other input or options")
     ] = False
     jobs: Annotated[
         int | None,
-        option(
+        _work(
             "recordings that are processed at the same time, each in its own process (default: "
             f"half the cores, here {_default_jobs()})",
             Number(1, MOST_JOBS, kind=int),
-            group=WORK,
         ),
     ] = None
     scheduler: Annotated[
         str | None,
-        option(
+        _work(
             "address of a running dask cluster, as tcp://host:8786; its machines must see the "
             "same files (needs dask.distributed)",
             metavar="ADDRESS",
-            group=WORK,
         ),
     ] = None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from cmp_tactile_viewer.page.server import Access
     from cmp_tactile_viewer.snapshot import Source
 
-PAGE = "Page"
+_page = partial(option, group="Page")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,32 +45,24 @@ class View(Command):
     ] = None
     topic: Annotated[str, option("image topic, if the bag has several")] = ""
     paused: Annotated[bool, option("begin paused, at the first frame")] = False
-    host: Annotated[
-        str,
-        option("address to listen on; 0.0.0.0 for the whole network", group=PAGE),
-    ] = "127.0.0.1"
+    host: Annotated[str, _page("address to listen on; 0.0.0.0 for the whole network")] = "127.0.0.1"
     port: Annotated[
         int | None,
-        option(
-            "port to listen on (default: the first free one from 8080)",
-            Number(1, 65535, kind=int),
-            group=PAGE,
+        _page(
+            "port to listen on (default: the first free one from 8080)", Number(1, 65535, kind=int)
         ),
     ] = None
-    token: Annotated[
-        str, option("secret word in the address; keeps others on the network out", group=PAGE)
-    ] = ""
-    read_only: Annotated[bool, option("page without buttons and parameters", group=PAGE)] = False
+    token: Annotated[str, _page("secret word in the address; keeps others on the network out")] = ""
+    read_only: Annotated[bool, _page("page without buttons and parameters")] = False
     allow_host: Annotated[
         list[str] | None,
-        option(
+        _page(
             "another name of this machine or of a proxy in browsers, as robot.lab.example; may "
             "be repeated",
-            group=PAGE,
             metavar="NAME",
         ),
     ] = None
-    open: Annotated[bool, option("open the page in this machine's browser", group=PAGE)] = False
+    open: Annotated[bool, _page("open the page in this machine's browser")] = False
 
     def run(self) -> int:
         """Serve the page until a signal comes."""
