@@ -7,7 +7,7 @@ skew in the image differ enough from those of all frames kept so far.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import islice
@@ -35,18 +35,6 @@ Frame = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class FrameSelection:
-    """count: at most so many frames, None for all.  start_s: leave out what is earlier.
-
-    topic: image topic of a bag, empty for the only one.
-    """
-
-    count: int | None = None
-    start_s: float = 0.0
-    topic: str = ""
-
-
-@dataclass(frozen=True)
 class RecordedFrames:
     """images (H, W) or (H, W, 3) with their stamps.  problem: why some were left out, or empty."""
 
@@ -55,20 +43,24 @@ class RecordedFrames:
     problem: str = ""
 
 
-def read_frames(source: Path, selection: FrameSelection, size: ImageSize | None) -> RecordedFrames:
-    """Frames of a bag or a folder of images; size: that they must have.
+def read_frames(
+    source: Path, size: ImageSize, topic: str = "", count: int | None = None, start_s: float = 0.0
+) -> RecordedFrames:
+    """Frames of a bag or a folder of images.
 
+    size: that they must have.  topic: image topic of a bag, empty for the only one.  count: at most
+    so many frames, None for all.  start_s: leave out what is earlier.
     Raises RecordingError where there is no such source, FrameSourceError where no frame of it can
     be used.
     """
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source)
-    recording = open_recording(path, topic=selection.topic, expected_size=size)
-    messages = recording.messages(TimeSpan(start=selection.start_s))
+    recording = open_recording(path, topic=topic, expected_size=size)
+    messages = recording.messages(TimeSpan(start=start_s))
     frames = (item for item in messages if isinstance(item, RecordedFrame))
-    chosen = list(islice(frames, selection.count))
+    chosen = list(islice(frames, count))
     if not chosen:
-        msg = f"{source}: found no frame after {selection.start_s:g} s, expected a longer recording"
+        msg = f"{source}: found no frame after {start_s:g} s, expected a longer recording"
         raise FrameSourceError(msg)
     return RecordedFrames(
         [frame.image for frame in chosen],
@@ -126,17 +118,6 @@ def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
             raise RecordingError(msg)
         chosen[key] = file
     return chosen
-
-
-def take_frames(
-    frames: Iterator[Frame], count: int, on_frame: Callable[[int], None]
-) -> list[Frame]:
-    """The next `count` frames of a camera; on_frame is called with their number so far."""
-    taken: list[Frame] = []
-    for frame in islice(frames, count):
-        taken.append(frame)
-        on_frame(len(taken))
-    return taken
 
 
 # Sum of the differences in x, y, size and skew, each from 0 to 1; camera_calibration's figure.

@@ -20,10 +20,9 @@ from cmp_tactile_bringup.calibration import gel_recording
 from cmp_tactile_bringup.calibration.loads import WrenchSeries, averaged, weight_on_gel
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.frames import ImageSize, size_text
+from cmp_tactile_driver.sources.frames import size_text
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.geometry.split import LUMINANCE
 from cmp_tactile_processing.image.compressed import COMPRESSED
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Markers3D
@@ -46,22 +45,15 @@ class LiveFrames(Listener):
     """Frames of an image topic, received on a thread of its own; a context manager.
 
     topic: with its namespace; of Images or CompressedImages, or of Images that are published on
-    TOPIC/compressed alone.  expected_size: frames of another size end the reading; None takes the
-    size of the first.  timeout_s: how long to wait for a frame.
+    TOPIC/compressed alone.  Frames of another size than the sensor's end the reading.  timeout_s:
+    how long to wait for a frame.
     """
 
-    def __init__(
-        self,
-        topic: str,
-        expected_size: ImageSize | None = None,
-        timeout_s: float = 10.0,
-        grey_weights: tuple[float, float, float] = LUMINANCE,
-    ) -> None:
+    def __init__(self, topic: str, sensor: SensorDescription, timeout_s: float) -> None:
         self._topic = topic if topic.startswith("/") else f"/{topic}"
-        self._expected_size = expected_size
+        self._sensor = sensor
         self._timeout_s = timeout_s
         self._depth = BitDepth(self._topic)
-        self._grey_weights = grey_weights
         self._subscription: Any = None
         super().__init__("calibration")
         self._waiting: deque[Image | CompressedImage] = deque(maxlen=KEPT_FRAMES)
@@ -106,17 +98,14 @@ class LiveFrames(Listener):
 
     def _decoded(self, message: Image | CompressedImage) -> NDArray[np.uint8]:
         try:
-            image = image_from_msg(message, self._grey_weights, self._depth)
+            image = image_from_msg(message, self._sensor.tracking.grey_weights, self._depth)
         except CmpTactileError as error:
             msg = f"{self._topic}: {error}"
             raise FrameSourceError(msg) from None
-        size = (image.shape[1], image.shape[0])
-        self._expected_size = self._expected_size or size
-        if size != self._expected_size:
-            msg = (
-                f"{self._topic}: found frames of {size_text(size)}, "
-                f"expected {size_text(self._expected_size)}"
-            )
+        size, expected = (image.shape[1], image.shape[0]), self._sensor.frame_size
+        if size != expected:
+            found = f"found frames of {size_text(size)}, expected {size_text(expected)}"
+            msg = f"{self._topic}: {found}"
             raise FrameSourceError(msg)
         return image
 
@@ -147,11 +136,9 @@ class LiveReference(LiveFrames):
     """Frames of an image topic and wrenches of a WrenchStamped topic; a context manager."""
 
     def __init__(
-        self, sensor: SensorDescription, topic: str, wrench_topic: str, timeout_s: float
+        self, topic: str, sensor: SensorDescription, timeout_s: float, wrench_topic: str
     ) -> None:
-        size = sensor.frame_size
-        super().__init__(topic, size, timeout_s, sensor.tracking.grey_weights)
-        self._sensor = sensor
+        super().__init__(topic, sensor, timeout_s)
         self._wrench_topic = wrench_topic
         self._wrenches: dict[int, list[float]] = {}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,31 +31,6 @@ TF_STATIC = "/tf_static"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 NS_PER_S = 10**9
-
-Edges = dict[str, dict[str, NDArray[np.float64]]]
-
-
-@dataclass(frozen=True)
-class WrenchFrame:
-    """How the force of a reference sensor is turned into the one on the gel, in the gel frame.
-
-    rotation (3, 3): of the reference sensor's axes into the gel frame's.
-    reaction: the sensor reads the force of the gel on the object, the opposite of what is wanted.
-    """
-
-    rotation: NDArray[np.float64]
-    reaction: bool = False
-
-    @classmethod
-    def turned(
-        cls, rotation_deg: Sequence[float] = (0.0, 0.0, 0.0), *, reaction: bool = False
-    ) -> WrenchFrame:
-        """From turns about the gel's x, then y, then z direction, degrees."""
-        return cls(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix(), reaction)
-
-    def on_gel(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Forces (n, 3) N of the sensor as forces on the gel."""
-        return force @ self.rotation.T * (-1.0 if self.reaction else 1.0)
 
 
 @dataclass(frozen=True)
@@ -144,26 +120,26 @@ def at_frames(
     return force
 
 
-def fixed_transform(bag: Path, to: str, from_: str) -> NDArray[np.float64] | None:
-    """(4, 4) transform of points of one frame into another; None where the bag has none.
+def fixed_rotation(bag: Path, to: str, from_: str) -> Rotation | None:
+    """From the axes of one frame to those of another; None where the bag has no transforms of it.
 
     Raises BagError for a bag that cannot be read.
     """
-    edges = _edges(bag)
-    found = {to: np.eye(4)}
+    edges = _fixed_rotations(bag)
+    found = {to: Rotation.identity()}
     waiting = [to]
     while waiting:
         frame = waiting.pop()
-        for next_frame, transform in edges.get(frame, {}).items():
+        for next_frame, rotation in edges.get(frame, {}).items():
             if next_frame not in found:
-                found[next_frame] = found[frame] @ transform
+                found[next_frame] = found[frame] * rotation
                 waiting.append(next_frame)
     return found.get(from_)
 
 
-def _edges(bag: Path) -> Edges:
-    """T_ab by frames a and b, both ways, of all fixed transforms."""
-    storage, edges = open_storage(bag), Edges()
+def _fixed_rotations(bag: Path) -> dict[str, dict[str, Rotation]]:
+    """R_ab by frames a and b, both ways, of all fixed transforms."""
+    storage, edges = open_storage(bag), defaultdict[str, dict[str, Rotation]](dict)
     if storage.topics.get(TF_STATIC) != TF_MESSAGE:
         return edges
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -176,20 +152,11 @@ def _edges(bag: Path) -> Edges:
         for item in message.transforms:
             parent = item.header.frame_id.lstrip("/")
             child = item.child_frame_id.lstrip("/")
-            T_parent_child = _matrix(item.transform)
-            edges.setdefault(parent, {})[child] = T_parent_child
-            edges.setdefault(child, {})[parent] = np.asarray(
-                np.linalg.inv(T_parent_child), np.float64
-            )
+            q = item.transform.rotation
+            R_parent_child = Rotation.from_quat([q.x, q.y, q.z, q.w])
+            edges[parent][child] = R_parent_child
+            edges[child][parent] = R_parent_child.inv()
     return edges
-
-
-def _matrix(transform: Any) -> NDArray[np.float64]:
-    q, t = transform.rotation, transform.translation
-    matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    matrix[:3, 3] = t.x, t.y, t.z
-    return matrix
 
 
 STANDARD_GRAVITY = 9.80665

@@ -39,24 +39,23 @@ TRIES = 2000
 PAPER = 1
 
 
-def changed_rig(  # noqa: PLR0913, PLR0917 - one keyword for each thing that is changed
+def changed_rig(
     sensor: SensorDescription,
     seed: int,
     turn: float = math.radians(1.0),
     shift: float = 0.5e-3,
     focal: float = 0.01,
-    principal_point: float = 0.0,
 ) -> SensorDescription:
     """The sensor with gel, mirrors and camera changed by that much in random directions.
 
     turn: rad, of the gel about any axis and, to within a tenth, of each mirror's plane.  shift: m,
     of the gel along any direction and of each mirror along its normal.  focal: relative, of fx and
-    fy alike.  principal_point: px, in any direction.  Of a two_view sensor, each view's pose and
-    camera.  The whole pattern at rest stays in all views.
+    fy alike.  Of a two_view sensor, each view's pose and camera.  The whole pattern at rest stays
+    in all views.
     Raises SimulationError where no direction leaves it there.
     """
     rng = random_stream(Purpose.CHANGED_RIG, seed)
-    rig = RigParameters(sensor, RigPrior(turn, shift, focal, principal_point=principal_point))
+    rig = RigParameters(sensor, RigPrior(turn, shift, focal, principal_point=0.0))
     for _ in range(MOST_DRAWS):
         changed = rig.sensor(rig.prior_std * _directions(rig.names, rng))
         if _shows_all(changed):

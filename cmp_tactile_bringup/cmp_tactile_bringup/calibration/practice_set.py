@@ -10,7 +10,8 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -44,6 +45,7 @@ BOARD_SHARE = 0.75
 BOARD_COLS, BOARD_ROWS = 9, 6
 SQUARE_STEP = 1e-4
 FRAME_NOISE = 4.0
+REST_FRAMES = 10
 
 Progress = Callable[[str, float], None]
 
@@ -52,23 +54,20 @@ Progress = Callable[[str, float], None]
 class PracticeSet:
     """nominal: the description that the rig was built by.  seed: of how it really is, and of noise.
 
-    scene: what touches the gel in the recording, a packaged one or a file.
+    board_images: number of images of the board.
     """
 
     nominal: SensorDescription
     seed: int
-    board_images: int = 20
-    rest_frames: int = 10
-    scene: str = DEFAULT_SCENE
-    target: BoardTarget = field(init=False)
+    board_images: int
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def target(self) -> BoardTarget:
+        """The board that is shown."""
         extent = self.nominal.pattern.pitch * (self.nominal.pattern.cols + 1)
         square = BOARD_SHARE * extent / (BOARD_COLS + 1)
         square = max(round(square / SQUARE_STEP), 1) * SQUARE_STEP
-        object.__setattr__(
-            self, "target", BoardTarget("chessboard", BOARD_COLS, BOARD_ROWS, square)
-        )
+        return BoardTarget("chessboard", BOARD_COLS, BOARD_ROWS, square)
 
 
 def make_practice_set(
@@ -131,8 +130,8 @@ def _write_rest(
     folder.mkdir()
     camera, pattern = CameraSettings(read_noise=FRAME_NOISE), true_rig.pattern
     rendered = Renderer(true_rig, Checkerboard(pattern)).render(DeformedSurface.rest(pattern))
-    for number in range(practice.rest_frames):
-        progress("photographing the gel at rest", number / practice.rest_frames)
+    for number in range(REST_FRAMES):
+        progress("photographing the gel at rest", number / REST_FRAMES)
         noise = random_stream(Purpose.FRAME_NOISE, practice.seed, number)
         _write_png(folder / f"{number:02d}.png", expose([rendered], camera, noise, practice.seed))
     progress("photographing the gel at rest", 1.0)
@@ -142,7 +141,7 @@ def _write_contact(
     practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: Progress
 ) -> None:
     """A bag as the rig's driver records it: its camera_info is that of the nominal description."""
-    scene: Scene = load_scene(practice.scene)
+    scene: Scene = load_scene(DEFAULT_SCENE)
     camera = replace(scene.camera, read_noise=FRAME_NOISE / 2)
     scene = replace(scene, sensor=true_rig, camera=camera, seed=practice.seed)
     simulation = Simulation(scene, progress=progress)

@@ -13,6 +13,8 @@ from cmp_tactile_processing.calibration.outcome import (
 from cmp_tactile_processing.geometry.rectification import Rectification, read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 
+VIEWS = ("left", "right")
+
 
 @pytest.fixture(scope="module")
 def outcome():
@@ -23,9 +25,9 @@ def outcome():
 
 
 def test_an_accepted_calibration_is_written_as_description_and_camera_infos(outcome, tmp_path):
-    files = CalibrationFiles.of_sensor(tmp_path / "new" / "my.yaml")
-    files.write(outcome, "my rig")
-    assert [path.name for path in files.written] == ["my.yaml", "my_left.yaml", "my_right.yaml"]
+    files = CalibrationFiles.of_sensor(tmp_path / "new" / "my.yaml", VIEWS)
+    written = files.write(outcome.sensor, outcome.cameras, "my rig")
+    assert [path.name for path in written] == ["my.yaml", "my_left.yaml", "my_right.yaml"]
     loaded = SensorDescription.load(tmp_path / "new" / "my.yaml")
     assert loaded.camera == outcome.sensor.camera
     name, info = read_camera_info(tmp_path / "new" / "my_right.yaml")
@@ -36,7 +38,7 @@ def test_an_accepted_calibration_is_written_as_description_and_camera_infos(outc
 @pytest.mark.parametrize("there", ["my.yaml", "my_left.yaml", "my_right.yaml"])
 def test_any_earlier_file_keeps_the_work_from_being_begun(there, tmp_path):
     (tmp_path / there).write_text("precious")
-    files = CalibrationFiles.of_sensor(tmp_path / "my.yaml")
+    files = CalibrationFiles.of_sensor(tmp_path / "my.yaml", VIEWS)
     with pytest.raises(OutputError, match=f"{there}: exists already; --overwrite"):
         files.check_free(overwrite=False)
     files.check_free(overwrite=True)
@@ -44,7 +46,7 @@ def test_any_earlier_file_keeps_the_work_from_being_begun(there, tmp_path):
 
 def test_names_that_cannot_be_descriptions_are_refused(tmp_path):
     with pytest.raises(OutputError, match=r"found the suffix '\.txt', expected \.yaml"):
-        CalibrationFiles.of_sensor(tmp_path / "my.txt")
+        CalibrationFiles.of_sensor(tmp_path / "my.txt", VIEWS)
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="found a file, expected a folder"):
         CalibrationFiles.of_cameras(tmp_path / "file", ("left",))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -21,10 +22,13 @@ from cmp_tactile_bringup.calibration.live import LiveFrames
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
-from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
+from cmp_tactile_processing.sensor.parts import ImageSize
 
 # Finding a publisher takes DDS up to a few seconds on a busy machine.
 TIMEOUT_S = 60.0
+SAMPLE_RIG = load_sensor("sample_rig")
+SMALL = replace(SAMPLE_RIG, image=ImageSize(16, 12))
 
 
 @contextmanager
@@ -80,7 +84,7 @@ def test_compressed_frames_are_taken_where_there_are_only_these(ros, named):
     thread = threading.Thread(target=publish)
     thread.start()
     try:
-        with LiveFrames(f"{ros.namespace}/{named}", (16, 12), TIMEOUT_S) as live:
+        with LiveFrames(f"{ros.namespace}/{named}", SMALL, TIMEOUT_S) as live:
             np.testing.assert_array_equal(next(iter(live)), grey)
     finally:
         ended.set()
@@ -92,7 +96,7 @@ def test_a_topic_of_another_type_is_named_with_it(ros):
 
     def complaint() -> str:
         with (
-            LiveFrames(f"{ros.namespace}/camera/image_raw", None, 2.0) as live,
+            LiveFrames(f"{ros.namespace}/camera/image_raw", SMALL, 2.0) as live,
             pytest.raises(FrameSourceError) as raised,
         ):
             next(iter(live))
@@ -105,19 +109,19 @@ def test_a_topic_of_another_type_is_named_with_it(ros):
 
 def test_frames_of_another_size_end_the_reading(camera):
     with (
-        LiveFrames(camera, (1024, 768), TIMEOUT_S) as live,
+        LiveFrames(camera, SAMPLE_RIG, TIMEOUT_S) as live,
         pytest.raises(FrameSourceError, match=r"found frames of 16 x 12.*expected 1024 x 768"),
     ):
         next(iter(live))
 
 
 def test_a_topic_that_nobody_publishes_names_those_that_there_are(camera):
-    with LiveFrames(camera, None, TIMEOUT_S) as live:
+    with LiveFrames(camera, SMALL, TIMEOUT_S) as live:
         next(iter(live))  # so that the camera is known to this process
 
     def complaint() -> str:
         expected = pytest.raises(FrameSourceError, match="/nobody/image_raw: no frame within 2 s")
-        with LiveFrames("/nobody/image_raw", None, 2.0) as live, expected as raised:
+        with LiveFrames("/nobody/image_raw", SMALL, 2.0) as live, expected as raised:
             next(iter(live))
         return str(raised.value)
 

@@ -19,16 +19,16 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 from cmp_tactile_bringup.calibration.live import Weighing
 from cmp_tactile_bringup.calibration.loads import (
     SensorSampling,
-    WrenchFrame,
     WrenchSeries,
     at_frames,
     averaged,
-    fixed_transform,
+    fixed_rotation,
     read_known_loads,
     read_wrench,
     samples_of_sensor,
     samples_of_weights,
 )
+from cmp_tactile_bringup.commands.calibrate.sources import WrenchSensor, force_at_frames
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.errors import BagError
@@ -178,10 +178,12 @@ def test_a_force_is_turned_and_reversed_into_the_gel_frame():
     turn = Rotation.from_euler("xyz", (180, 0, 90), degrees=True)
     force = np.array([[0.3, 0.1, -2.0]])
     there = turn.inv().apply(force)
-    frame = WrenchFrame.turned((180, 0, 90))
-    np.testing.assert_allclose(frame.on_gel(there), force, atol=1e-12)
-    back = WrenchFrame.turned((180, 0, 90), reaction=True)
-    np.testing.assert_allclose(back.on_gel(-there), force, atol=1e-12)
+    motion = pressed_motion([0.0, 0.0])
+    for reaction, read in ((False, there), (True, -there)):
+        series = WrenchSeries("bag", motion.stamp_ns, np.tile(read, (2, 1)))
+        options = WrenchSensor(wrench_rotation=(180, 0, 90), wrench_reaction=reaction)
+        on_gel = force_at_frames(options, load_sensor("sample_rig"), motion, series)
+        np.testing.assert_allclose(on_gel, np.tile(force, (2, 1)), atol=1e-12)
 
 
 def test_a_wrench_topic_is_read_by_stamps_and_by_log_times_without_them(tmp_path):
@@ -220,10 +222,13 @@ def test_fixed_transforms_are_followed_from_frame_to_frame_both_ways(tmp_path):
     with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         topic = writer.add_connection("/tf_static", kind, typestore=STORE)
         writer.write(topic, 1, STORE.serialize_cdr(types[kind](items), kind))
-    T_gel_ft = fixed_transform(bag, "gel", "ft")
-    np.testing.assert_allclose(T_gel_ft[:3, :3], turn.as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(T_gel_ft[:3, 3], (0.02, 0, -0.1), atol=1e-12)
-    assert fixed_transform(bag, "gel", "elsewhere") is None
+    np.testing.assert_allclose(
+        fixed_rotation(bag, "gel", "ft").as_matrix(), turn.as_matrix(), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        fixed_rotation(bag, "ft", "gel").as_matrix(), turn.inv().as_matrix(), atol=1e-12
+    )
+    assert fixed_rotation(bag, "gel", "elsewhere") is None
 
 
 def force_of(depth, motion, ahead_s, bias):

@@ -171,9 +171,9 @@ def test_running_sensors_are_recorded_together(ros, weigh_bag):
     thread = threading.Thread(target=publish)
     thread.start()
     try:
-        topics = (f"{ros.namespace}/image_raw", f"{ros.namespace}/wrench")
+        frames, wrenches = (f"{ros.namespace}/{name}" for name in ("image_raw", "wrench"))
         sensor = SensorDescription.load(weigh_bag / "sensor.yaml")
-        with LiveReference(sensor, *topics, 20.0) as live:
+        with LiveReference(frames, sensor, 20.0, wrenches) as live:
             motion, series = live.record(1.0, lambda *_: None)
     finally:
         ended.set()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -32,7 +33,7 @@ OWN_SENSOR = f"{sources.SENSOR}; not needed if sensor.yaml is in the recording's
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
-WRENCH, KNOWN = "Reference force sensor", "Prior knowledge"
+_known = partial(parameter_option, MaterialOptions, group="Prior knowledge")
 WORDY_COLUMNS = 2
 
 
@@ -115,33 +116,24 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     # What a good six-axis sensor resolves.
     wrench_std: Annotated[
         float,
-        option("standard deviation of the reference force", Number(1e-5, 100, "N"), group=WRENCH),
+        sources.force_sensor_option(
+            "standard deviation of the reference force", Number(1e-5, 100, "N")
+        ),
     ] = 0.01
     every_frame: Annotated[
         bool,
-        option(
-            "use frames in motion, too, not only those in which gel and force are still",
-            group=WRENCH,
+        sources.force_sensor_option(
+            "use frames in motion, too, not only those in which gel and force are still"
         ),
     ] = False
     samples: Annotated[
-        int, option("use at most N samples", Number(1, 10_000, kind=int), group=WRENCH)
+        int, sources.force_sensor_option("use at most N samples", Number(1, 10_000, kind=int))
     ] = 60
-    young_factor: Annotated[
-        float, parameter_option(MaterialOptions, "young_factor", group=KNOWN)
-    ] = MaterialOptions.young_factor
-    poisson_std: Annotated[float, parameter_option(MaterialOptions, "poisson", group=KNOWN)] = (
-        MaterialOptions.poisson
-    )
-    offset_std: Annotated[float, parameter_option(MaterialOptions, "offset", group=KNOWN)] = (
-        MaterialOptions.offset
-    )
-    model_error: Annotated[float, parameter_option(MaterialOptions, "model_error", group=KNOWN)] = (
-        MaterialOptions.model_error
-    )
-    strain_error: Annotated[
-        float, parameter_option(MaterialOptions, "strain_error", group=KNOWN)
-    ] = MaterialOptions.strain_error
+    young_factor: Annotated[float, _known("young_factor")] = MaterialOptions.young_factor
+    poisson_std: Annotated[float, _known("poisson")] = MaterialOptions.poisson
+    offset_std: Annotated[float, _known("offset")] = MaterialOptions.offset
+    model_error: Annotated[float, _known("model_error")] = MaterialOptions.model_error
+    strain_error: Annotated[float, _known("strain_error")] = MaterialOptions.strain_error
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
@@ -270,7 +262,7 @@ def _motion_and_wrench(
     from cmp_tactile_bringup.calibration.live import LiveReference
 
     print(f"Recording {arguments.duration:g} s: leave the gel alone for a second, then load it.")
-    with LiveReference(sensor, topic, wrench_topic, arguments.timeout) as live:
+    with LiveReference(topic, sensor, arguments.timeout, wrench_topic) as live:
         return live.record(arguments.duration, on_stage)
 
 
@@ -281,9 +273,7 @@ def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSampl
 
     with shown_stages() as on_stage:
         sources.prepare_tracker(sensor, on_stage)
-    size = sensor.frame_size
-    weights = sensor.tracking.grey_weights
-    with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
+    with LiveFrames(arguments.topic, sensor, arguments.timeout) as live:
         count = max(arguments.frames, LIVE_FRAMES)
         return Weighing(sensor, iter(live), count, input, print).samples(arguments.mass or [])
 
@@ -313,7 +303,7 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) ->
     def write() -> Sequence[Path]:
         record = outcome.record and replace(outcome.record, source=source)
         gel = replace(outcome.sensor.elastomer, calibration=record)
-        return files.write_sensor(replace(outcome.sensor, elastomer=gel))
+        return files.write(replace(outcome.sensor, elastomer=gel))
 
     return print_end(console, outcome, page, write)
 
@@ -387,25 +377,19 @@ class Relaxation(sources.Output, sources.WrenchSensor):
         files = CalibrationFiles.of_sensor(self.output, ())
         files.check_free(overwrite=self.overwrite)
         with shown_stages() as on_stage:
-            record = _record(self, sensor, on_stage)
-        outcome = fit_relaxation(record.time_s, record.reading, record.reference)
-        report = RelaxationReport(sensor, outcome, record.time_s, record.reading, record.reference)
+            time_s, reading, reference = _record(self, sensor, on_stage)
+        outcome = fit_relaxation(time_s, reading, reference)
+        report = RelaxationReport(sensor, outcome, time_s, reading, reference)
         page = write_relaxation_report(report, files.report)
         console = output_console()
         console.print(estimates_table(report.estimates))
-        return print_end(console, outcome, page, lambda: files.write_sensor(report.new_sensor))
+        return print_end(console, outcome, page, lambda: files.write(report.new_sensor))
 
 
-@dataclass(frozen=True)
-class _Record:
-    """A press over time: reading and true force into the gel, (n,) N; NaN where not known."""
-
-    time_s: NDArray[np.float64]
-    reading: NDArray[np.float64]
-    reference: NDArray[np.float64] | float | None
-
-
-def _record(arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage) -> _Record:
+def _record(
+    arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | float | None]:
+    """A press over time: s, reading and true force into the gel, (n,) N; NaN where not known."""
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
     from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, read_wrench, zeroed
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
@@ -423,7 +407,7 @@ def _record(arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage)
     elif series is not None:
         on_gel = sources.force_at_frames(arguments, sensor, motion, series)
         reference = -zeroed(on_gel, motion.rest)[:, 2]
-    return _Record(motion.time_s, _reading(motion, sensor, on_stage), reference)
+    return motion.time_s, _reading(motion, sensor, on_stage), reference
 
 
 def _reading(

@@ -191,7 +191,7 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
 
 def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     """The rig of a description."""
-    from cmp_tactile_bringup.calibration.frames import FrameSelection, read_frames
+    from cmp_tactile_bringup.calibration.frames import read_frames
     from cmp_tactile_bringup.commands.calibrate.outcome import (
         CalibrationFiles,
         conclude,
@@ -207,8 +207,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     if arguments.input is None:
         frames = _capture(arguments, sensor, target, files.report / "frames")
     else:
-        size = sensor.frame_size
-        found = read_frames(arguments.input, FrameSelection(topic=arguments.topic), size)
+        found = read_frames(arguments.input, sensor.frame_size, arguments.topic)
         warn(found.problem)
         frames = found.images
     with shown_count() as count:
@@ -261,14 +260,12 @@ def _capture(
 
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    size = sensor.frame_size
     capture = BoardCapture(target)
     kept: list[NDArray[np.uint8]] = []
     columns = (TextColumn("images kept"), BarColumn(), MofNCompleteColumn())
     note = TextColumn("{task.description}", markup=False)
-    weights = sensor.tracking.grey_weights
     with (
-        LiveFrames(arguments.topic, size, arguments.timeout, weights) as live,
+        LiveFrames(arguments.topic, sensor, arguments.timeout) as live,
         Progress(*columns, note, console=output_console(stderr=True)) as progress,
     ):
         task = progress.add_task("waiting for frames", total=arguments.images)

@@ -22,12 +22,11 @@ from cmp_tactile_processing.calibration.outcome import (
     Severity,
 )
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.geometry.rectification import write_camera_info
+from cmp_tactile_processing.geometry.rectification import ViewCameraInfo, write_camera_info
 from cmp_tactile_processing.geometry.split import split_frame, to_grey
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 
 SUFFIXES = (".yaml", ".yml")
-VIEWS = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class CalibrationFiles:
     report: Path
 
     @classmethod
-    def of_sensor(cls, output: Path, views: tuple[str, ...] = VIEWS) -> CalibrationFiles:
+    def of_sensor(cls, output: Path, views: tuple[str, ...]) -> CalibrationFiles:
         """NEW.yaml, NEW_left.yaml, NEW_right.yaml and the folder NEW_calibration.
 
         Raises OutputError for a name that does not end in .yaml.
@@ -77,28 +76,23 @@ class CalibrationFiles:
                 msg = f"{path}: exists already; --overwrite replaces it"
                 raise OutputError(msg)
 
-    def write(self, outcome: CalibrationOutcome, name: str) -> None:
-        """Write the results of an accepted calibration.  name: of the sensor.
+    def write(
+        self,
+        sensor: SensorDescription | None,
+        cameras: Mapping[str, ViewCameraInfo] | None = None,
+        name: str = "",
+    ) -> tuple[Path, ...]:
+        """Write the results of an accepted calibration; returns the files.  name: of the sensor.
 
         camera_info files bear the name that ROS tools expect, SENSOR_left and SENSOR_right.
-        Raises ValueError for a calibration that was refused.
         """
-        if not outcome.accepted:
-            msg = "a refused calibration must not be written"
-            raise ValueError(msg)
         for view, path in self.cameras.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_camera_info(path, f"{name}_{view}", outcome.cameras[view])
+            write_camera_info(path, f"{name}_{view}", (cameras or {})[view])
         # Last, so that a description is never there without its camera_info files.
-        if self.sensor is not None and outcome.sensor is not None:
-            write_sensor_description(self.sensor, outcome.sensor)
-
-    def write_sensor(self, sensor: SensorDescription) -> Sequence[Path]:
-        """Write a description alone; returns the files that are written."""
-        if self.sensor is None:
-            return ()
-        write_sensor_description(self.sensor, sensor)
-        return (self.sensor,)
+        if self.sensor is not None and sensor is not None:
+            write_sensor_description(self.sensor, sensor)
+        return self.written
 
 
 # Of an estimate of what several parameters do at once.
@@ -143,12 +137,9 @@ def conclude(
         left_out = int((~item.used).sum())
         more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
         print_line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
-
-    def write() -> Sequence[Path]:
-        files.write(outcome, name)
-        return files.written
-
-    return print_end(console, outcome, page, write)
+    return print_end(
+        console, outcome, page, lambda: files.write(outcome.sensor, outcome.cameras, name)
+    )
 
 
 def print_end(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,10 +12,11 @@ from cmp_tactile_bringup.commands.options import Command, Number, argument, misu
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from scipy.spatial.transform import Rotation
 
     from cmp_tactile_bringup.calibration.frames import RecordedFrames
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
-    from cmp_tactile_bringup.calibration.loads import WrenchFrame, WrenchSeries
+    from cmp_tactile_bringup.calibration.loads import WrenchSeries
     from cmp_tactile_bringup.terminal.output import OnStage
     from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -24,7 +26,7 @@ SENSOR = "description to start from: a file or a packaged name"
 PREPARING = "preparing tracker and rays (compiled once per version)"
 # Frames of a live camera unless --frames names another number.
 LIVE_FRAMES = 20
-FORCE_SENSOR = "Reference force sensor"
+force_sensor_option = partial(option, group="Reference force sensor")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +44,7 @@ class LiveInput(Command):
     """Option of a live topic."""
 
     timeout: Annotated[
-        float,
-        option("how long to wait for a frame of a live topic", Number(0.1, 3600, "s")),
+        float, option("how long to wait for a frame of a live topic", Number(0.1, 3600, "s"))
     ] = 10.0
 
 
@@ -79,28 +80,19 @@ class WrenchSensor(Command):
     ] = None
     wrench_rotation: Annotated[
         tuple[float, float, float] | None,
-        option(
+        force_sensor_option(
             "rotation from the gel frame's axes to the sensor's, degrees about the gel's x, then "
             "y, then z axis (default: from /tf_static of the bag, else none)",
             Number(-360, 360, "degrees"),
             metavar="X Y Z",
-            group=FORCE_SENSOR,
         ),
     ] = None
     wrench_reaction: Annotated[
-        bool,
-        option(
-            "it measures the opposite force: that of the gel on the object",
-            group=FORCE_SENSOR,
-        ),
+        bool, force_sensor_option("it measures the opposite force: that of the gel on the object")
     ] = False
     time_offset: Annotated[
         float,
-        option(
-            "how far its clock is ahead of the camera's",
-            Number(-1e10, 1e10, "s"),
-            group=FORCE_SENSOR,
-        ),
+        force_sensor_option("how far its clock is ahead of the camera's", Number(-1e10, 1e10, "s")),
     ] = 0.0
 
 
@@ -108,28 +100,26 @@ def frames_of(
     arguments: FrameInput, sensor: SensorDescription, on_stage: OnStage
 ) -> RecordedFrames:
     """Frames of the input, or of the live topic where there is none."""
-    from cmp_tactile_bringup.calibration.frames import (
-        FrameSelection,
-        RecordedFrames,
-        read_frames,
-        take_frames,
-    )
+    from itertools import islice
 
-    size = sensor.frame_size
+    from cmp_tactile_bringup.calibration.frames import RecordedFrames, read_frames
+
+    topic = arguments.topic
     if arguments.input is not None:
         on_stage("reading frames", 0.0)
-        selection = FrameSelection(arguments.frames, arguments.start, arguments.topic)
-        frames = read_frames(Path(arguments.input), selection, size)
+        size = sensor.frame_size
+        frames = read_frames(arguments.input, size, topic, arguments.frames, arguments.start)
         on_stage("reading frames", 1.0)
         return frames
     from cmp_tactile_bringup.calibration.live import LiveFrames
 
     count = arguments.frames or LIVE_FRAMES
-    what = f"frames of {arguments.topic}"
-    weights = sensor.tracking.grey_weights
-    with LiveFrames(arguments.topic, size, arguments.timeout, weights) as live:
-        on_stage(what, 0.0)
-        images = take_frames(iter(live), count, lambda done: on_stage(what, done / count))
+    images: list[NDArray[np.uint8]] = []
+    with LiveFrames(topic, sensor, arguments.timeout) as live:
+        on_stage(f"frames of {topic}", 0.0)
+        for image in islice(live, count):
+            images.append(image)
+            on_stage(f"frames of {topic}", len(images) / count)
     return RecordedFrames(images, list(range(len(images))))
 
 
@@ -142,28 +132,29 @@ def prepare_tracker(sensor: SensorDescription, on_stage: OnStage) -> None:
     on_stage(PREPARING, 1.0)
 
 
-def _wrench_frame(
+def _rotation_to_gel(
     arguments: WrenchSensor, sensor: SensorDescription, series: WrenchSeries
-) -> WrenchFrame:
+) -> Rotation:
     """As the options have it, or else the bag's fixed transforms, or else the gel's own axes."""
-    from cmp_tactile_bringup.calibration.loads import WrenchFrame, fixed_transform
+    from scipy.spatial.transform import Rotation
+
+    from cmp_tactile_bringup.calibration.loads import fixed_rotation
     from cmp_tactile_bringup.recordings.library import recorded_source
 
-    reaction = arguments.wrench_reaction
     if arguments.wrench_rotation is not None:
-        return WrenchFrame.turned(arguments.wrench_rotation, reaction=reaction)
+        return Rotation.from_euler("xyz", arguments.wrench_rotation, degrees=True)
     gel_frame = f"{sensor.ros_name}_gel_frame"
     if arguments.input is not None and series.frame_id:
-        T = fixed_transform(recorded_source(arguments.input), gel_frame, series.frame_id)
-        if T is not None:
+        rotation = fixed_rotation(recorded_source(arguments.input), gel_frame, series.frame_id)
+        if rotation is not None:
             print(
                 f"Force sensor: the pose of its frame {series.frame_id} is taken from /tf_static."
             )
-            return WrenchFrame(T[:3, :3], reaction)
+            return rotation
     print(
         "Force sensor: its axes are assumed to be the gel frame's; if not, give --wrench-rotation."
     )
-    return WrenchFrame.turned(reaction=reaction)
+    return Rotation.identity()
 
 
 def force_at_frames(
@@ -176,7 +167,10 @@ def force_at_frames(
 
     Raises RecordingError where force and frames have no time in common.
     """
+    import numpy as np
+
     from cmp_tactile_bringup.calibration.loads import at_frames
 
     force = at_frames(series, motion.stamp_ns, arguments.time_offset)
-    return _wrench_frame(arguments, sensor, series).on_gel(force)
+    on_gel = _rotation_to_gel(arguments, sensor, series).apply(force)
+    return np.asarray(-on_gel if arguments.wrench_reaction else on_gel)
