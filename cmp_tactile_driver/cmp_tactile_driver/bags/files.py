@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import zstandard
@@ -31,10 +31,6 @@ class Place:
     stamp_ns: int
     where: Any
     file: int = 0
-
-    def in_file(self, number: int) -> Place:
-        """The same in one of several files."""
-        return replace(self, file=number) if number else self
 
 
 def unpacked(data: bytes) -> bytes:

@@ -18,6 +18,7 @@ from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_driver.sources.timing import Pacer
 from cmp_tactile_driver.sources.worker import Worker
 
@@ -56,21 +57,6 @@ class PlayerState(Enum):
     FINISHED = "finished"
     FAILED = "failed"
     STOPPED = "stopped"
-
-
-@dataclass(frozen=True)
-class PlayOptions:
-    """How to play.
-
-    rate: speed, 1 as recorded.  start, end: s from the first frame.  loop: without end.  paused: at
-    first.
-    """
-
-    rate: float = 1.0
-    start: float = 0.0
-    end: float = math.inf
-    loop: bool = False
-    paused: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,20 +100,23 @@ class Player:
     """Hands the messages of recordings to `send`, each at its time, none left out.
 
     Recordings follow one another with a frame's time between them, whatever their times say.
+
+    rate: speed, 1 as recorded; may be changed while playing.
     """
 
     def __init__(
         self,
         recordings: Sequence[Recording],
         send: Callable[[RecordedMessage], None],
-        options: PlayOptions,
+        options: ReplayParameters,
         gate: StartGate | None = None,
     ) -> None:
+        """options: rate, start, end, loop and paused."""
         self._recordings = recordings
         self._send = send
         self._options = options
         self._gate = gate
-        self._rate = options.rate
+        self.rate = options.rate
         self._pacer = Pacer()
         self._state = PlayerState.WAITING if gate else PlayerState.PLAYING
         self._frames = self._passes = 0
@@ -155,15 +144,6 @@ class Player:
             self._pacer.max_lateness,
             self._position,
         )
-
-    @property
-    def rate(self) -> float:
-        """Speed, 1 as recorded; may be changed while playing."""
-        return self._rate
-
-    @rate.setter
-    def rate(self, rate: float) -> None:
-        self._rate = rate
 
     def start(self) -> None:
         """Begin to play."""
@@ -259,10 +239,11 @@ class Player:
 
     def _timeline(self, start: float) -> Iterator[RecordedMessage | _Mark]:
         """All that is to be sent, again and again where it loops."""
+        end = self._options.end or math.inf
         while True:
             sent, offset = 0, 0.0
             for recording in self._recordings:
-                span = TimeSpan(max(0.0, start - offset), self._options.end - offset)
+                span = TimeSpan(max(0.0, start - offset), end - offset)
                 for message in recording.messages(span):
                     sent += 1
                     yield message
@@ -303,7 +284,7 @@ class Player:
             if self._paused:
                 self._condition.wait_for(lambda: not self._paused or self._steps or self._ends)
                 self._pacer.restart()
-            delay = self._pacer.delay(elapsed / self._rate)
+            delay = self._pacer.delay(elapsed / self.rate)
             self._condition.wait_for(lambda: self._ends, delay)
             if self._ends:
                 return False

@@ -10,7 +10,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -74,7 +74,7 @@ class BagStorage:
     def places(self, topics: Collection[str]) -> list[Place]:
         """Where the messages of some topics lie, in the order in which they were received."""
         found = [
-            place.in_file(number)
+            replace(place, file=number) if number else place
             for number, file in enumerate(self._files)
             for place in file.places(topics)
         ]

@@ -50,14 +50,6 @@ LEAST_KEPT = {"/tf_static": MOST_KEPT}
 
 
 @dataclass(frozen=True)
-class SplitLimits:
-    """When a new file begins: after so many bytes or ns of log time; 0 for never."""
-
-    size_bytes: int = 0
-    duration_ns: int = 0
-
-
-@dataclass(frozen=True)
 class BagTopic:
     """A topic of a bag.  kind: its type's name.  qos: profiles of its publishers."""
 
@@ -89,12 +81,15 @@ class BagWriter:
     """
 
     def __init__(
-        self, folder: Path, *, compressed: bool = False, limits: SplitLimits | None = None
+        self, folder: Path, *, compressed: bool = False, split_bytes: int = 0, split_ns: int = 0
     ) -> None:
-        """Makes the folder.  compressed: by zstd, which every reader of MCAP undoes by itself."""
+        """Makes the folder.  compressed: by zstd, which every reader of MCAP undoes by itself.
+
+        A new file begins after split_bytes, and after split_ns of log time; 0 for never.
+        """
         self.folder = folder
         self._compressed = compressed
-        self._limits = limits or SplitLimits()
+        self._split_bytes, self._split_ns = split_bytes, split_ns
         self._topics: dict[str, BagTopic] = {}
         self._latched: dict[str, deque[tuple[int, bytes]]] = {}
         self._files: list[McapFile] = []
@@ -192,11 +187,11 @@ class BagWriter:
             raise BagWriteError(msg) from None
 
     def _is_full(self, log_ns: int) -> bool:
-        limits, size = self._limits, self._files[-1].size
-        if limits.size_bytes and size - self._repeated_bytes >= limits.size_bytes:
+        size = self._files[-1].size - self._repeated_bytes
+        if self._split_bytes and size >= self._split_bytes:
             return True
         passed = log_ns - self._first_ns if self._first_ns else 0
-        return bool(limits.duration_ns and passed >= limits.duration_ns)
+        return bool(self._split_ns and passed >= self._split_ns)
 
     def _open_file(self) -> None:
         path = self.folder / f"{self.folder.name}_{len(self._files)}.mcap"

@@ -156,10 +156,8 @@ class CameraCalibration:
 
     def _set(self, message: CameraInfo) -> str:
         if self._path is None:
-            msg = (
-                "camera_driver.camera_info_url: found nothing, expected a place to store the "
-                "calibration: file://PATH or package://PACKAGE/PATH"
-            )
+            what = "a place to store the calibration"
+            msg = f"camera_driver.camera_info_url: found nothing, expected {what}: {EXPECTED}"
             raise DescriptionError(msg)
         info = ViewCameraInfo(
             width=message.width,

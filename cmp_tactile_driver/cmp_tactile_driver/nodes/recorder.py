@@ -17,13 +17,8 @@ from rclpy.type_support import check_for_type_support
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.reader import IMAGE
-from cmp_tactile_driver.bags.recorder import (
-    BagRecorder,
-    RecorderState,
-    RecordingProgress,
-    Tap,
-)
-from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits, put_sensor_beside
+from cmp_tactile_driver.bags.recorder import BagRecorder, RecorderState, RecordingProgress, Tap
+from cmp_tactile_driver.bags.writer import BagWriter, put_sensor_beside
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.nodes.encoding import frame_encoder, message_encoder
@@ -118,10 +113,12 @@ class Recorder(ReportingNode):
         """Begin a recording; CmpTactileError where its folder cannot be made."""
         settings = self._settings
         folder = self._next_folder()
-        limits = SplitLimits(
-            round(settings.split_size * MEGABYTE), round(settings.split_duration * 1e9)
+        writer = BagWriter(
+            folder,
+            compressed=settings.compression == "zstd",
+            split_bytes=round(settings.split_size * MEGABYTE),
+            split_ns=round(settings.split_duration * 1e9),
         )
-        writer = BagWriter(folder, compressed=settings.compression == "zstd", limits=limits)
         try:
             put_sensor_beside(folder, settings.sensor_description, settings.sensor_name)
         except BagWriteError:

@@ -24,7 +24,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.calibration import calibration_mismatch
-from cmp_tactile_driver.bags.player import Player, PlayerState, PlayOptions, StartGate
+from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
@@ -214,14 +214,7 @@ class Replay(ReportingNode):
                 self._settings.wait_timeout,
                 lambda: self._warn_of_missing(start.missing()),
             )
-        options = PlayOptions(
-            rate=self._settings.rate,
-            start=self._settings.start,
-            end=self._settings.end or math.inf,
-            loop=self._settings.loop,
-            paused=self._settings.paused,
-        )
-        return Player(self._recordings, self._send, options, gate)
+        return Player(self._recordings, self._send, self._settings, gate)
 
     def _warn_of_missing(self, replays: list[str]) -> None:
         publisher, wanted = self._frame_publisher, self._settings.wait_for_subscribers

@@ -25,7 +25,7 @@ from waiting import wait_until
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recorder import BagRecorder, EncodedMessage, RecorderState, Tap
 from cmp_tactile_driver.bags.storage import open_storage
-from cmp_tactile_driver.bags.writer import BagWriter, SplitLimits
+from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_processing.errors import MessageDefinitionError
 from cmp_tactile_processing.ros.messages.definitions import message_definition
@@ -94,15 +94,15 @@ def test_an_unknown_type_is_named():
 @pytest.mark.parametrize(
     ("limits", "files"),
     [
-        (SplitLimits(), 1),
+        ({}, 1),
         # A file is full with the fourth frame of 307 kB.
-        (SplitLimits(size_bytes=10**6), 3),
+        ({"split_bytes": 10**6}, 3),
         # Frames are 50 ms apart.
-        (SplitLimits(duration_ns=249_000_000), 3),
+        ({"split_ns": 249_000_000}, 3),
     ],
 )
 def test_files_of_limited_size_and_duration_are_one_bag(tmp_path, bags, limits, files):
-    times = write(tmp_path / "bag", bags, 12, limits=limits)
+    times = write(tmp_path / "bag", bags, 12, **limits)
     found = sorted(path.name for path in (tmp_path / "bag").glob("*.mcap"))
     assert found == [f"bag_{number}.mcap" for number in range(files)]
     assert [frame.time_ns for frame in BagReader(tmp_path / "bag").frames()] == times
@@ -111,7 +111,7 @@ def test_files_of_limited_size_and_duration_are_one_bag(tmp_path, bags, limits, 
 def test_a_clock_that_is_set_back_does_not_keep_a_file_from_ending(tmp_path, bags):
     """Report: ros2/rosbag2 1450 (splits by duration go wrong); tried: three frames to a file."""
     times = [*bags.stamps(6), *(time_ns - 60 * 10**9 for time_ns in bags.stamps(6))]
-    with BagWriter(tmp_path / "bag", limits=SplitLimits(duration_ns=149_000_000)) as writer:
+    with BagWriter(tmp_path / "bag", split_ns=149_000_000) as writer:
         writer.add_topic(TOPIC, IMAGE)
         for time_ns in times:
             writer.write(TOPIC, time_ns, serialised(bags.frames(1)[0], time_ns, bags))
@@ -158,7 +158,7 @@ def test_every_file_begins_with_what_is_latched(tmp_path, bags, topic, depths, s
     bag = tmp_path / "bag"
     times = bags.stamps(12)
     frames = [serialised(f, t, bags) for f, t in zip(bags.frames(12, 480, 640), times, strict=True)]
-    with BagWriter(bag, limits=SplitLimits(duration_ns=249_000_000)) as writer:
+    with BagWriter(bag, split_ns=249_000_000) as writer:
         writer.add_topic(topic, TF, [latched(depth) for depth in depths])
         for data in sent:
             writer.write(topic, times[0], data, times[0] - 7)
@@ -182,7 +182,7 @@ def test_every_file_begins_with_what_is_latched(tmp_path, bags, topic, depths, s
 def test_what_is_latched_does_not_fill_a_file_by_itself(tmp_path, bags):
     """Larger than a file may become: frames still come four to a file."""
     bag = tmp_path / "bag"
-    with BagWriter(bag, limits=SplitLimits(size_bytes=10**6)) as writer:
+    with BagWriter(bag, split_bytes=10**6) as writer:
         writer.add_topic("/map", TF, [latched()])
         writer.write("/map", 1, bytes(3 * 10**6))
         writer.add_topic(TOPIC, IMAGE)
@@ -195,8 +195,7 @@ def test_what_is_latched_does_not_fill_a_file_by_itself(tmp_path, bags):
 def test_what_is_left_of_a_recording_that_was_killed(tmp_path, bags, compressed):
     """In its second file: no metadata.yaml, no index there, and a chunk written in part."""
     bag = tmp_path / "bag"
-    limits = SplitLimits(duration_ns=299_000_000)
-    times = write(bag, bags, 12, compressed=compressed, limits=limits)
+    times = write(bag, bags, 12, compressed=compressed, split_ns=299_000_000)
     (bag / "metadata.yaml").unlink()
     last = bag / "bag_1.mcap"
     last.write_bytes(last.read_bytes()[: CHUNK_BYTES * 3 // 2])
@@ -300,7 +299,7 @@ def test_what_is_latched_and_finds_no_room_was_not_repeated(tmp_path, bags):
     """
     bag, frames = tmp_path / "bag", bags.frames(3, 480, 640)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    writer = BagWriter(bag, limits=SplitLimits(size_bytes=10**6))
+    writer = BagWriter(bag, split_bytes=10**6)
     recorder = BagRecorder(writer, 10**8)
     static = Tap("/tf_static", lambda data: EncodedMessage("/tf_static", TF, data, 1), [latched()])
     images = Tap(TOPIC, lambda data: EncodedMessage(TOPIC, IMAGE, data, None))

@@ -14,13 +14,13 @@ from cmp_tactile_driver.bags.player import (
     PREFETCH_DEPTH,
     Player,
     PlayerState,
-    PlayOptions,
     StartGate,
 )
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceHealth
+from cmp_tactile_driver.sources.parameters import ReplayParameters
 
 FRAME_NS = 10_000_000
 IMAGE = np.zeros((2, 2), np.uint8)
@@ -55,7 +55,7 @@ def _wait_finished(player: Player) -> None:
     _wait(lambda: player.progress.state is PlayerState.FINISHED)
 
 
-def _play(options: PlayOptions, *recordings: _Recording) -> tuple[Player, list[int]]:
+def _play(options: ReplayParameters, *recordings: _Recording) -> tuple[Player, list[int]]:
     sent: list[int] = []
     player = Player(recordings or [_Recording()], lambda m: sent.append(m.stamp_ns), options)
     player.start()
@@ -65,12 +65,12 @@ def _play(options: PlayOptions, *recordings: _Recording) -> tuple[Player, list[i
 @pytest.mark.parametrize(
     ("options", "recordings", "wanted"),
     [
-        (PlayOptions(), 1, range(10)),
-        (PlayOptions(start=0.035), 1, range(4, 10)),
-        (PlayOptions(start=0.015, end=0.045), 1, range(2, 5)),
-        (PlayOptions(rate=10.0), 2, [*range(10), *range(10)]),
+        (ReplayParameters(), 1, range(10)),
+        (ReplayParameters(start=0.035), 1, range(4, 10)),
+        (ReplayParameters(start=0.015, end=0.045), 1, range(2, 5)),
+        (ReplayParameters(rate=10.0), 2, [*range(10), *range(10)]),
         # The second recording begins where the first one's last frame is, at 90 ms.
-        (PlayOptions(start=0.1, end=0.15), 2, range(1, 6)),
+        (ReplayParameters(start=0.1, end=0.15), 2, range(1, 6)),
     ],
 )
 def test_all_that_is_asked_for_comes_in_order(options, recordings, wanted):
@@ -82,7 +82,7 @@ def test_all_that_is_asked_for_comes_in_order(options, recordings, wanted):
 
 def test_never_faster_than_asked():
     begin = time.monotonic()
-    player, _ = _play(PlayOptions(rate=0.5))
+    player, _ = _play(ReplayParameters(rate=0.5))
     _wait_finished(player)
     # Nine intervals of 20 ms; being late may be made good by 5 ms at most.
     assert time.monotonic() - begin >= 9 * 0.020 - 0.005
@@ -95,7 +95,7 @@ def test_slow_receiver_loses_nothing():
         time.sleep(0.03)
         sent.append(message.stamp_ns)
 
-    player = Player([_Recording()], send, PlayOptions(rate=10.0))
+    player = Player([_Recording()], send, ReplayParameters(rate=10.0))
     player.start()
     _wait_finished(player)
     assert sent == list(range(10))
@@ -103,7 +103,7 @@ def test_slow_receiver_loses_nothing():
 
 
 def test_loop_goes_on_until_stopped():
-    player, sent = _play(PlayOptions(rate=20.0, loop=True))
+    player, sent = _play(ReplayParameters(rate=20.0, loop=True))
     _wait(lambda: len(sent) >= 35)
     player.stop()
     assert player.progress.state is PlayerState.STOPPED
@@ -121,7 +121,7 @@ def test_paused_at_first_and_later():
         if len(sent) == 3:
             player.pause()
 
-    player = Player([_Recording()], send, PlayOptions(paused=True))
+    player = Player([_Recording()], send, ReplayParameters(paused=True))
     player.start()
     time.sleep(0.1)
     assert sent == []
@@ -136,7 +136,7 @@ def test_paused_at_first_and_later():
 
 
 def test_stop_while_paused_ends_the_thread():
-    player, sent = _play(PlayOptions(paused=True))
+    player, sent = _play(ReplayParameters(paused=True))
     player.stop()
     assert player.progress.state is PlayerState.STOPPED
     assert sent == []
@@ -147,7 +147,7 @@ def test_gate_holds_back_the_first_message():
     sent: list[int] = []
     gave_up: list[bool] = []
     gate = StartGate(lambda: 0.05 if opened.is_set() else None, 60.0, lambda: gave_up.append(True))
-    player = Player([_Recording()], lambda m: sent.append(m.stamp_ns), PlayOptions(), gate)
+    player = Player([_Recording()], lambda m: sent.append(m.stamp_ns), ReplayParameters(), gate)
     player.start()
     time.sleep(0.1)
     assert sent == []
@@ -161,7 +161,7 @@ def test_gate_holds_back_the_first_message():
 def test_gate_gives_up_waiting():
     gave_up: list[int] = []
     gate = StartGate(lambda: None, 0.05, lambda: gave_up.append(player.progress.frames))
-    player = Player([_Recording()], lambda _: None, PlayOptions(), gate)
+    player = Player([_Recording()], lambda _: None, ReplayParameters(), gate)
     player.start()
     _wait_finished(player)
     assert player.progress.frames == 10
@@ -183,14 +183,14 @@ def test_gate_gives_up_waiting():
     ],
 )
 def test_failure_is_reported_after_what_was_good(start, error, wanted, problem):
-    player, sent = _play(PlayOptions(start=start), _Recording(error))
+    player, sent = _play(ReplayParameters(start=start), _Recording(error))
     _wait(lambda: player.progress.state is PlayerState.FAILED)
     assert sent == wanted
     assert player.progress.problem == problem
 
 
 def test_one_frame_for_each_step_while_paused():
-    player, sent = _play(PlayOptions(paused=True))
+    player, sent = _play(ReplayParameters(paused=True))
     for count in (1, 2, 3):
         _wait(player.step)
         _wait(lambda count=count: len(sent) == count)
@@ -203,7 +203,7 @@ def test_one_frame_for_each_step_while_paused():
 
 
 def test_steps_that_are_asked_for_at_once_are_all_made():
-    player, sent = _play(PlayOptions(paused=True))
+    player, sent = _play(ReplayParameters(paused=True))
     _wait(player.step)
     assert player.step()
     assert player.step()
@@ -215,7 +215,7 @@ def test_steps_that_are_asked_for_at_once_are_all_made():
 
 @pytest.mark.parametrize("paused", [False, True])
 def test_jump_goes_on_from_there(paused):
-    player, sent = _play(PlayOptions(paused=True))
+    player, sent = _play(ReplayParameters(paused=True))
     _wait(player.step)
     _wait(lambda: sent == [0])
     player.jump(0.065)
@@ -229,7 +229,7 @@ def test_jump_goes_on_from_there(paused):
 
 def test_a_jump_by_seconds_shows_the_frame_there_and_stays_within():
     """Also in the second of two recordings."""
-    player, _ = _play(PlayOptions(paused=True, loop=True), _Recording(), _Recording())
+    player, _ = _play(ReplayParameters(paused=True, loop=True), _Recording(), _Recording())
     _wait(player.step)
     _wait(lambda: player.progress.frames == 1)
     assert player.progress.position == 0
@@ -244,7 +244,7 @@ def test_a_jump_by_seconds_shows_the_frame_there_and_stays_within():
 
 
 def test_a_jump_behind_the_end_ends_and_is_no_failure():
-    player, sent = _play(PlayOptions(paused=True))
+    player, sent = _play(ReplayParameters(paused=True))
     player.jump(100.0)
     _wait_finished(player)
     assert sent == []
@@ -260,7 +260,7 @@ def test_what_comes_next_is_read_while_it_is_paused():
                 read.append(frame.stamp_ns)
                 yield frame
 
-    player, sent = _play(PlayOptions(paused=True, loop=True), Watched())
+    player, sent = _play(ReplayParameters(paused=True, loop=True), Watched())
     _wait(lambda: len(read) > 10)
     time.sleep(0.05)
     assert len(read) <= PREFETCH_DEPTH + 1
