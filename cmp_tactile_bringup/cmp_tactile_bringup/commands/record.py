@@ -66,7 +66,9 @@ class Record(Command):
         """Record until a signal comes; 0 where all is in the bag."""
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
+        from rich.live import Live
 
+        from cmp_tactile_bringup.terminal.output import output_console
         from cmp_tactile_bringup.terminal.stop_signal import StopSignal
         from cmp_tactile_processing.ros.process import init_beside, joining_ros
 
@@ -80,16 +82,19 @@ class Record(Command):
             executor.add_node(recorder)
             thread = threading.Thread(target=executor.spin, name="record", daemon=True)
             thread.start()
-            line = _Line()
+            console = output_console(stderr=True)
             try:
-                while not stop.wait(PERIOD_S) and not _is_over(recorder.progress, self.duration):
-                    line.show(recorder.progress)
+                with Live(console=console, auto_refresh=False, transient=True) as live:
+                    while not stop.wait(PERIOD_S):
+                        if _is_over(recorder.progress, self.duration):
+                            break
+                        if console.is_terminal:
+                            live.update(_progress_line(recorder.progress), refresh=True)
             finally:
                 missing = recorder.missing_topics
                 executor.shutdown()
                 thread.join()
                 recorder.destroy_node()
-            line.end()
             return _summary(recorder.bag, recorder.progress, missing)
         finally:
             context.try_shutdown()
@@ -135,26 +140,13 @@ def _is_over(progress: RecordingProgress | None, duration: float | None) -> bool
     return duration is not None and progress.duration_s >= duration
 
 
-class _Line:
-    """Shows how far it is, where there is a terminal."""
-
-    def __init__(self) -> None:
-        self._shown = False
-
-    def show(self, progress: RecordingProgress | None) -> None:
-        if progress is None or not sys.stderr.isatty():
-            return
-        self._shown = True
-        dropped = sum(progress.dropped.values())
-        sys.stderr.write(
-            f"\r{progress.duration_s:8.1f} s  {sum(progress.messages.values())} messages  "
-            f"{progress.size / MEGABYTE:.1f} MB  {dropped} dropped "
-        )
-        sys.stderr.flush()
-
-    def end(self) -> None:
-        if self._shown:
-            sys.stderr.write("\n")
+def _progress_line(progress: RecordingProgress | None) -> str:
+    if progress is None:
+        return ""
+    return (
+        f"{progress.duration_s:8.1f} s  {sum(progress.messages.values())} messages  "
+        f"{progress.size / MEGABYTE:.1f} MB  {sum(progress.dropped.values())} dropped"
+    )
 
 
 def _summary(bag: Path, progress: RecordingProgress, missing: list[str]) -> int:
