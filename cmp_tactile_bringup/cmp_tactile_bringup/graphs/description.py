@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import os
 import re
-import sys
+import runpy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
@@ -283,18 +282,13 @@ def load_graph_file(path: Path) -> GraphFunction:
     Raises GraphError for a file that cannot be run or does not define just one.
     """
     name = f"cmp_tactile_graph_{path.stem}"
-    spec = spec_from_file_location(name, path) if path.suffix == ".py" else None
-    found: list[GraphFunction] = []
-    if spec is not None and spec.loader is not None:
-        module = module_from_spec(spec)
-        sys.modules[name] = module
-        try:
-            spec.loader.exec_module(module)
-        except Exception as error:
-            msg = f"{path}: cannot be run: {type(error).__name__}: {error}"
-            raise GraphError(msg) from error
-        defined = [item for item in vars(module).values() if isinstance(item, GraphFunction)]
-        found = [item for item in defined if item.function.__module__ == name]
+    try:
+        defined = runpy.run_path(str(path), run_name=name) if path.suffix == ".py" else {}
+    except Exception as error:
+        msg = f"{path}: cannot be run: {type(error).__name__}: {error}"
+        raise GraphError(msg) from error
+    graphs = (item for item in defined.values() if isinstance(item, GraphFunction))
+    found = [item for item in graphs if item.function.__module__ == name]
     if len(found) != 1:
         expected = "one: a Python file with one function that `graph` decorates (docs/launch.md)"
         msg = f"{path}: found {len(found) or 'no'} graphs, expected {expected}"
