@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -275,11 +276,8 @@ def _evaluate_force(results: DemoResults) -> ForceEvaluation:
 
 
 def _flagged(results: DemoResults) -> dict[str, int]:
-    counts = dict.fromkeys(ADVICE, 0)
-    for frame in results.frames:
-        for flag in single_flags(frame.force.flags):
-            counts[flag] += 1
-    return {flag_names(flag): count for flag, count in counts.items() if count}
+    counts = Counter(flag for frame in results.frames for flag in single_flags(frame.force.flags))
+    return {flag_names(flag): counts[flag] for flag in ADVICE if flag in counts}
 
 
 def _rms_of_each(errors: NDArray[np.float64]) -> NDArray[np.float64]:

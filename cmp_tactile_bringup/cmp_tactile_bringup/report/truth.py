@@ -22,16 +22,9 @@ from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth
 AT_REST = 1e-6
 
 
-@dataclass(frozen=True)
-class TruthLimits:
-    """Of the mean distances, um, and of the displacement's in percent of the largest."""
-
-    position_um: float = 5.0
-    displacement_um: float = 5.0
-    displacement_percent: float = 1.0
-
-
-TRUTH_LIMITS = TruthLimits()
+# Limits of the mean distances, um, and of the displacement's in percent of the largest.
+POSITION_LIMIT_UM = DISPLACEMENT_LIMIT_UM = 5.0
+DISPLACEMENT_LIMIT_PERCENT = 1.0
 
 
 @dataclass(frozen=True)
@@ -59,8 +52,8 @@ class TruthErrors:
             TableRow(
                 "3-D error against the truth: mean, 99 % below",
                 f"{length_text(mean)}, {length_text(far)}",
-                f"mean <= {TRUTH_LIMITS.position_um:g} um",
-                mean * 1e6 <= TRUTH_LIMITS.position_um,
+                f"mean <= {POSITION_LIMIT_UM:g} um",
+                mean * 1e6 <= POSITION_LIMIT_UM,
             )
         ]
         if np.isfinite(self.displacement).any():
@@ -70,13 +63,13 @@ class TruthErrors:
     def _displacement_row(self) -> TableRow:
         mean = float(np.nanmean(self.displacement))
         percent = 100 * mean / max(self.largest_displacement, 1e-12)
-        kept = mean * 1e6 <= TRUTH_LIMITS.displacement_um
-        limit = f"mean <= {TRUTH_LIMITS.displacement_um:g} um"
+        kept = mean * 1e6 <= DISPLACEMENT_LIMIT_UM
+        limit = f"mean <= {DISPLACEMENT_LIMIT_UM:g} um"
         value = length_text(mean)
-        if self.largest_displacement > TRUTH_LIMITS.displacement_um * 1e-6:
+        if self.largest_displacement > DISPLACEMENT_LIMIT_UM * 1e-6:
             value += f", {percent:.2f} % of the largest, {self.largest_displacement * 1e3:.2f} mm"
-            limit += f" and {TRUTH_LIMITS.displacement_percent:g} %"
-            kept &= percent <= TRUTH_LIMITS.displacement_percent
+            limit += f" and {DISPLACEMENT_LIMIT_PERCENT:g} %"
+            kept &= percent <= DISPLACEMENT_LIMIT_PERCENT
         return TableRow("Displacement error against the truth", value, limit, kept)
 
 

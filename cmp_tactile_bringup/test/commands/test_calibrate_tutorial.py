@@ -10,7 +10,7 @@ from documents import assert_printed, shell_lines, shown_after
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
-from cmp_tactile_bringup.report.truth import TRUTH_LIMITS
+from cmp_tactile_bringup.report.truth import POSITION_LIMIT_UM
 from cmp_tactile_processing.geometry.rectification import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -51,9 +51,9 @@ def test_the_tutorial_ends_with_a_working_sensor(practice_set, tmp_path, monkeyp
     before, after, true = (text for line, text in shown.items() if "calibrate check" in line)
     assert "missed" in before
     assert "missed" not in after
-    assert true_error_um(after) < TRUTH_LIMITS.position_um < 100 * TRUTH_LIMITS.position_um
-    assert true_error_um(before) > 100 * TRUTH_LIMITS.position_um
-    assert true_error_um(true) < TRUTH_LIMITS.position_um
+    assert true_error_um(after) < POSITION_LIMIT_UM < 100 * POSITION_LIMIT_UM
+    assert true_error_um(before) > 100 * POSITION_LIMIT_UM
+    assert true_error_um(true) < POSITION_LIMIT_UM
     assert_found(SensorDescription.load("my_sensor.yaml"), practice_set)
     assert (tmp_path / "my_sensor_calibration" / "index.html").is_file()
     assert (tmp_path / "results" / "contact.mcap").is_file()

@@ -125,16 +125,21 @@ def _draw_histogram(axes: Axes, item: ViewResiduals) -> None:
 
 
 def gel_map_figure(residuals: Sequence[ViewResiduals], sensor: SensorDescription) -> Figure:
-    """Mean length of the residuals of each marker, where the marker is on the gel.
+    """Mean length of the residuals of each marker, where the marker is on the gel; one scale.
 
     One that is far off in every frame is a defect of the print; a pattern of many is a model that
     does not fit.
     """
-    shown = _shown(residuals)
-    maps = {
-        f"{item.view} view": _per_marker(item, sensor.pattern.corners(), sensor) for item in shown
-    }
-    return _gel_maps(maps, sensor.pattern, "mean residual of each marker over the frames", "px")
+    shown, pattern = _shown(residuals), sensor.pattern
+    maps = {item.view: _per_marker(item, pattern.corners(), sensor) for item in shown}
+    high = max(_high(values) for values in maps.values())
+    figure = style.new_figure(6.0 * len(maps), 5.2)
+    row = _row_of_axes(figure, len(maps))
+    for axes, (view, values) in zip(row, maps.items(), strict=True):
+        image = _draw_gel_map(axes, values, pattern, high)
+        style.title(axes, f"{view} view", "mean residual of each marker over the frames")
+    style.colour_bar(image, row, "px", shrink=0.8)
+    return figure
 
 
 def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) -> Figure:
@@ -151,22 +156,6 @@ def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) ->
             axes, name, f"mean error of each marker against the truth; all markers: {whole}"
         )
         style.colour_bar(image, [axes], "um", shrink=0.8)
-    return figure
-
-
-def _gel_maps(
-    maps: Mapping[str, NDArray[np.float64]], pattern: Pattern, detail: str, unit: str
-) -> Figure:
-    """Values (rows, cols) of the markers, where they are on the gel, by title; one scale."""
-    high = max(_high(values) for values in maps.values())
-    figure = style.new_figure(6.0 * len(maps), 5.2)
-    row = _row_of_axes(figure, len(maps))
-    image = None
-    for axes, (name, values) in zip(row, maps.items(), strict=True):
-        image = _draw_gel_map(axes, values, pattern, high)
-        style.title(axes, name, detail)
-    if image is not None:
-        style.colour_bar(image, row, unit, shrink=0.8)
     return figure
 
 

@@ -182,7 +182,7 @@ def _draw_number(axes: Axes, results: DemoResults) -> None:
 def _draw_area(axes: Axes, results: DemoResults) -> None:
     area = np.array([frame.force.contact_area for frame in results.frames])
     _draw_true(axes, results, results.recording.truth.contact_area * 1e6)
-    _draw_measured(axes, results, area * 1e6, "measured")
+    _draw_line(axes, results.time_s, area * 1e6, MEASURED, "measured")
     axes.set_ylabel("area, mm²")
     axes.set_ylim(bottom=0)
 
@@ -230,7 +230,7 @@ def true_states(results: DemoResults) -> NDArray[np.int64]:
 
 def _draw_slip(axes: Axes, results: DemoResults) -> None:
     _draw_true(axes, results, results.recording.truth.slip_ratio)
-    _draw_measured(axes, results, _slip(results, "slip_ratio"), "measured")
+    _draw_line(axes, results.time_s, _slip(results, "slip_ratio"), MEASURED, "measured")
     axes.set(ylabel="sliding share", ylim=(-0.05, 1.05))
 
 
@@ -238,7 +238,7 @@ def _draw_friction(axes: Axes, results: DemoResults) -> None:
     truth = results.recording.truth
     ratio, name = _slip(results, "traction_ratio"), "tangential over normal force"
     _draw_true(axes, results, truth.traction_ratio, style.SERIES[0], f"{name}, true")
-    _draw_measured(axes, results, ratio, f"{name}, measured")
+    _draw_line(axes, results.time_s, ratio, MEASURED, f"{name}, measured")
     coefficient, std = _slip(results, "friction_coefficient"), _slip(results, "friction_std")
     colour = style.SERIES[1]
     _draw_true(axes, results, truth.friction_coefficient, colour, "friction coefficient, true")
@@ -271,12 +271,6 @@ def _draw_true(
     """A broad line of what is true, where the recording has it."""
     if np.isfinite(values).any():
         axes.plot(_truth_s(results), values, color=colour, lw=5, alpha=0.35, label=label or None)
-
-
-def _draw_measured(
-    axes: Axes, results: DemoResults, values: NDArray[np.float64], label: str
-) -> None:
-    _draw_line(axes, results.time_s, values, MEASURED, label)
 
 
 def _truth_s(results: DemoResults) -> NDArray[np.float64]:
