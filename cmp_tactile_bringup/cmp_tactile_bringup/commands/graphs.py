@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from cmp_tactile_bringup.commands.options import (
     Command,
     Number,
+    RecordingSensor,
     argument,
     misuse,
     option,
@@ -166,13 +167,7 @@ class Replay(_Graph):
             "several are played one after the other. " + ASSIGNMENTS,
         ),
     ]
-    sensor: Annotated[
-        str | None,
-        option(
-            "sensor description, a file or a packaged name; not needed for a packaged scene, or "
-            "with a sensor.yaml in the recording's folder"
-        ),
-    ] = None
+    sensor: RecordingSensor = None
     rate: Annotated[float, _setting("rate")] = ReplayParameters.rate
     start: Annotated[float, _setting("start")] = ReplayParameters.start
     end: Annotated[float, _setting("end")] = ReplayParameters.end

@@ -114,6 +114,16 @@ def parameter_option(parameters: Any, name: str, *, group: str | None = None) ->
     return option(meta["description"], Number(low, high, meta["unit"], kind), group=group)
 
 
+RecordingSensor = Annotated[
+    str | None,
+    option(
+        "sensor description: a file or a packaged name; not needed for a packaged scene, or with a "
+        "sensor.yaml in the recording's folder"
+    ),
+]
+"""The sensor of a recording, which may name it itself."""
+
+
 def argument(metavar: str, text: str) -> Any:
     """A word, or a list of words, without an option's name before it."""
     return typer.Argument(metavar=metavar, help=text)

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, misuse, option
+from cmp_tactile_bringup.commands.options import (
+    Choice,
+    Command,
+    Number,
+    RecordingSensor,
+    argument,
+    misuse,
+    option,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -64,13 +72,7 @@ class Process(Command):
         ),
     ]
     output: Annotated[Path, option("folder to write", metavar="DIR")]
-    sensor: Annotated[
-        str | None,
-        option(
-            "sensor description: a file or a packaged name; not needed for a packaged scene, or "
-            "with a sensor.yaml in the recording's folder"
-        ),
-    ] = None
+    sensor: RecordingSensor = None
     topic: Annotated[str, _reading("image topic, if the bag has several")] = ""
     frame_rate: Annotated[
         float,
@@ -147,16 +149,7 @@ class Process(Command):
 def _options(arguments: Process) -> Options:
     from cmp_tactile_bringup.offline.jobs import Options
 
-    return Options(
-        topic=arguments.topic,
-        frame_rate=arguments.frame_rate,
-        reference=arguments.reference,
-        views=arguments.views,
-        start_s=arguments.start,
-        end_s=arguments.end,
-        arrays=arguments.arrays,
-        parquet=arguments.parquet,
-    )
+    return Options(**{item.name: getattr(arguments, item.name) for item in fields(Options)})
 
 
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:

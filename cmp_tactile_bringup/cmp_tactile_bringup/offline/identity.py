@@ -44,7 +44,7 @@ def made_from(
     else:
         content = files_digest(files.items())
     values = asdict(options)
-    values["end_s"] = None if math.isinf(options.end_s) else options.end_s
+    values["end"] = None if math.isinf(options.end) else options.end
     identity = {
         "recording": content,
         "sensor": digest(Path(job.sensor).read_bytes()),

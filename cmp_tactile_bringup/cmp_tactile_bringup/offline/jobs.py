@@ -26,7 +26,7 @@ class Options:
     topic: image topic of a bag, empty for the only one.  frame_rate: of a folder of images, Hz.
     reference: what displacement counts from: "nominal", "when_still", "at_start", "first-N".
     views: with grids that are written: "both", "left", "right", "none".
-    start_s, end_s: part of the recording, seconds from its first frame.
+    start, end: part of the recording, seconds from its first frame.
     arrays, parquet: whether NAME.npz and NAME_wrench.parquet are written, too.
     """
 
@@ -34,8 +34,8 @@ class Options:
     frame_rate: float = 30.0
     reference: str = "nominal"
     views: str = "both"
-    start_s: float = 0.0
-    end_s: float = math.inf
+    start: float = 0.0
+    end: float = math.inf
     arrays: bool = False
     parquet: bool = False
 

@@ -79,7 +79,7 @@ class Processor:
     @property
     def expected_frames(self) -> int | None:
         """How many frames there are to process; None where that is not known."""
-        whole = self._options.start_s == 0 and math.isinf(self._options.end_s)
+        whole = self._options.start == 0 and math.isinf(self._options.end)
         return self._recording.stated_frames if whole else None
 
     def run(self, folder: Path, on_frames: Callable[[int], None]) -> Outcome:
@@ -121,7 +121,7 @@ class Processor:
         return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
     def _frames(self) -> Iterator[Recorded]:
-        return _frames_between(self._recording, self._options.start_s, self._options.end_s)
+        return _frames_between(self._recording, self._options.start, self._options.end)
 
     def _take_reference(self, pipeline: Pipeline) -> None:
         wanted = self._options.reference_frames

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,9 +61,14 @@ def output_console(*, stderr: bool = False) -> Console:
     return made
 
 
+def titled_table(title: str, **look: Any) -> Table:
+    """A table without columns and rows, its title as all tables have it."""
+    return Table(title=cell(title), title_justify="left", title_style="bold", **look)
+
+
 def facts_table(title: str, facts: Mapping[str, str]) -> Table:
     """Two columns: what, and what it is."""
-    table = Table(title=cell(title), title_justify="left", title_style="bold", show_header=False)
+    table = titled_table(title, show_header=False)
     table.add_column(style="cyan", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in facts.items():
@@ -73,7 +78,7 @@ def facts_table(title: str, facts: Mapping[str, str]) -> Table:
 
 def results_table(title: str, rows: Sequence[TableRow]) -> Table:
     """Measured values with their limits."""
-    table = Table(title=cell(title), title_justify="left", title_style="bold")
+    table = titled_table(title)
     for heading in ("Quantity", "Measured", "Limit", ""):
         table.add_column(heading)
     marks = {None: "", True: "[green]kept[/]", False: "[bold red]missed[/]"}
@@ -209,10 +214,11 @@ def _first_version(names: tuple[str, ...]) -> str:
 
 def processor_name() -> str:
     """Type of this machine's processor."""
-    for line in _lines("/proc/cpuinfo"):
-        key, _, value = line.partition(":")
-        if key.strip() == "model name":
-            return value.strip()
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            key, _, value = line.partition(":")
+            if key.strip() == "model name":
+                return value.strip()
     return platform.processor() or platform.machine()
 
 
@@ -225,14 +231,7 @@ def _memory_gb() -> float:
 
 
 def _distribution() -> str:
-    for line in _lines("/etc/os-release"):
-        if line.startswith("PRETTY_NAME="):
-            return line.partition("=")[2].strip('"')
-    return platform.system()
-
-
-def _lines(path: str) -> list[str]:
     try:
-        return Path(path).read_text(encoding="utf-8").splitlines()
+        return platform.freedesktop_os_release()["PRETTY_NAME"]
     except OSError:
-        return []
+        return platform.system()

@@ -313,14 +313,10 @@ def _short(key: str) -> str:
 
 
 def _loads_table(loads: Sequence[LoadResult]) -> Table:
-    from rich.table import Table
-
     from cmp_tactile_bringup.report.calibration import LOAD_HEADINGS, load_rows
-    from cmp_tactile_bringup.terminal.output import cell
+    from cmp_tactile_bringup.terminal.output import cell, titled_table
 
-    table = Table(
-        title="Loads, N", title_justify="left", title_style="bold", box=None, pad_edge=False
-    )
+    table = titled_table("Loads, N", box=None, pad_edge=False)
     last = len(LOAD_HEADINGS) - 1
     for number, heading in enumerate(LOAD_HEADINGS):
         words = number < WORDY_COLUMNS or number == last

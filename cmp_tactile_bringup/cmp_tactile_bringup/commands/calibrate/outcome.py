@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,9 @@ from rich.table import Table
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.report.calibration import HEADINGS, estimate_rows, write_calibration_report
-from cmp_tactile_bringup.terminal.output import cell, output_console, print_line
+from cmp_tactile_bringup.terminal.output import cell, output_console, print_line, titled_table
+from cmp_tactile_processing.calibration.material.loads import MaterialOutcome
+from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
@@ -99,23 +100,8 @@ class CalibrationFiles:
 COMBINATION = "together: "
 NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
 WORDY_COLUMNS = ("Parameter", "Unit")
+Outcome = CalibrationOutcome | MaterialOutcome | RelaxationOutcome
 FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
-
-
-class Verdict(Protocol):
-    """The result of any calibration."""
-
-    @property
-    def findings(self) -> Sequence[Finding]:
-        """What is wrong, and what to do about it."""
-
-    @property
-    def verdict(self) -> str:
-        """Whether the result can be used, in words."""
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the result may be written."""
 
 
 def conclude(
@@ -143,7 +129,7 @@ def conclude(
 
 
 def print_end(
-    console: Console, result: Verdict, page: Path, write: Callable[[], Sequence[Path]]
+    console: Console, result: Outcome, page: Path, write: Callable[[], Sequence[Path]]
 ) -> int:
     """Print findings and verdict, write what is accepted; returns the exit code.
 
@@ -188,9 +174,7 @@ def view_pictures(
 
 def estimates_table(single: Sequence[Estimate]) -> Table:
     """Parameters before and after."""
-    table = Table(
-        title="Parameters", title_justify="left", title_style="bold", box=None, pad_edge=False
-    )
+    table = titled_table("Parameters", box=None, pad_edge=False)
     for heading in HEADINGS:
         words = heading in WORDY_COLUMNS
         table.add_column(
