@@ -21,6 +21,8 @@ from cmp_tactile_bringup.commands.options import (
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 
 _setting = partial(parameter_option, ReplayParameters)
+# Options that are arguments of the launch file.
+SAME_NAMES = ("start", "end", "paused", "rate", "loop", "topic", "namespace")
 ASSIGNMENTS = (
     "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
 )
@@ -46,7 +48,11 @@ class _Graph(Command):
         """Start it as its launch file does; values: left out where empty."""
         from cmp_tactile_bringup.container import executables
 
-        given = [f"{name}:={value}" for name, value in values.items() if value]
+        texts = {
+            name: str(value).lower() if isinstance(value, bool) else value
+            for name, value in values.items()
+        }
+        given = [f"{name}:={text}" for name, text in texts.items() if text not in {"", None}]
         assigned = [word for word in self.words or [] if ":=" in word]
         settings = [word for setting in self.set_ or [] for word in ("--set", setting)]
         show = ["--show-args"] if self.show_args else []
@@ -144,7 +150,7 @@ class Live(_Graph):
             "sensor": self.sensor,
             "frame_rate": self.frame_rate,
             "max_speed": self.max_speed,
-            "autoplay": str(not self.no_autoplay).lower(),
+            "autoplay": not self.no_autoplay,
             "namespace": self.namespace,
         }
         return self._start("simulate", values)
@@ -198,13 +204,7 @@ class Replay(_Graph):
         values = {
             "input": os.pathsep.join(str(source.expanduser()) for source in sources),
             "sensor": required_sensor(sources[0], self.sensor, *sources[1:]),
-            "start": f"{self.start:g}" if self.start else "",
-            "end": f"{self.end:g}" if self.end else "",
-            "paused": str(self.paused).lower(),
-            "rate": str(self.rate),
-            "loop": str(self.loop).lower(),
-            "topic": self.topic,
-            "namespace": self.namespace,
-            "publish_clock": str(not self.no_clock).lower(),
+            **{name: getattr(self, name) for name in SAME_NAMES},
+            "publish_clock": not self.no_clock,
         }
         return self._start("replay", values)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from cmp_tactile_driver.bags.recorder import RecordingProgress
 
 PERIOD_S = 0.2
+# Options that are parameters of the node.
+SAME_NAMES = ("output", "compression", "jpeg_quality", "split_size", "split_duration")
 _setting = partial(parameter_option, RecorderParameters)
 
 
@@ -115,12 +117,8 @@ def _recorder(arguments: Record, context: Any) -> Any:
         msg = f"{sensor.namespace}: found no description reported by the nodes, expected --sensor"
         raise RunningSensorError(msg)
     values = {
-        "output": arguments.output,
+        **{name: getattr(arguments, name) for name in SAME_NAMES},
         "topics": " ".join(arguments.topics or [RecorderParameters.topics]),
-        "compression": arguments.compression,
-        "jpeg_quality": arguments.jpeg_quality,
-        "split_size": arguments.split_size,
-        "split_duration": arguments.split_duration,
         "sensor_description": description,
         "sensor_name": "" if arguments.sensor else sensor.name,
     }

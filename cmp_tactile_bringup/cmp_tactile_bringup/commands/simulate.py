@@ -73,16 +73,7 @@ class Simulate(Command):
 
 
 def _simulate(scene: Scene, output: Path, arguments: Simulate) -> RunResult:
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    from cmp_tactile_bringup.terminal.output import output_console, stage_bars
+    from cmp_tactile_bringup.terminal.output import shown_stages
     from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 
     options = RunOptions(
@@ -91,16 +82,8 @@ def _simulate(scene: Scene, output: Path, arguments: Simulate) -> RunResult:
         frames=arguments.frames,
         overwrite=arguments.overwrite,
     )
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=output_console(stderr=True)) as progress:
-        return run_scene(scene, output, options, progress=stage_bars(progress))
+    with shown_stages() as on_stage:
+        return run_scene(scene, output, options, progress=on_stage)
 
 
 def _list_scenes() -> None:

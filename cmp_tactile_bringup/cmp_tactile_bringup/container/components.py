@@ -57,14 +57,6 @@ def find_component(package: str, plugin: str) -> ComponentClass:
     return found
 
 
-def ros_parameters(component: Component) -> list[Parameter[Any]]:
-    """The parameters of a component as rclpy has them."""
-    return [
-        value if isinstance(value, Parameter) else Parameter(name, value=value)
-        for name, value in component.parameters.items()
-    ]
-
-
 def node_arguments(component: Component) -> dict[str, Any]:
     """Keyword arguments of the component's constructor.
 
@@ -76,11 +68,15 @@ def node_arguments(component: Component) -> dict[str, Any]:
         rules.insert(0, f"__ns:=/{component.namespace.lstrip('/')}")
     if component.name:
         rules.insert(0, f"__node:={component.name}")
+    parameters = [
+        value if isinstance(value, Parameter) else Parameter(name, value=value)
+        for name, value in component.parameters.items()
+    ]
     remappings = [word for rule in rules for word in ("-r", rule)]
     return {
         "cli_args": ["--ros-args", *remappings] if rules else [],
         "use_global_arguments": False,
-        "parameter_overrides": ros_parameters(component),
+        "parameter_overrides": parameters,
     }
 
 

@@ -57,14 +57,13 @@ class Imported:
 class Agreement:
     """How two forces over time agree, along x, y and z.
 
-    correlation (3,); scale: of ours that comes nearest to theirs, all axes together; left (3,) N:
-    root mean square of the difference then; frames: that were compared.
+    correlation (3,): NaN where one of the two does not change.  scale: of ours that comes nearest
+    to theirs, all axes together.  left (3,) N: root mean square of the difference then.
     """
 
     correlation: Array
     scale: float
     left: Array
-    frames: int
 
 
 def check_free(recording: MarkerRecording, folder: Path) -> None:
@@ -136,11 +135,7 @@ def agreement(ours: Array, theirs: Array) -> Agreement | None:
         return None
     scale = float(np.vdot(ours, theirs) / np.vdot(ours, ours))
     left = np.sqrt(np.mean((scale * ours - theirs) ** 2, axis=0))
-    return Agreement(_correlations(ours, theirs), scale, left, len(ours))
-
-
-def _correlations(ours: Array, theirs: Array) -> Array:
-    """Along each axis (3,), NaN where one of the two does not change."""
-    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
-    sizes = np.sqrt((ours**2).sum(axis=0) * (theirs**2).sum(axis=0))
-    return np.asarray((ours * theirs).sum(axis=0) / np.where(sizes > 0, sizes, np.nan))
+    with np.errstate(invalid="ignore"):
+        pairs = zip(ours.T, theirs.T, strict=True)
+        correlation = [np.corrcoef(one, other)[0, 1] for one, other in pairs]
+    return Agreement(np.array(correlation), scale, left)

@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -25,6 +32,9 @@ if TYPE_CHECKING:
 
 OnStage = Callable[[str, float], None]
 """Takes what is being done, and the share of it that is done, from 0 to 1."""
+
+OnCount = Callable[[str, int, int], None]
+"""Takes what is being done, how much is done, and of how much."""
 
 # No line of ours is longer.
 UNBOUNDED = 10_000
@@ -111,21 +121,6 @@ def error_line(error: Exception, hint: str = "") -> str:
     return printable(f"error: {type(error).__name__}: {error}{hint}")
 
 
-class CountingBar:
-    """One bar for work of several parts that counts through all of them.
-
-    Called with what is being done, which stands beside the bar, how much is done, and of how much.
-    """
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._task = progress.add_task("beginning", total=None)
-
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """Show it."""
-        self._progress.update(self._task, description=what, completed=done, total=max(total, 1))
-
-
 def stage_bars(progress: Progress, **fields: Any) -> OnStage:
     """A bar for each thing that is done, in the order in which they begin.
 
@@ -152,15 +147,27 @@ def shown_stages() -> Iterator[OnStage]:
 
 
 @contextmanager
-def shown_count() -> Iterator[CountingBar]:
-    """One bar on stderr for work that counts."""
+def shown_count() -> Iterator[OnCount]:
+    """One bar on stderr for work of several parts, which counts through all of them."""
     with _bars() as progress:
-        yield CountingBar(progress)
+        task = progress.add_task("beginning", total=None)
+
+        def on_count(what: str, done: int, total: int) -> None:
+            progress.update(task, description=what, completed=done, total=max(total, 1))
+
+        yield on_count
 
 
 def _bars() -> Progress:
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn())
-    return Progress(*columns, TimeElapsedColumn(), console=output_console(stderr=True))
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=output_console(stderr=True))
 
 
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_bringup")

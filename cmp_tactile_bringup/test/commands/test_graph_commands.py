@@ -62,7 +62,7 @@ def test_several_recordings_and_a_part_of_them_are_replayed(started, grasp_bag, 
     (tmp_path / "0.png").write_bytes(b"opened only when it is read")
     both = [str(grasp_bag), str(tmp_path)]
     assert main(["replay", *both, "name:=f", "--start", "1", "--end", "2.5", "--paused"]) == 0
-    expected = {f"input:={':'.join(both)}", "start:=1", "end:=2.5", "paused:=true", "name:=f"}
+    expected = {f"input:={':'.join(both)}", "start:=1.0", "end:=2.5", "paused:=true", "name:=f"}
     assert expected | {f"sensor:={grasp_bag}/sensor.yaml"} <= set(started[0])
     # Files of a folder cannot be distinguished from two folders.
     (tmp_path / "a:b").mkdir()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cmp_tactile_bringup.terminal.output import CountingBar
+    from cmp_tactile_bringup.terminal.output import OnCount
     from cmp_tactile_processing.calibration.board.target import BoardTarget
     from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
     from cmp_tactile_processing.sensor.description import SensorDescription
@@ -219,7 +219,7 @@ def _calibrate(
     frames: list[NDArray[np.uint8]],
     target: BoardTarget,
     sensor: SensorDescription,
-    count: CountingBar,
+    count: OnCount,
 ) -> CalibrationOutcome:
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
     from cmp_tactile_processing.calibration.board.calibrate import (
