@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal.output import OnStage
-from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
@@ -193,10 +192,7 @@ def _read(
         else:
             continue
         stamps.append(frame.stamp_ns)
-    doubts = (
-        recording.health.summary,
-        calibration_mismatch(recording.calibration(), sensor),
-    )
+    doubts = recording.health.summary, recording.calibration_mismatch(sensor)
     stamp_ns = np.array(stamps, np.int64)
     surfaces = [item for item in markers if isinstance(item, Surface)]
     if surfaces and rest_s is None:

@@ -30,7 +30,6 @@ from cmp_tactile_bringup.offline.result_files import ResultFiles
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal.output import error_line, processor_name
-from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
@@ -138,7 +137,7 @@ class _Doubts:
 
     def __init__(self, sensor: SensorDescription, recording: Recording) -> None:
         self._sensor = sensor
-        self._calibration = calibration_mismatch(recording.calibration(), sensor)
+        self._calibration = recording.calibration_mismatch(sensor)
         self._faults, self._flags = results.GridFaults(), results.ForceFlags()
         self._gaps, self._last_gap = 0, ""
 

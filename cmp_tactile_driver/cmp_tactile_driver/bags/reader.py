@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.calibration import RecordedCalibration
+from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
@@ -31,7 +31,8 @@ from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.measured import GridShape, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE
-from cmp_tactile_processing.ros.messages.reading import surface_from_msg
+from cmp_tactile_processing.ros.messages.reading import camera_info_from_msg, surface_from_msg
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 
 @dataclass(frozen=True)
@@ -167,18 +168,16 @@ class BagReader:
         topics = [topic for topic in (self.image_topic, self._info_topic) if topic]
         return timeline(self._storage.places(topics), self.image_topic)
 
-    def calibration(self) -> RecordedCalibration | None:
-        """What the first camera info says; None where there is none that can be read."""
+    def calibration_mismatch(self, sensor: SensorDescription) -> str:
+        """In what the first camera info that can be read differs from a description; or empty."""
         places = [item for item in self._timeline.places if item.topic == self._info_topic]
         for stored in self._storage.read(places):
             try:
                 info: Any = self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
             except BAD_MESSAGE:
                 continue
-            K = np.asarray(info.k, np.float64).reshape(3, 3)
-            D = np.asarray(info.d, np.float64)
-            return RecordedCalibration(stored.topic, info.width, info.height, K, D)
-        return None
+            return calibration_mismatch(stored.topic, camera_info_from_msg(info), sensor)
+        return ""
 
     def frames(self) -> Iterator[RecordedFrame]:
         """The frames alone; as `messages`."""

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from cmp_tactile_driver.bags import calibration, reader, storage, timeline
+from cmp_tactile_driver.bags import reader, storage, timeline
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
 from cmp_tactile_processing.measured import GridShape
@@ -39,9 +39,9 @@ class ImageRecording:
         """How many frames are said to be there; None where that is not known."""
         return self._source.declared_frames or None
 
-    def calibration(self) -> calibration.RecordedCalibration | None:
-        """None: images alone do not have it."""
-        return None
+    def calibration_mismatch(self, _sensor: SensorDescription) -> str:
+        """Nothing: images alone have no calibration."""
+        return ""
 
     def messages(
         self, span: timeline.TimeSpan = timeline.WHOLE
@@ -150,7 +150,7 @@ class RecordedSource:
         self._recording, self.name = recording, recording.name
         self._loop = options.loop
         self._past_bad_frames = 0
-        mismatch = calibration.calibration_mismatch(recording.calibration(), options.sensor)
+        mismatch = recording.calibration_mismatch(options.sensor)
         if mismatch:
             msg = f"{self.name}: {mismatch}"
             raise FrameSourceError(msg)

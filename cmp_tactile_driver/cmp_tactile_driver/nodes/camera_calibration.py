@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-import numpy as np
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
 
-from cmp_tactile_driver.bags.calibration import RecordedCalibration, calibration_mismatch
+from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.rectification import (
     ROS_MODEL,
@@ -24,6 +23,7 @@ from cmp_tactile_processing.geometry.rectification import (
 )
 from cmp_tactile_processing.ros.messages.conversions import camera_info_to_msg, with_header
 from cmp_tactile_processing.ros.messages.making import whole_frame_info
+from cmp_tactile_processing.ros.messages.reading import camera_info_from_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 
@@ -136,8 +136,7 @@ class CameraCalibration:
         if info.model != ROS_MODEL[camera.model]:
             expected = ROS_MODEL[camera.model]
             difference = f"{origin}: distortion_model: found {info.model}, expected {expected}"
-        found = RecordedCalibration(origin, info.width, info.height, info.K, np.asarray(info.D))
-        difference = difference or calibration_mismatch(found, self._sensor)
+        difference = difference or calibration_mismatch(origin, info, self._sensor)
         return difference and (
             f"{difference} (the processing uses the sensor description; cmp_tactile calibrate "
             "makes a new one)"
@@ -159,15 +158,7 @@ class CameraCalibration:
             what = "a place to store the calibration"
             msg = f"camera_driver.camera_info_url: found nothing, expected {what}: {EXPECTED}"
             raise DescriptionError(msg)
-        info = ViewCameraInfo(
-            width=message.width,
-            height=message.height,
-            model=message.distortion_model,
-            D=np.array(message.d, np.float64),
-            K=np.array(message.k, np.float64).reshape(3, 3),
-            R=np.array(message.r, np.float64).reshape(3, 3),
-            P=np.array(message.p, np.float64).reshape(3, 4),
-        )
+        info = camera_info_from_msg(message)
         problem = self._checked(SERVICE, info)
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)

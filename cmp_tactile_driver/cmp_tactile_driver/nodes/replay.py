@@ -23,7 +23,6 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
@@ -182,7 +181,7 @@ class Replay(ReportingNode):
         self._player.start()
 
     def _check_calibration(self, recording: Recording) -> None:
-        doubt = calibration_mismatch(recording.calibration(), self._sensor)
+        doubt = recording.calibration_mismatch(self._sensor)
         if doubt:
             self.get_logger().warning(f"{recording.name}: {doubt}")
 

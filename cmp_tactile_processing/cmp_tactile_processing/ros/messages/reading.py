@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing import measured
 from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.split import LUMINANCE
 from cmp_tactile_processing.image.compressed import decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
@@ -30,6 +31,13 @@ MISSING = int(measured.Status.MISSING)
 def stamp_ns(stamp: Any) -> int:
     """A builtin_interfaces/Time in ns."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def camera_info_from_msg(msg: Any) -> ViewCameraInfo:
+    """The numbers of a sensor_msgs/CameraInfo."""
+    K, R, P = (np.array(values, np.float64).reshape(3, -1) for values in (msg.k, msg.r, msg.p))
+    D = np.array(msg.d, np.float64)
+    return ViewCameraInfo(msg.width, msg.height, msg.distortion_model, D, K, R, P)
 
 
 def grid_from_msg(
