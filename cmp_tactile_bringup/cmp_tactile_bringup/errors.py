@@ -11,10 +11,6 @@ class ComponentLoadError(ComponentError):
     """A component that is not known, or whose constructor failed."""
 
 
-class UnknownComponentError(ComponentError):
-    """An id that no loaded component has."""
-
-
 class GraphError(CmpTactileError):
     """A graph file or an argument of it that cannot be used."""
 

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.utilities import get_default_context
 
 from cmp_tactile_bringup.container.spinning import ComponentClass, LoadedComponent, Spinner
-from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError, UnknownComponentError
+from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
 from cmp_tactile_processing.ros.process import spare_the_collector
@@ -88,8 +88,8 @@ class ComponentContainer:
 
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
-    namesakes: where given, no component is loaded under the name of a node of another process.
-    threads_before: those that ran before the container.
+    context: that of all components.  namesakes: where given, no component is loaded under the name
+    of a node of another process.  threads_before: those that ran before the container.
     """
 
     namesakes: Namesakes | None = None
@@ -97,7 +97,7 @@ class ComponentContainer:
     def __init__(
         self, context: Context | None = None, lookup: ComponentLookup = find_component
     ) -> None:
-        self._context = get_default_context() if context is None else context
+        self.context = get_default_context() if context is None else context
         self._lookup = lookup
         self._spinners: dict[str, Spinner] = {}
         self._ending: list[Spinner] = []
@@ -108,11 +108,6 @@ class ComponentContainer:
         self._components: dict[int, LoadedComponent] = {}
         self._closed = False
 
-    @property
-    def context(self) -> Context:
-        """The ROS context of all components."""
-        return self._context
-
     def load(self, component: Component) -> int:
         """Build a component and run it; returns its id once it runs.
 
@@ -121,8 +116,8 @@ class ComponentContainer:
         """
         component.check()
         arguments = node_arguments(component)
-        if self._context is not get_default_context():
-            arguments["context"] = self._context
+        if self.context is not get_default_context():
+            arguments["context"] = self.context
         life = self._register()
         try:
             found = self._find(component)
@@ -145,7 +140,7 @@ class ComponentContainer:
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy a component.
 
-        Raises UnknownComponentError, or ComponentError where its running callback does not end
+        Raises ComponentError for an unknown id, and where its running callback does not end
         within `timeout` s; the component is then gone as soon as that callback ends.
         """
         with self._lock:
@@ -155,7 +150,7 @@ class ComponentContainer:
         if life is None or not life.full_name:
             known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
             msg = f"no component has the id {unique_id}; loaded ids: {known}"
-            raise UnknownComponentError(msg)
+            raise ComponentError(msg)
         life.request_stop()
         if not life.join(timeout):
             msg = f"{life.full_name}: found a callback that still runs after {timeout} s"
@@ -221,7 +216,7 @@ class ComponentContainer:
         with self._lock:
             spinner = self._spinners.get(key) if shared else None
             if spinner is None:
-                spinner = Spinner(self._context, self._release)
+                spinner = Spinner(self.context, self._release)
             if shared:
                 self._spinners[key] = spinner
             spinner.users += 1

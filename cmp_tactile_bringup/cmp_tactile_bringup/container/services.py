@@ -91,13 +91,15 @@ class ContainerServices:
     Each request has a thread of its own while it is served: a slow constructor holds up no other.
     What could not be loaded stays in the diagnostics until it is: launch goes on without it.
     Arguments of the process (`-r __node:=`, `-r __ns:=`) take precedence over name and namespace.
+
+    node: the container's own.
     """
 
     def __init__(self, container: ComponentContainer, name: str, namespace: str = "") -> None:
         self._container = container
         self._refused: dict[str, str] = {}
-        self._node = Node(name, namespace=namespace, context=container.context)
-        container.namesakes = Namesakes(self._node)
+        self.node = Node(name, namespace=namespace, context=container.context)
+        container.namesakes = Namesakes(self.node)
         group = ReentrantCallbackGroup()
         for kind, topic, callback in (
             (LoadNode, "load_node", self._on_load),
@@ -105,35 +107,30 @@ class ContainerServices:
             (ListNodes, "list_nodes", self._on_list),
         ):
             service = f"~/_container/{topic}"
-            self._node.create_service(
+            self.node.create_service(
                 kind,
                 service,
                 self._served(callback),
                 qos_profile=SERVICE_QOS,
                 callback_group=group,
             )
-        self._diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self._node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
+        self._diagnostics = self.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.node.create_timer(1.0, self._publish_diagnostics, callback_group=group)
         self._executor = SingleThreadedExecutor(context=container.context)
-        self._executor.add_node(self._node)
+        self._executor.add_node(self.node)
         self._stop = Future()
         self._thread = threading.Thread(target=self._spin, name="container_services", daemon=True)
         self._thread.start()
-
-    @property
-    def node(self) -> Node:
-        """The container's own node."""
-        return self._node
 
     def close(self) -> None:
         """Serve no more and destroy the node.  Ends the spinning thread before the executor."""
         self._stop.set_result(None)
         self._thread.join()
         self._executor.shutdown()
-        self._node.destroy_node()
+        self.node.destroy_node()
 
     def _spin(self) -> None:
-        while self._node.context.ok() and not self._stop.done():
+        while self.node.context.ok() and not self._stop.done():
             self._spin_until_error()
 
     def _spin_until_error(self) -> None:
@@ -142,8 +139,8 @@ class ContainerServices:
         except ExternalShutdownException:
             pass
         except Exception:  # noqa: BLE001  without its services nobody can reach the container
-            if self._node.context.ok():
-                self._node.get_logger().error(
+            if self.node.context.ok():
+                self.node.get_logger().error(
                     traceback.format_exc(), throttle_duration_sec=ERROR_LOG_PERIOD_S
                 )
                 # An error that stays must leave the cores to the components.
@@ -156,7 +153,7 @@ class ContainerServices:
             try:
                 callback(request, response)
             except Exception as error:  # noqa: BLE001  whoever asks gets an answer
-                self._node.get_logger().error(traceback.format_exc())
+                self.node.get_logger().error(traceback.format_exc())
                 if hasattr(response, "error_message"):
                     response.success = False
                     response.error_message = f"{type(error).__name__}: {error}"
@@ -176,7 +173,7 @@ class ContainerServices:
         for argument in request.extra_arguments:
             if argument.name != INTRA_PROCESS:
                 text = f"{request.plugin_name}: extra argument {argument.name!r} has no effect here"
-                self._node.get_logger().warning(text)
+                self.node.get_logger().warning(text)
         wanted = f"{request.node_namespace}/{request.node_name or request.plugin_name}".strip("/")
         try:
             response.unique_id = self._container.load(_component(request))
@@ -184,13 +181,13 @@ class ContainerServices:
             response.error_message = str(error)
             if request.node_name:
                 self._refused[wanted] = str(error)
-            self._node.get_logger().error(f"cannot load {error}")
+            self.node.get_logger().error(f"cannot load {error}")
             return
         self._refused.pop(wanted, None)
         response.success = True
         names = {item.unique_id: item.full_name for item in self._container.list()}
         response.full_node_name = names.get(response.unique_id, "")
-        self._node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
+        self.node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
 
     def _on_unload(self, request: Any, response: Any) -> None:
         try:
@@ -206,7 +203,7 @@ class ContainerServices:
         response.unique_ids = [item.unique_id for item in components]
 
     def _publish_diagnostics(self) -> None:
-        container = status_name(self._node)
+        container = status_name(self.node)
         running = self._container.list()
         statuses = [_status(container, item) for item in running]
         names = {item.full_name.strip("/") for item in running}
@@ -216,7 +213,7 @@ class ContainerServices:
             if wanted not in names
         ]
         message = DiagnosticArray(status=statuses)
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = self.node.get_clock().now().to_msg()
         self._diagnostics.publish(message)
 
 

@@ -47,18 +47,16 @@ class RunningLine(Listener):
         self,
         graph: Graph,
         out: TextIO | None = None,
-        keys: TextIO | None = None,
         on_quit: Callable[[], object] = lambda: None,
     ) -> None:
         """Begins with what the user may do next.
 
-        keys: stdin, where None; of a terminal, its keys call services.  on_quit: what q does.
+        Keys of a terminal call services.  on_quit: what q does.
         """
         super().__init__("running_line")
         self._graph, self._out = graph, out or sys.stdout
         self._on_quit = on_quit
-        keys = sys.stdin if keys is None else keys
-        self._keys, self._has_keys = pressed_keys(self._on_key, keys), takes_keys(keys)
+        self._keys, self._has_keys = pressed_keys(self._on_key), takes_keys(sys.stdin)
         self._calls = key_calls(graph)
         self._clients: dict[str, Any] = {}
         self._paused = any(item.parameters.get("paused") for item in graph.components)

@@ -21,13 +21,16 @@ LONGEST_SLEEP = 1.0  # s
 
 
 class StopSignal:
-    """Set by the first of these signals.  To be made, and waited for, in the main thread."""
+    """Set by the first of these signals.  To be made, and waited for, in the main thread.
+
+    by_signal: whether a signal came.
+    """
 
     def __init__(self) -> None:
         # `put` may interrupt `get`, where Event.set would wait for a lock that Event.wait holds.
         self._news: SimpleQueue[None] = SimpleQueue()
         self._is_set = False
-        self._by_signal = False
+        self.by_signal = False
         for number in NUMBERS:
             # `nohup` lets SIGHUP be ignored.
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
@@ -35,13 +38,8 @@ class StopSignal:
         atexit.register(_ignore)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self._by_signal = True
+        self.by_signal = True
         self.set()
-
-    @property
-    def by_signal(self) -> bool:
-        """Whether a signal came."""
-        return self._by_signal
 
     def set(self) -> None:
         """End the waiting without a signal."""
