@@ -22,7 +22,6 @@ from cmp_tactile_bringup.recordings.library import (
     check_source,
     recorded_source,
 )
-from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
@@ -56,9 +55,7 @@ def read_frames(
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source)
     recording = open_recording(path, topic=topic, expected_size=size)
-    messages = recording.messages(TimeSpan(start=start_s))
-    frames = (item for item in messages if isinstance(item, RecordedFrame))
-    chosen = list(islice(frames, count))
+    chosen = list(islice(recording.frames(TimeSpan(start=start_s)), count))
     if not chosen:
         msg = f"{source}: found no frame after {start_s:g} s, expected a longer recording"
         raise FrameSourceError(msg)

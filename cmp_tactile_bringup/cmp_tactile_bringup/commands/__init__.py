@@ -10,7 +10,6 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, cast
 
 import typer
@@ -154,10 +153,9 @@ def _not_named() -> None:
 def _show_version(given: bool) -> None:
     if not given:
         return
-    try:
-        print(f"{PROGRAM} {version('cmp_tactile_bringup')}")
-    except PackageNotFoundError:
-        print(f"{PROGRAM} from its source folder")
+    from cmp_tactile_bringup.terminal.output import installed_version
+
+    print(f"{PROGRAM} {installed_version('cmp_tactile_bringup')}")
     raise typer.Exit
 
 

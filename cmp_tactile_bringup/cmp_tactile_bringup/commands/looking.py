@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from cmp_tactile_bringup.commands.options import Choice, Command, Number, misuse, option
+from cmp_tactile_bringup.commands.options import Choice, Command, Number, Pair, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,15 +27,7 @@ USUAL_PITCH = 0.6905
 # As in calibration/proposal.py, which takes long to load.
 LAYOUTS = ("one", "mirrors", "cameras")
 DEVICES, POLL_S = "/dev/", 0.1
-
-
-def _frame_size(text: str) -> str:
-    """Width and height with an x between."""
-    width, _, height = text.lower().partition("x")
-    if width.isdigit() and height.isdigit() and min(int(width), int(height)) >= 16:
-        return text.lower()
-    msg = f"found {text!r}, expected a size in px, as 1280x720"
-    raise typer.BadParameter(msg)
+FRAME_SIZE = Pair("a size in px, as 1280x720", low=16)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +47,7 @@ class Looking(Command):
         ),
     ] = None
     size: Annotated[
-        str, option("size of a camera's frames", _frame_size, metavar="WIDTHxHEIGHT")
+        str, option("size of a camera's frames", FRAME_SIZE.parse, metavar="WIDTHxHEIGHT")
     ] = "640x480"
     yes: Annotated[bool, option("ask nothing; use the proposed values")] = False
 

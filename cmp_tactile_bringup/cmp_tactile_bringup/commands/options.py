@@ -76,6 +76,22 @@ class Choice:
         return [word for word in self.words if word.startswith(incomplete)]
 
 
+@dataclass(frozen=True)
+class Pair:
+    """Two whole numbers with an x between; expected: what they are, with an example."""
+
+    expected: str
+    low: int = 0
+
+    def parse(self, text: str) -> str:
+        """The text; BadParameter says what is expected."""
+        one, _, other = text.lower().partition("x")
+        if one.isdigit() and other.isdigit() and min(int(one), int(other)) >= self.low:
+            return text.lower()
+        msg = f"found {text!r}, expected {self.expected}"
+        raise typer.BadParameter(msg)
+
+
 def option(
     text: str,
     convert: Number | Choice | Callable[[str], Any] | None = None,

@@ -9,12 +9,12 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.offline.jobs import Job, Options
+from cmp_tactile_bringup.terminal.output import installed_version
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, files_digest
 
@@ -59,13 +59,9 @@ def software_version() -> str:
     """Changes with all that results are computed and written with."""
     import cv2
 
-    parts = [f"{name} {_source_version(name)}" for name in PACKAGES]
-    for name in LIBRARIES:
-        try:
-            parts.append(f"{name} {version(name)}")
-        except PackageNotFoundError:  # noqa: PERF203  each by itself
-            parts.append(f"{name} absent")
-    return ", ".join([*parts, f"opencv {cv2.__version__}"])
+    packages = [f"{name} {_source_version(name)}" for name in PACKAGES]
+    libraries = [f"{name} {installed_version(name, 'absent')}" for name in LIBRARIES]
+    return ", ".join([*packages, *libraries, f"opencv {cv2.__version__}"])
 
 
 def _source_version(package: str) -> str:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from io import StringIO
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -83,7 +84,9 @@ def _path_flags(copy: tuple[NDArray[np.float64], ...]) -> list[int]:
     """Outer, hole in it, and what lies in the hole; holes run the other way round than ink."""
     from ezdxf.lldxf import const
 
-    turns = [float(np.sign(_signed_area(contour))) for contour in copy]
+    turns = [
+        np.sign(cv2.contourArea(contour.astype(np.float32), oriented=True)) for contour in copy
+    ]
     holes = [turn != turns[0] for turn in turns]
     if not any(holes):
         return [const.BOUNDARY_PATH_EXTERNAL] * len(copy)
@@ -91,11 +94,6 @@ def _path_flags(copy: tuple[NDArray[np.float64], ...]) -> list[int]:
         const.BOUNDARY_PATH_OUTERMOST if hole else const.BOUNDARY_PATH_DEFAULT for hole in holes
     ]
     return [const.BOUNDARY_PATH_EXTERNAL, *inner[1:]]
-
-
-def _signed_area(contour: NDArray[np.float64]) -> float:
-    x, y = contour.T
-    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
 
 
 def _add_text(space: Modelspace, sheet: PrintSheet, label: Label) -> None:

@@ -183,7 +183,7 @@ LIBRARIES = {
 
 def machine_facts() -> dict[str, str]:
     """Versions of the suite and its libraries, and the processor; without ROS."""
-    suite = ", ".join(f"{name} {_version(name)}" for name in PACKAGES)
+    suite = ", ".join(f"{name} {installed_version(name)}" for name in PACKAGES)
     libraries = ", ".join(f"{name} {_first_version(names)}" for name, names in LIBRARIES.items())
     return {
         "Suite": suite,
@@ -207,7 +207,8 @@ def ros_facts() -> dict[str, str]:
     return {"ROS 2": f"{distribution}, rclpy {wheels}, {middleware}"}
 
 
-def _version(name: str, otherwise: str = "from its source folder") -> str:
+def installed_version(name: str, otherwise: str = "from its source folder") -> str:
+    """Version of a package of Python; otherwise: for one that is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -215,7 +216,7 @@ def _version(name: str, otherwise: str = "from its source folder") -> str:
 
 
 def _first_version(names: tuple[str, ...]) -> str:
-    installed = (_version(name, "") for name in names)
+    installed = (installed_version(name, "") for name in names)
     return next((text for text in installed if text), "not found")
 
 

@@ -179,9 +179,9 @@ class BagReader:
             return calibration_mismatch(stored.topic, camera_info_from_msg(info), sensor)
         return ""
 
-    def frames(self) -> Iterator[RecordedFrame]:
+    def frames(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
         """The frames alone; as `messages`."""
-        return (item for item in self.messages() if isinstance(item, RecordedFrame))
+        return (item for item in self.messages(span) if isinstance(item, RecordedFrame))
 
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
         """Frames, or surfaces, and camera infos in the order of their stamps.

@@ -43,9 +43,7 @@ class ImageRecording:
         """Nothing: images alone have no calibration."""
         return ""
 
-    def messages(
-        self, span: timeline.TimeSpan = timeline.WHOLE
-    ) -> Iterator[reader.RecordedMessage]:
+    def messages(self, span: timeline.TimeSpan = timeline.WHOLE) -> Iterator[reader.RecordedFrame]:
         """The good frames; FrameSourceError where there is none, or of another size."""
         for time_s, image in self._source.images():
             if time_s >= span.end:
@@ -54,9 +52,7 @@ class ImageRecording:
                 stamp_ns = round(time_s * 1e9)
                 yield reader.RecordedFrame(time_s, stamp_ns, stamp_ns, self._frame_id, image)
 
-    def frames(self) -> Iterator[reader.RecordedFrame]:
-        """As `messages`, of which there are no others."""
-        return (item for item in self.messages() if isinstance(item, reader.RecordedFrame))
+    frames = messages
 
 
 Recording = reader.BagReader | ImageRecording

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from cmp_tactile_bringup.commands.calibrate.sources import (
     IMAGE_TOPIC,
     LIVE,
@@ -16,7 +14,7 @@ from cmp_tactile_bringup.commands.calibrate.sources import (
     LiveInput,
     Output,
 )
-from cmp_tactile_bringup.commands.options import Number, argument, misuse, option
+from cmp_tactile_bringup.commands.options import Number, Pair, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,13 +26,7 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 
-def _board_size(text: str) -> str:
-    """Columns and rows with an x between."""
-    cols, _, rows = text.lower().partition("x")
-    if cols.isdigit() and rows.isdigit():
-        return text.lower()
-    msg = f"found {text!r}, expected the number of inner corners, as 9x6"
-    raise typer.BadParameter(msg)
+BOARD_SIZE = Pair("the number of inner corners, as 9x6")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +69,9 @@ class Board(Output, LiveInput):
     board: Annotated[
         str,
         option(
-            "inner corners: a board of 10 x 7 squares has 9x6", _board_size, metavar="COLSxROWS"
+            "inner corners: a board of 10 x 7 squares has 9x6",
+            BOARD_SIZE.parse,
+            metavar="COLSxROWS",
         ),
     ]
     square: Annotated[
