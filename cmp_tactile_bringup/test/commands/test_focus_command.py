@@ -76,7 +76,7 @@ def test_blur_noise_and_contrast_of_both_views_are_shown(  # noqa: PLR0917
 
 
 def test_the_best_blur_so_far_stays_while_the_focus_turns(rendered, tmp_path, capsys):
-    for number, blur in enumerate((2.0, 0.8, 1.5)):
+    for number, blur in enumerate((2.0, 0.8, 1.8)):
         cv2.imwrite(str(tmp_path / f"{number}.png"), taken(rendered, blur=blur))
     assert main(["focus", str(tmp_path), *PITCH, "--views", "mirrors"]) == 0
     lines = capsys.readouterr().out.splitlines()

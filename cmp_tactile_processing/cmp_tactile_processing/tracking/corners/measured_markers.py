@@ -259,12 +259,16 @@ class MeasuredMarkers:
         return corners.without(rim)
 
     def without_strays(self, corners: MeasuredCorners) -> tuple[MeasuredCorners, int]:
-        """The corners less those of another pattern that continues this one's, and how many."""
+        """The corners less those of another pattern that continues this one's, and how many.
+
+        Also less those that have then no neighbour along a gridline, as nothing confirms them.
+        """
         position = corners.position.copy()
-        count = drop_stray_parts(position, self._nominal)
-        if not count:
+        if not drop_stray_parts(position, self._nominal):
             return corners, 0
-        return corners.without(np.isnan(position[..., 0])), count
+        known = ~np.isnan(position[..., 0])
+        left = corners.without(~known | _alone(known))
+        return left, left.missing - corners.missing
 
     def between(self, corners: MeasuredCorners, rows: tuple[float, float]) -> MeasuredCorners:
         """The corners that lie between two image rows at which the image is torn, px."""
@@ -406,6 +410,13 @@ def _enclosed(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     up, down = padded[:-2, 1:-1], padded[2:, 1:-1]
     left, right = padded[1:-1, :-2], padded[1:-1, 2:]
     return np.asarray((up & down & (left | right)) | (left & right & (up | down)))
+
+
+def _alone(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Known corners without a known neighbour along one of their gridlines."""
+    padded = np.pad(known, 1)
+    along, across = padded[:-2, 1:-1] | padded[2:, 1:-1], padded[1:-1, :-2] | padded[1:-1, 2:]
+    return np.asarray(known & ~(along & across))
 
 
 def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:
