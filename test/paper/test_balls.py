@@ -1,22 +1,16 @@
-"""Deep markers are chosen as the paper does, and claims follow the fits."""
+"""Deep markers are chosen as the paper does, and chance is no difference."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.sensor.description import load_sensor
-from paper.experiments.balls import BallFits, claims, clearly_less, deep_points
-from paper.lab import Arrays
-from paper.page import Page
-from paper.readings import READINGS, without_virtual
-
-PRESSES = 2, 2
-BALLS = 0.010, 0.015, 0.020
+from paper.experiments.balls import clearly_less, deep_points
+from paper.readings import without_virtual
 
 
 @pytest.fixture(scope="module")
@@ -53,42 +47,6 @@ def test_markers_above_four_fifths_of_the_depth_are_left_out(rest: Surface) -> N
     # Six virtual markers on each of two segments for each corner; the deepest of them lies deeper
     # than the deepest corner, so that some are left out for it.
     assert 10 * len(corners) < len(points) < 13.5 * len(corners)
-
-
-def _results(off: dict[str, float]) -> list[Arrays]:
-    """Fits that are off the exact ones by so many m, up and down; exact ones are 2 mm too large."""
-    rng = np.random.default_rng(0)
-    results = []
-    for ball in BALLS:
-        arrays: dict[str, np.ndarray] = {"ball": np.array(ball)}
-        for reading in READINGS:
-            noise = off.get(reading.key, 0.0) * rng.uniform(0.8, 1.2, PRESSES)
-            arrays[f"{reading.key}_diameter"] = ball + 2e-3 + noise
-            arrays[f"{reading.key}_rms"] = np.full(PRESSES, 1e-6)
-            arrays[f"{reading.key}_count"] = np.full(PRESSES, 10)
-        results.append(arrays)
-    return results
-
-
-def _all_dots(off: float) -> dict[str, float]:
-    return {r.key: off for r in READINGS if r.key.startswith("dmp")}
-
-
-@pytest.mark.parametrize(
-    ("off", "met"),
-    [
-        ({"cmp": 1e-4, "cmp_corners": 3e-4, **_all_dots(4e-4)}, (True, True, True)),
-        ({"cmp": 4e-4, "cmp_corners": 3e-4, **_all_dots(1e-4)}, (False, False, False)),
-        # Nearer to the ball only because it errs to the small side.
-        ({"cmp": -4e-4, "cmp_corners": 3e-4, **_all_dots(1e-4)}, (True, False, False)),
-    ],
-)
-def test_claims_follow_the_fits(
-    off: dict[str, float], met: tuple[bool, ...], tmp_path: Path
-) -> None:
-    results, page = _results(off), Page(tmp_path)
-    claims({r.key: BallFits.from_results(results, r) for r in READINGS}, page)
-    assert tuple(claim.met for claim in page.claims) == met
 
 
 def test_a_difference_that_chance_explains_is_not_clear() -> None:

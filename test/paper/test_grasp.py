@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from paper.dot_trackers import FOLLOWING_METHODS
 from paper.experiments.grasp import (
     LIMIT,
     GraspScore,
     KnockScore,
-    claims,
 )
-from paper.page import Page
 
 PHASES = np.array(["rest", "rest", "close", "drag", "knock", "hold", "knock back", "open"])
 PEAK = 5.0
@@ -66,23 +63,3 @@ def test_a_force_beyond_the_limit_or_none_fails_without_wrong_numbers():
     assert score.fails_from == pytest.approx(1.0)
     assert score.misnumbers_from is None
     assert score.holds_up_to == pytest.approx(0.5)
-
-
-# Error of Fx at the knock, N, of 5 N; share of wrong numbers there; from which knock on it fails.
-FAULTS = {"cmp_paper": (1.0, 0.0, 9.0), "dmp_nearest": (4.0, 0.4, 0.5)}
-
-
-def test_claims_follow_the_scores(tmp_path):
-    grasps, knocks = {}, {}
-    for method in FOLLOWING_METHODS:
-        off, share, fails = FAULTS.get(method.key, (0.0, 0.0, 9.0))
-        grasps[method] = GraspScore.from_arrays(grasp(bad={4: (off, share)}), "x")
-        rows = [knocked(size, wrong=0.2 * (size >= fails)) for size in (0.2, 0.5, 1.0, 3.0)]
-        knocks[method] = KnockScore.from_knocks([np.array(rows)])
-    page = Page(tmp_path)
-    claims(grasps, knocks, 2.2, page)
-    met = {claim.what.partition(":")[0]: claim.met for claim in page.claims}
-    assert list(met.values()) == [True, False, True, True, True, False]
-    deviates, matching = page.claims[2:4]
-    assert deviates.ours.startswith("up to 80 % of the peak")
-    assert matching.ours == "0.5 pitches"

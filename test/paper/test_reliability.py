@@ -1,15 +1,12 @@
-"""Failures are found where they are, and claims follow from them."""
+"""Failures are found where they are."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from paper.experiments.reliability import SWEEPS, Endurance, claims
+from paper.experiments.reliability import Endurance
 from paper.lab import Arrays
-from paper.page import Page
 
 VISIBLE, FRAMES, REPETITIONS = 100, 4, 2
 
@@ -52,17 +49,3 @@ def test_a_level_without_reference_is_a_failure() -> None:
     endurance = Endurance.from_arrays(arrays, "cmp")
     assert endurance.fails_at == 1
     assert endurance.success == pytest.approx([1, 1 / 2])
-
-
-@pytest.mark.parametrize(("fails_after", "met"), [(1, False), (-1, True)])
-def test_claims_say_whether_the_limits_are_met(fails_after: int, met: bool, tmp_path: Path) -> None:
-    """CMP works at so many levels of each sweep."""
-    endurances = {}
-    for key, sweep in SWEEPS.items():
-        counts = np.full(len(sweep.levels), VISIBLE)
-        counts[fails_after:] = VISIBLE - 1
-        arrays = _arrays(sweep.levels, {"cmp": counts.tolist()})
-        endurances[key] = Endurance.from_arrays(arrays, "cmp")
-    page = Page(tmp_path)
-    claims(endurances, page)
-    assert [claim.met for claim in page.claims] == [met, None, met]
