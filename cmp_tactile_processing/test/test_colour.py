@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing import GridTracker, Pipeline
+from cmp_tactile_processing import GridTracker
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import LUMINANCE, to_grey
 from cmp_tactile_processing.measured import GridFault
@@ -74,10 +74,3 @@ def test_a_pattern_that_grey_cannot_see_is_tracked_in_its_colours(sensor, stills
     assert grid.found_fraction == 1
     error = grid.corners_frame - still.truth["corners_left_px"]
     assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) < RMSE_PX
-
-
-def test_the_pipeline_keeps_the_colours(pipeline, sensor, stills):
-    frame = _red_and_green(stills["slide"].frame)
-    result = Pipeline(replace(sensor, tracking=RED_AGAINST_GREEN)).process(frame)
-    assert result.left.found_fraction == result.right.found_fraction == 1
-    assert pipeline.process(frame).left.found_fraction == 0

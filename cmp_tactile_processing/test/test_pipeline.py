@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -166,29 +164,3 @@ def test_a_fault_is_named_in_both_views_and_gone_with_the_next_frame(
     after = pipeline.process(good)
     for grid in (after.left, after.right):
         assert (grid.fault, grid.reason, grid.found_fraction) == (GridFault.NONE, "", 1)
-
-
-def test_half_hidden_frame_gives_the_half_that_is_seen(pipeline, stills):
-    frame = stills["press"].frame.copy()
-    frame[:300, :512] = 15
-    result = pipeline.process(frame)
-    seen = result.surface.status == 1
-    assert 100 < seen.sum() < 400
-    error = result.surface.position - stills["press"].truth["corners_m"]
-    # Corners at the cover's border are cut by it: compared by the median.
-    assert np.median(np.abs(error[seen])) < 2 * MEAN_ERROR_M
-    assert np.isfinite(result.force.wrench).all()
-    assert result.force.valid_fraction == pytest.approx(seen.mean())
-
-
-def test_monocular_sensor_runs_through(sensor, stills):
-    one = replace(
-        sensor,
-        optics=replace(sensor.optics, type="monocular"),
-        views={"left": sensor.views["left"]},
-    )
-    result = Pipeline(one).process(stills["slide"].frame)
-    assert result.right is None
-    assert np.isfinite(result.surface.displacement[..., :2]).all()
-    assert np.isnan(result.surface.displacement[..., 2]).all()
-    assert np.isfinite(result.force.wrench[:2]).all()

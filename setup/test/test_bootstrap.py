@@ -26,12 +26,6 @@ def assert_one_line(result, *words):
         assert word in lines[0]
 
 
-def test_a_path_with_a_space(checkout):
-    root = checkout("my robot")
-    assert_one_line(bootstrap(root), "contains a space", "move it", str(root))
-    assert not (root / ".venv").exists()
-
-
 @pytest.mark.parametrize(
     "record", [".venv/cmp_tactile_wheels.json", "install/cmp_tactile_build.json"]
 )
@@ -40,16 +34,6 @@ def test_a_moved_checkout(checkout, record):
     (root / record).parent.mkdir()
     (root / record).write_text(json.dumps({"root": "/there"}))
     assert_one_line(bootstrap(root), "set up at /there", str(root), "make clean")
-
-
-def test_a_machine_without_compilers(checkout, tools):
-    root = checkout("here")
-    for compiler in ("cc", "c++"):
-        (tools / compiler).unlink()
-    assert_one_line(
-        bootstrap(root, PATH=str(tools)), "not found: C compiler, C++ compiler", "apt install"
-    )
-    assert not (root / ".venv").exists()
 
 
 def test_a_ros_distribution_that_is_too_old(checkout, tmp_path):

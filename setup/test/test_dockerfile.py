@@ -1,6 +1,5 @@
 """The Dockerfile of the documentation, read against this repository."""
 
-import os
 import re
 from pathlib import Path
 
@@ -32,13 +31,3 @@ def test_it_installs_everything_that_the_set_up_asks_for(instructions, tools, mo
     # Debian's own Python has its headers and venv without the number in the name, too.
     installed = apt.replace("python3-", "python3.11-").split()
     assert set(asked) <= set(installed)
-
-
-def test_it_builds_before_it_changes_the_user_and_runs_what_is_there(instructions):
-    names = [name for name, _ in instructions]
-    (place,) = (text.split()[1] for name, text in instructions if name == "COPY")
-    build = next(k for k, (_, text) in enumerate(instructions) if f"make -C {place} build" in text)
-    assert names.index("COPY") < build < names.index("USER")
-    (entry,) = (text for name, text in instructions if name == "ENTRYPOINT")
-    program = ROOT / Path(re.search(r'"(.*)"', entry)[1]).relative_to(place)
-    assert os.access(program, os.X_OK)

@@ -22,7 +22,7 @@ from cmp_tactile_bringup.calibration.live import LiveFrames
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
-from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
+from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize
 
 # Finding a publisher takes DDS up to a few seconds on a busy machine.
@@ -127,16 +127,6 @@ def test_a_topic_that_nobody_publishes_names_those_that_there_are(camera):
 
     # On a busy machine 2 s may be too short to discover it.
     assert any(camera in complaint() for _ in range(20))
-
-
-def test_a_gel_is_calibrated_from_a_topic(ros, practice_set, tmp_path, capsys):
-    new, nominal = tmp_path / "new.yaml", practice_set / "sensor.yaml"
-    rest = itertools.cycle(images_of(practice_set / "rest"))
-    with publishing(ros, rest, 0.1) as topic:
-        common = ["--topic", topic, "--timeout", str(TIMEOUT_S), "--sensor", str(nominal)]
-        assert main(["calibrate", "gel", *common, "--frames", "8", "--output", str(new)]) == 0
-    true = SensorDescription.load(practice_set / "truth" / "sensor.yaml")
-    assert SensorDescription.load(new).camera.fx == pytest.approx(true.camera.fx, rel=1e-3)
 
 
 def test_a_board_is_taken_from_a_topic_where_it_is_held_still(ros, practice_set, tmp_path, capsys):

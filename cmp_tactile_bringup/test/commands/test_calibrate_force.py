@@ -90,34 +90,6 @@ def weights(tmp_path, monkeypatch):
     return path
 
 
-def test_weights_find_the_gel(weigh_bag, wrong_sensor, weights, tmp_path, capsys):
-    new = tmp_path / "new.yaml"
-    given = ("--weights", weights, "--sensor", wrong_sensor, "--output", new, *YOUNG_ALONE)
-    assert calibrate(weigh_bag, *given) == 0, printed(capsys)
-    said = printed(capsys)
-    assert f"Written: {new}" in said
-    check_gel(new, weigh_bag, "weights", 2)
-    page = (tmp_path / "new_calibration" / "index.html").read_text()
-    assert "Accepted" in page
-    assert "200 g" in page
-    assert (tmp_path / "new_calibration" / "loads.png").stat().st_size > 10_000
-    assert calibrate(weigh_bag, *given) == 1
-    assert "new.yaml: exists already; --overwrite replaces it" in printed(capsys)
-
-
-def test_a_weight_that_is_not_there_is_refused_and_an_earlier_file_stays(
-    weigh_bag, tmp_path, capsys
-):
-    (tmp_path / "weights.yaml").write_text("loads:\n  - {mass: 0.2, time: [0, 0.1]}\n")
-    new = tmp_path / "new.yaml"
-    new.write_text("precious")
-    given = ("--weights", tmp_path / "weights.yaml", "--output", new, "--overwrite", *YOUNG_ALONE)
-    assert calibrate(weigh_bag, *given) == 1
-    said = printed(capsys)
-    assert "error: " in said
-    assert new.read_text() == "precious"
-
-
 def test_a_reference_sensor_beside_it_finds_the_gel(
     weigh_bag, wrench_bag, wrong_sensor, tmp_path, capsys
 ):

@@ -89,11 +89,3 @@ def test_without_the_load_the_stiffness_stays(creep_bag, tmp_path, capsys):
     found = SensorDescription.load(new).elastomer
     assert found.relaxation.share == pytest.approx(SHARE, abs=0.02)
     assert found.young == 5e5
-
-
-def test_a_missing_wrench_topic_is_reported(creep_bag, tmp_path, capsys):
-    new = tmp_path / "new.yaml"
-    topic = ("--wrench-topic", "/ft/wrench")
-    assert calibrate(creep_bag, *topic, "--sensor", "sample_rig", "--output", new) == 1
-    assert "found no geometry_msgs/msg/WrenchStamped on '/ft/wrench'" in capsys.readouterr().err
-    assert not new.exists()

@@ -96,24 +96,6 @@ def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
     assert "Traceback" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("demo --rate 0", "found '0', expected a number from 0.1 to 1000 Hz"),
-        ("live --max-speed 2", "found '2', expected a number from 1e-05 to 1 m/s"),
-        ("replay grasp --rate nan", "found 'nan', expected a number from 0.01 to 100"),
-        ("process x --output y --start nan", "--start: found 'nan', expected a number"),
-        ("process x --output y --end=-inf", "--end: found '-inf', expected a number"),
-        ("process x --output y --frame-rate fast", "found 'fast', expected a number"),
-    ],
-)
-def test_a_wrong_number_is_refused(words, expected, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(words.split())
-    assert ended.value.code == 2
-    assert expected in capsys.readouterr().err
-
-
 # The command as it is, but for the end of `info`, which would come before the last signal.
 ENDLESS_INFO = """
 import sys, time

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from linuxpy.video import raw
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
@@ -151,13 +150,3 @@ def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, cap
     assert "left: px per checker" in printed.out
     assert f"error: {node}" in printed.err
     assert "found it unplugged, expected a camera" in printed.err
-
-
-def test_a_device_without_pictures_is_named(fake, tmp_path, monkeypatch, capsys):
-    machine = fake.FakeKernel(tmp_path / "machine")
-    machine.install(monkeypatch)
-    # A webcam's second device, of the picture's metadata.
-    node = machine.plug(fake.FakeCamera(caps=raw.Capability.META_CAPTURE), number=1)
-    monkeypatch.setattr(looking, "DEVICES", f"{node.parent}/")
-    assert main(["focus", str(node), *PITCH]) == 1
-    assert "expected VIDEO_CAPTURE" in capsys.readouterr().err

@@ -1,12 +1,7 @@
 """`cmp_tactile simulate`: what it writes, what it says, and its exit codes."""
 
-import signal
-import subprocess
-import sys
-
 import pytest
 import yaml
-from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
@@ -33,7 +28,6 @@ SCENE = {
     ],
     "samples": 1,
 }
-TERMINATED = 143
 
 
 @pytest.fixture
@@ -62,29 +56,6 @@ def test_a_scene_becomes_images_and_a_video(scene, tmp_path, capsys):
     names = {path.name for path in out.iterdir()}
     assert {"000.png", "000.npz", "001.png", "001.npz", "video.mp4", "scene.yaml"} <= names
     assert yaml.safe_load((out / "scene.yaml").read_text())["seed"] == 9
-
-
-def test_a_stopped_run_is_gone_on_with(scene, tmp_path, capsys):
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "cmp_tactile_bringup.command", "simulate", str(scene)]
-    process = subprocess.Popen([*command, "--output", str(out)], stderr=subprocess.DEVNULL)
-    try:
-        wait_until(
-            lambda: list(out.glob(".unfinished/state_*[3-9].npz")) or process.poll() is not None,
-            "some frames",
-        )
-        assert process.poll() is None
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == TERMINATED
-    finally:
-        process.kill()
-    reader = BagReader(out)
-    before = len(list(reader.frames()))
-    assert (reader.loss, 3 <= before < 63) == ("", True)
-    assert simulate(scene, "--output", out) == 0
-    expected = f"63 frames -> {out}, {before} of them from an earlier run\n"
-    assert capsys.readouterr().out == expected
-    assert len(list(BagReader(out).frames())) == 63
 
 
 def test_the_packaged_scenes_are_listed_a_line_each(capsys):

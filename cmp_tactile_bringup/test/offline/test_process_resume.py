@@ -160,17 +160,6 @@ def test_a_damaged_record_counts_as_none(images, tmp_path, capsys):
         assert "exists already, made from unknown" in capsys.readouterr().err
 
 
-def test_a_bag_that_ends_in_the_middle_gives_what_is_left_of_it(recording, tmp_path, capsys):
-    (bag,) = recording.bag.glob("*.mcap")
-    short = tmp_path / "short.mcap"
-    short.write_bytes(bag.read_bytes()[: bag.stat().st_size // 4])
-    assert process(short, "--output", tmp_path / "out") == 1
-    err = capsys.readouterr().err
-    assert "some of it could not be used" in err
-    assert "short.mcap: damaged" in err
-    assert (tmp_path / "out" / "short.mcap").stat().st_size > 100_000
-
-
 def test_a_recording_that_changes_while_it_is_read_is_read_again(images, tmp_path, monkeypatch):
     """Else what was read before the change would count as what is there now."""
     show = Display.show

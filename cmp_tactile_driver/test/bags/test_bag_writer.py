@@ -33,8 +33,6 @@ from cmp_tactile_processing.ros.messages.definitions import message_definition
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE = "sensor_msgs/msg/Image"
 TOPIC = "/rig/image_raw"
-# A chunk, which is the least that is lost of a damaged file.
-CHUNK_BYTES = 2**20
 
 
 def serialised(frame: np.ndarray, stamp_ns: int, bags: Any) -> bytes:
@@ -189,20 +187,6 @@ def test_what_is_latched_does_not_fill_a_file_by_itself(tmp_path, bags):
         for frame, time_ns in zip(bags.frames(12, 480, 640), bags.stamps(12), strict=True):
             writer.write(TOPIC, time_ns, serialised(frame, time_ns, bags))
     assert len(list(bag.glob("*.mcap"))) == 4
-
-
-@pytest.mark.parametrize("compressed", [False, True])
-def test_what_is_left_of_a_recording_that_was_killed(tmp_path, bags, compressed):
-    """In its second file: no metadata.yaml, no index there, and a chunk written in part."""
-    bag = tmp_path / "bag"
-    times = write(bag, bags, 12, compressed=compressed, split_ns=299_000_000)
-    (bag / "metadata.yaml").unlink()
-    last = bag / "bag_1.mcap"
-    last.write_bytes(last.read_bytes()[: CHUNK_BYTES * 3 // 2])
-    reader = BagReader(bag)
-    # Six frames of the first file; of the other four in its whole chunk, one in what is left.
-    assert [frame.time_ns for frame in reader.frames()] == times[:11]
-    assert "11 messages can be read" in reader.loss
 
 
 @pytest.mark.parametrize("compressed", [False, True])

@@ -16,7 +16,6 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
-from rclpy.parameter import Parameter as ParameterOfNode
 from sensor_msgs.msg import Image
 
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
@@ -176,30 +175,6 @@ def test_setting_controls_and_refusals(ros, camera):
     assert (driver.get("gain"), driver.get("auto_exposure")) == (20, 1)
 
 
-def test_wrong_controls_at_start_leave_the_node_unconfigured(ros, camera):
-    expected = {
-        "a": ({"exposure": 12}, "exposure: found no such control, expected one of: bright"),
-        "b": ({"gain": 500}, "parameter controls.gain: found 500, expected 0 to 100"),
-        "c": ({"gain": "much"}, "parameter controls.gain: found 'much', expected an integer"),
-        "d": ({"exposure_time_absolute": 12}, "without effect while auto_exposure is 3"),
-    }
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
-    for name, (given, _) in expected.items():
-        controls = {f"controls.{control}": value for control, value in given.items()}
-        node = ros.start(CameraDriver, name=name, source="v4l2", device="CAM1", **controls)
-        assert not node.get_parameters_by_prefix("controls")
-        assert not camera.owner
-
-    def reported():
-        statuses = [status for report in reports for status in report.status]
-        return {item.name.rpartition("/")[2]: item for item in statuses}
-
-    ros.wait(lambda: len(reported()) == len(expected), "the diagnostics")
-    for name, (_, text) in expected.items():
-        assert reported()[name].level == DiagnosticStatus.ERROR
-        assert text in reported()[name].message
-
-
 MANUAL = {
     "controls.auto_exposure": 1,
     "controls.exposure_time_absolute": 40,
@@ -321,25 +296,6 @@ def test_without_autostart_a_missing_camera_is_not_looked_for(ros, kernel):
     assert not driver.change(Transition.TRANSITION_CONFIGURE)
     ros.wait(lambda: "device: found no 'CAM1'" in driver.report.message, "the diagnostics")
     assert "looked for" not in driver.report.message
-
-
-def test_figures_are_checked_by_thresholds_as_those_of_a_stage(ros, exposing):
-    at_once = {"diagnostics.report_after": 1, "diagnostics.clear_after": 1}
-    given = {"diagnostics.rate_warn": 500.0, **at_once}
-    driver = _Driver(ros, **given)
-    ros.wait(lambda: driver.report.level == DiagnosticStatus.WARN, "the diagnostics")
-    ros.wait(lambda: "results a second, expected 500" in driver.report.message, "the rate")
-    assert float(driver.values["rate (Hz)"]) < 500
-    changed = ParameterOfNode("diagnostics.rate_warn", value=1.0)
-    assert driver.node.set_parameters([changed])[0].successful
-    ros.wait(lambda: driver.report.level == DiagnosticStatus.OK, "the new threshold")
-
-
-def test_a_camera_without_frames_is_an_error(ros, camera):
-    driver = _Driver(ros)
-    ros.wait(lambda: "found no frame for 0.2 s" in driver.report.message, "the diagnostics")
-    assert driver.report.level == DiagnosticStatus.ERROR
-    assert driver.change(Transition.TRANSITION_DEACTIVATE)
 
 
 def test_an_inactive_camera_is_free_for_others_and_cannot_start_while_they_have_it(ros, camera):

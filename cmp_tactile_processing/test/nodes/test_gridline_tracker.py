@@ -113,27 +113,6 @@ def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sam
     assert tracker.diagnostics.bad_frames == 0
 
 
-@pytest.mark.parametrize(
-    ("image", "reason"),
-    [
-        (np.zeros((768, 1024), np.uint8), "left view: found 1024 x 768 px, expected 512 x 768"),
-        (np.zeros((0, 0), np.uint8), "width, height: found 0 x 0, expected 1 to 16384"),
-    ],
-    ids=["whole", "empty"],
-)
-def test_an_image_of_another_size_is_refused_and_the_next_one_taken(ros, sample, image, reason):
-    tracker = ros.start(GridlineTracker)
-    grids = ros.listen(GridMsg, "left/grid")
-    publisher = ros.publisher(Image, "left/image_raw")
-    bad = _message(image, 0) if image.size else Image(encoding="mono8")
-    publisher.publish(bad)
-    publisher.publish(_message(_view(sample), 1))
-    ros.wait(lambda: grids, "the grid of the good image")
-    assert grids[0].header.stamp == _stamp(1)
-    assert tracker.diagnostics.bad_frames == 1
-    assert reason in tracker.diagnostics.last_error
-
-
 def _set(ros, **values: float) -> list:
     parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
     name = f"{ros.namespace}/gridline_tracker/set_parameters_atomically"

@@ -13,6 +13,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid, Surface
@@ -158,6 +159,16 @@ def test_a_clock_that_stands_still_silences_nobody(ros):
     ros.wait(lambda: [r for r in reports if r.status[0].name == name], "a report")
     (report,) = [r for r in reports if r.status[0].name == name][:1]
     assert report.header.stamp == Time()
+
+
+def test_age_is_counted_by_the_clock_of_a_recording(ros):
+    """As `ros2 bag play --clock` gives it: a frame is as old as it was when it was recorded."""
+    node = ros.start(_Slow, use_sim_time=True)
+    ros.publisher(Clock, "/clock").publish(Clock(clock=Time(sec=100)))
+    ros.wait(lambda: node.get_clock().now().nanoseconds == 100 * 10**9, "the clock")
+    ros.publisher(Surface, "surface").publish(_surface(99_750 * 10**6))
+    ros.wait(lambda: node.diagnostics.frames_out == 1, "a result")
+    assert _values(node._status())["latency median (ms)"] == "250.0"
 
 
 def test_nobody_publishing_is_reported(ros):

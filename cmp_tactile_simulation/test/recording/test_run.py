@@ -46,13 +46,6 @@ def whole(scene, tmp_path_factory):
     return {kind: contents(folder / kind / "out") for kind in ("bag", "png")}
 
 
-def test_the_same_scene_gives_the_same_bytes(scene, whole, tmp_path):
-    assert run_scene(scene, tmp_path / "out") == RunResult(FRAMES, 0)
-    assert contents(tmp_path / "out") == whole["bag"]
-    assert run_scene(scene, tmp_path / "png" / "out", PNG) == RunResult(FRAMES, 0)
-    assert contents(tmp_path / "png" / "out") == whole["png"]
-
-
 @pytest.mark.parametrize("kind", ["bag", "png"])
 @pytest.mark.parametrize("frame", [0, 1, 5, 9])
 def test_after_ctrl_c_the_same_run_goes_on(kind, frame, scene, whole, tmp_path):

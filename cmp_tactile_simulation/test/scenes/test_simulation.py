@@ -82,18 +82,6 @@ def test_holding_changes_nothing_but_the_noise(frames):
     assert abs(difference.mean()) < 5 * difference.std() / difference.size**0.5
 
 
-@pytest.mark.parametrize("first", [2, 5, 8])
-def test_frames_after_a_state_are_the_same_as_in_one_go(first, frames, simulation):
-    rest = simulation.frames(after=frames[first - 1].state)
-    again = list(rest)
-    assert [frame.index for frame in again] == list(range(first, 9))
-    for frame in again:
-        expected = frames[frame.index]
-        np.testing.assert_array_equal(frame.image, expected.image)
-        np.testing.assert_array_equal(frame.force.force, expected.force.force)
-        np.testing.assert_array_equal(frame.surface.position, expected.surface.position)
-
-
 def test_motion_blur_smears_what_moves_and_the_truth_is_its_middle(small_scene):
     still = {"read_noise": 0.0}
     blurred = still | {"motion_samples": 3, "exposure_time": 0.033}
