@@ -13,6 +13,36 @@ from waiting import TIMEOUT_S, wait_until
 _numbers = itertools.count()
 
 
+class Reports:
+    """What one node reports in /diagnostics from now on."""
+
+    def __init__(self, graph: RosGraph, node: str) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        self._name = f"{graph.namespace}/{node}".lstrip("/")
+        self._received = graph.listen(DiagnosticArray, "/diagnostics")
+
+    @property
+    def all(self) -> list[Any]:
+        """Every status of the node, in order."""
+        statuses = (status for report in self._received for status in report.status)
+        return [status for status in statuses if status.name == self._name]
+
+    @property
+    def last(self) -> Any:
+        """The newest status, a stale one before the first."""
+        from diagnostic_msgs.msg import DiagnosticStatus
+
+        return (self.all or [DiagnosticStatus(level=DiagnosticStatus.STALE, message="no report")])[
+            -1
+        ]
+
+    @property
+    def values(self) -> dict[str, str]:
+        """Its figures by key."""
+        return {item.key: item.value for item in self.last.values}
+
+
 class RosGraph:
     """Nodes under test and one node of the test, in a context and a namespace of their own.
 
@@ -64,6 +94,10 @@ class RosGraph:
         received: list[Any] = []
         self.node.create_subscription(message_type, topic, received.append, profile)
         return received
+
+    def reports(self, node: str) -> Reports:
+        """What a node of the graph reports."""
+        return Reports(self, node)
 
     def publisher(self, message_type: type, topic: str, subscribers: int = 1) -> Any:
         """A publisher that so many subscribers have found."""

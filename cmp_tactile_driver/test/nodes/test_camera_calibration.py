@@ -12,7 +12,7 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
@@ -60,20 +60,15 @@ def _start(ros, folder, url="", **parameters):
     return ros.start(CameraDriver, **{**given, **parameters})
 
 
-def _last_status(ros, reports):
-    ros.wait(lambda: reports, "diagnostics")
-    return reports[-1].status[0]
-
-
 def test_a_calibration_that_is_set_is_published_kept_and_read_again(ros, folder, described):
     path = folder / "made" / "sample_rig.yaml"
     url = f"file://{folder}/made/${{NAME}}.yaml"
     infos = ros.listen(CameraInfo, "camera_info")
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("camera_driver")
     node = _start(ros, folder, url)
     ros.wait(lambda: infos, "a camera_info")
     assert list(infos[0].k) == list(described.k)
-    assert "found no file" in _last_status(ros, reports).message
+    ros.wait(lambda: "found no file" in reports.last.message, "the report of it")
     described.d = [0.0004, 0.0, 0.0, 0.0, 0.0]
     answer = ros.call(SetCameraInfo, SERVICE, SetCameraInfo.Request(camera_info=described))
     assert answer.success, answer.status_message
@@ -85,11 +80,10 @@ def test_a_calibration_that_is_set_is_published_kept_and_read_again(ros, folder,
     ros.executor.remove_node(node)
     node.destroy_node()
     infos.clear()
-    reports.clear()
     _start(ros, folder, url)
     ros.wait(lambda: infos, "a camera_info of the second node")
     assert infos[-1].d[0] == 0.0004
-    assert _last_status(ros, reports).level == DiagnosticStatus.OK
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.OK, "the report of the second node")
 
 
 def test_another_lens_is_published_and_reported(ros, folder, described):
@@ -97,12 +91,11 @@ def test_another_lens_is_published_and_reported(ros, folder, described):
     described.k[0] += 20.0
     write_camera_info(path, "other", _model(described))
     infos = ros.listen(CameraInfo, "camera_info")
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("camera_driver")
     _start(ros, folder, f"file://{path}")
-    status = _last_status(ros, reports)
-    assert status.level == DiagnosticStatus.WARN
-    assert f"{path}: K: found [753.386" in status.message
-    assert "the processing uses the sensor description" in status.message
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.WARN, "the report of it")
+    assert f"{path}: K: found [753.386" in reports.last.message
+    assert "the processing uses the sensor description" in reports.last.message
     assert infos[-1].k[0] == described.k[0]
 
 

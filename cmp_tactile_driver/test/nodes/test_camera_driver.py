@@ -49,27 +49,6 @@ def _state(ros):
     return ros.call(GetState, "camera_driver/get_state", GetState.Request()).current_state.label
 
 
-class _Reports:
-    """What the node reports in /diagnostics."""
-
-    def __init__(self, ros):
-        self._name = f"{ros.namespace}/camera_driver".lstrip("/")
-        self._received = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
-
-    @property
-    def last(self):
-        mine = [s for report in self._received for s in report.status if s.name == self._name]
-        return mine[-1] if mine else DiagnosticStatus(message="no report")
-
-    @property
-    def messages(self):
-        return [s.message for r in self._received for s in r.status if s.name == self._name]
-
-    @property
-    def values(self):
-        return {item.key: item.value for item in self.last.values}
-
-
 def test_without_an_input_it_does_not_start(ros):
     """It could never be given one: such a node would stay and never publish."""
     message = r"camera_driver: parameter input: found nothing, expected"
@@ -81,7 +60,7 @@ def test_lifecycle_frames_and_the_end(ros, sensor_folder):
     folder, frames = sensor_folder
     images = ros.listen(Image, "image_raw", depth=100)
     infos = ros.listen(CameraInfo, "camera_info", depth=100)
-    reports = _Reports(ros)
+    reports = ros.reports("camera_driver")
     node = _start(ros, folder, autostart=False)
     assert _state(ros) == "unconfigured"
     assert _change(ros, Transition.TRANSITION_CONFIGURE)
@@ -127,7 +106,7 @@ def test_autostart_and_loop(ros, sensor_folder):
 
 def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
     folder = tmp_path / "later"
-    reports = _Reports(ros)
+    reports = ros.reports("camera_driver")
     _start(ros, folder)
     assert _state(ros) == "unconfigured"
     ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
@@ -198,7 +177,7 @@ def tape_log(tmp_path, monkeypatch):
 
 def test_a_source_may_extend_the_node(ros, tape_log):
     images = ros.listen(Image, "image_raw", depth=100)
-    reports = _Reports(ros)
+    reports = ros.reports("camera_driver")
     _start(ros, "reel", source="tape")
     ros.wait(lambda: len(images) > 3, "frames")
     ros.wait(lambda: reports.values.get("reels") == "3", "the source's own diagnostics")
@@ -226,7 +205,7 @@ def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeyp
 
     module = "cmp_tactile_driver.sources.frames"
     monkeypatch.setattr(importlib.import_module(module), "find_source", lambda _name: opens)
-    reports = _Reports(ros)
+    reports = ros.reports("camera_driver")
     _start(ros, sensor_folder[0])
     assert _state(ros) == "unconfigured"
     ros.wait(lambda: "RuntimeError: of a library" in reports.last.message, "the report")
@@ -235,7 +214,7 @@ def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeyp
 
 
 def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
-    reports = _Reports(ros)
+    reports = ros.reports("camera_driver")
     _start(ros, sensor_folder[0])
     ros.wait(lambda: reports.values.get("process", "").startswith(f"{os.getpid()} on "), "it")
     other = rclpy.create_node("camera_driver", context=ros.context, namespace=ros.namespace)
@@ -252,7 +231,7 @@ def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
 
     ros.wait(is_reported, "the other process", 60.0)
     other.destroy_node()
-    ros.wait(lambda: "elsewhere" not in reports.messages[-1], "the only one")
+    ros.wait(lambda: "elsewhere" not in reports.last.message, "the only one")
     logged.append(capfd.readouterr().err)
     line = "runs in process 1 on elsewhere and here in process "
     assert "".join(logged).count(line) == 1

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -52,20 +52,18 @@ class _Driver:
 
     def __init__(self, ros, **parameters):
         self._ros = ros
-        self._name = f"{ros.namespace}/camera_driver".lstrip("/")
-        self._reports = ros.listen(DiagnosticArray, "/diagnostics")
+        self._reports = ros.reports("camera_driver")
         times = {"frame_timeout": 0.2, "reconnect_delay": 0.02, "reconnect_delay_max": 0.1}
         given = {"source": "v4l2", "device": "CAM1", **times, **parameters}
         self.node = ros.start(CameraDriver, **given)
 
     @property
     def report(self):
-        mine = [s for report in self._reports for s in report.status if s.name == self._name]
-        return mine[-1] if mine else DiagnosticStatus(message="no report")
+        return self._reports.last
 
     @property
     def values(self):
-        return {item.key: item.value for item in self.report.values}
+        return self._reports.values
 
     @property
     def state(self):

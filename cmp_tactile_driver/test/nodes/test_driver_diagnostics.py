@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image
@@ -43,15 +43,8 @@ def start(ros, image_folder, tmp_path):
 @pytest.fixture
 def last(ros):
     """The last status of a node, and its values."""
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
-
-    def find(name):
-        wanted = f"{ros.namespace}/{name}".lstrip("/")
-        found = [s for report in reports for s in report.status if s.name == wanted]
-        status = found[-1] if found else DiagnosticStatus(level=DiagnosticStatus.STALE)
-        return status, {item.key: item.value for item in status.values}
-
-    return find
+    reports = {name: ros.reports(name) for name in NODES}
+    return lambda name: (reports[name].last, reports[name].values)
 
 
 @pytest.mark.parametrize("name", NODES)

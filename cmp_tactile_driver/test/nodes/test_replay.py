@@ -13,7 +13,7 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
@@ -206,17 +206,11 @@ def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capf
     """In the diagnostics, in the log, and for the container."""
     messages = [bags.image(frame, 0, encoding="32FC1") for frame in frames]
     bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
-    reports = ros.listen(DiagnosticArray, "/diagnostics", depth=100)
+    reports = ros.reports("replay")
     node = ros.start(Replay, input=str(bag))
-    name = f"{ros.namespace}/replay".lstrip("/")
-
-    def failed() -> list[DiagnosticStatus]:
-        mine = [status for report in reports for status in report.status if status.name == name]
-        return [status for status in mine if status.level == DiagnosticStatus.ERROR]
-
-    ros.wait(failed, "a diagnostic of level ERROR")
-    assert "no frame can be used" in failed()[0].message
-    assert "encoding: found '32FC1'" in failed()[0].message
+    ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "a diagnostic of level ERROR")
+    assert "no frame can be used" in reports.last.message
+    assert "encoding: found '32FC1'" in reports.last.message
     assert "encoding: found '32FC1'" in node.failure
     log = "".join(capfd.readouterr())
     assert re.search(r"\[ERROR\].*failed: .*no frame can be used: .*found '32FC1'", log)

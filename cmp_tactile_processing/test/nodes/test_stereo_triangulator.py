@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
@@ -140,7 +140,6 @@ def test_a_grid_of_the_last_pass_meets_none_of_the_next(ros, sample):
     np.testing.assert_allclose(surface.position, rest, atol=ATOL_M)
     assert (surface.status == Status.MEASURED).all()
     assert rig.node.diagnostics.started_again == 2, "on each of both topics"
-    assert rig.node._pairing.unpaired == {"left": 1, "right": 0}
 
 
 def test_points_are_published_for_subscribers_only(ros, sample, count_calls):
@@ -215,23 +214,23 @@ def test_set_reference_without_frames_gives_up_and_can_be_asked_again(ros, sampl
 
 
 def test_automatic_reference_waits_for_the_contact_to_end_and_says_so(ros, sample):
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("stereo_triangulator")
     rig = Rig(ros, rest_frames=4)
     rig.send(sample("press"), *range(1, 5))
     rig.wait_surfaces(4)
-    report = _report(ros, reports, lambda status: "no reference yet" in status.message)
-    assert report.level == DiagnosticStatus.WARN
-    assert "something touches the gel" in report.message
-    values = {item.key: item.value for item in report.values}
+    ros.wait(lambda: "something touches the gel" in reports.last.message, "the report")
+    assert reports.last.level == DiagnosticStatus.WARN
+    assert "no reference yet" in reports.last.message
+    values = reports.values
     assert (values["untouched"], values["waiting for a reference"]) == ("False", "True")
     rig.send(sample("rest"), *range(5, 9))
     assert rig.wait_surfaces(8)[-1].reference_id == 1
-    report = _report(ros, reports, lambda status: "no reference yet" not in status.message)
-    assert {item.key: item.value for item in report.values}["reference frames"] == "4"
+    ros.wait(lambda: "no reference yet" not in reports.last.message, "the next report")
+    assert reports.values["reference frames"] == "4"
 
 
 def test_drift_at_rest_is_warned_of(ros, sample):
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("stereo_triangulator")
     rig = Rig(ros, rest_frames=4, drift_time=0.0)
     rig.send(sample("rest"), *range(1, 5))
     for number in range(5, 9):
@@ -242,11 +241,11 @@ def test_drift_at_rest_is_warned_of(ros, sample):
             grid = replace(_true_grid(sample("rest"), view), corners=corners)
             rig.publish(view, grid_to_msg(grid, msg.header))
     rig.wait_surfaces(8)
-    report = _report(ros, reports, lambda status: "drifted" in status.message)
-    assert report.level == DiagnosticStatus.WARN
-    assert "drifted by 20 um since the reference" in report.message
-    assert "zero again" in report.message
-    values = {item.key: float(item.value) for item in report.values if "drift" in item.key}
+    ros.wait(lambda: "drifted" in reports.last.message, "the report")
+    assert reports.last.level == DiagnosticStatus.WARN
+    assert "drifted by 20 um since the reference" in reports.last.message
+    assert "zero again" in reports.last.message
+    values = {key: float(value) for key, value in reports.values.items() if "drift" in key}
     assert values == {
         "drift (um)": 20.0,
         "drift shift (um)": 20.0,
@@ -256,30 +255,16 @@ def test_drift_at_rest_is_warned_of(ros, sample):
 
 
 def test_diagnostics_count_what_is_missing_and_why(ros, sample):
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("stereo_triangulator")
     rig = Rig(ros)
     seen = np.ones(SHAPE.corners, bool)
     seen[3, 7] = seen[0, 0] = False
     rig.publish("left", _grid_msg(sample("rest"), "left", 1, seen))
     rig.publish("right", _grid_msg(sample("rest"), "right", 1))
     rig.wait_surfaces(1)
-    report = _report(ros, reports, lambda status: any("reproj" in v.key for v in status.values))
-    values = {item.key: item.value for item in report.values}
+    ros.wait(lambda: reports.values.get("implausible frames") == "0 of 1", "the report")
+    values = reports.values
     assert values["markers without position"] == "2 not_seen_left"
     assert float(values["tracked fraction"]) == pytest.approx(398 / 400, abs=1e-4)
     assert float(values["median ray gap (um)"]) < 0.01
     assert float(values["reprojection (px)"]) < 1e-3
-    assert values["implausible frames"] == "0 of 1"
-
-
-def _report(ros, reports, wanted) -> DiagnosticStatus:
-    """The next report of the triangulator that is as wanted."""
-    reports.clear()
-
-    def found() -> list:
-        every = [status for report in reports for status in report.status]
-        own = [s for s in every if s.name == f"{ros.namespace.lstrip('/')}/stereo_triangulator"]
-        return [status for status in own if wanted(status)]
-
-    ros.wait(found, "the report")
-    return found()[-1]

@@ -9,7 +9,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
@@ -222,13 +221,14 @@ def test_rectified_pair_follows_image_pipeline(described, sample):
     np.testing.assert_allclose(T_left_right[:3, 3], [baseline, 0, 0], atol=1e-12)
 
 
-def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample):
+def test_rectified_image_is_made_for_subscribers_only(ros, splitter, sample, count_calls):
+    made = count_calls(Rectification, "rectify")
     frame = sample("slide").frame
     raw = ros.listen(Image, "left/image_raw")
     publisher = ros.publisher(Image, "image_raw")
     publisher.publish(_frame_msg(frame))
     ros.wait(lambda: raw, "the left view")
-    assert not splitter._rectification._maps, "nothing was rectified"
+    assert not made
     rect = ros.listen(Image, "left/image_rect")
     ros.wait_subscribed(splitter, "left/image_rect")
     ros.run(0.2)
@@ -255,7 +255,7 @@ def test_a_best_effort_camera_is_taken_on_request(ros, sample):
 def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
     frame = sample("rest").frame
     left = ros.listen(Image, "left/image_raw")
-    logs, reports = ros.listen(Log, "/rosout"), ros.listen(DiagnosticArray, "/diagnostics")
+    logs, reports = ros.listen(Log, "/rosout"), ros.reports("view_splitter")
     name = f"{ros.namespace}/view_splitter"[1:]
     truncated, strange = _frame_msg(frame), _frame_msg(frame)
     truncated.data = truncated.data[:1000]
@@ -267,13 +267,8 @@ def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
         publisher.publish(bad)
     publisher.publish(_frame_msg(frame))
     ros.wait(lambda: left, "the good frame")
-
-    def last_report():
-        own = [s for report in reports for s in report.status if s.name == name]
-        return {pair.key: pair.value for pair in own[-1].values} if own else {}
-
-    ros.wait(lambda: last_report().get("frames in") == "4", "diagnostics")
-    values = last_report()
+    ros.wait(lambda: reports.values.get("frames in") == "4", "diagnostics")
+    values = reports.values
     assert (values["frames out"], values["bad frames"]) == ("1", "3")
     topic = f"{ros.namespace}/image_raw"
     assert values["last error"].startswith(f"{topic}: encoding: found '32FC1', expected mono8")

@@ -40,18 +40,15 @@ class _Faulty(StageNode):
 
 def test_a_bug_in_a_callback_is_reported_with_its_traceback_and_ends_nothing(ros, capfd):
     node = ros.start(_Faulty)
-    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("faulty")
     publisher = ros.publisher(Surface, "surface")
     publisher.publish(Surface(rows=0))
     publisher.publish(Surface(rows=1))
-    ros.wait(lambda: node.diagnostics.frames_in == 2, "both messages")
-    name = f"{ros.namespace}/faulty"[1:]
-    ros.wait(lambda: any(s.name == name for r in reports for s in r.status), "a report")
-    (status,) = (s for r in reports[-1:] for s in r.status)
-    assert status.level == DiagnosticStatus.WARN
-    assert _values(status)["bad frames"] == "1"
+    ros.wait(lambda: reports.values.get("bad frames") == "1", "a report")
+    assert reports.last.level == DiagnosticStatus.WARN
     topic = f"{ros.namespace}/surface"
-    assert _values(status)["last error"] == f"{topic}: ZeroDivisionError('division by zero')"
+    assert reports.values["last error"] == f"{topic}: ZeroDivisionError('division by zero')"
+    ros.wait(lambda: node.diagnostics.frames_in == 2, "the second message")
     log = capfd.readouterr().err
     assert "return 1 / msg.rows" in log
     assert topic in log

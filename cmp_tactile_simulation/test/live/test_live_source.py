@@ -11,7 +11,6 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
@@ -45,7 +44,7 @@ class Live:
         self.poses = ros.listen(PoseStamped, "indenter/pose")
         self.target = ros.node.create_publisher(PoseStamped, "indenter/target", 10)
         self.load = ros.node.create_publisher(WrenchStamped, "indenter/load", 10)
-        self._reports = ros.listen(DiagnosticArray, "/diagnostics")
+        self.reports = ros.reports("camera_driver")
         given = {"source": "simulated", "input": str(SCENE), "autoplay": False, "max_speed": 0.1}
         self.node = ros.start(CameraDriver, **{**given, **parameters})
         ros.wait(self.target.get_subscription_count, "the subscription of targets")
@@ -74,12 +73,6 @@ class Live:
     def refused(self):
         """What the diagnostics will report, once a second."""
         return self.node._extension.diagnostics["refused"]
-
-    @property
-    def values(self):
-        name = self.node.get_fully_qualified_name().lstrip("/")
-        mine = [s for report in self._reports for s in report.status if s.name == name]
-        return {item.key: item.value for item in mine[-1].values} if mine else {}
 
 
 def test_one_of_two_sensors_of_a_description_has_frames_of_its_own(ros):
@@ -174,7 +167,9 @@ def test_wrong_commands_are_refused_and_the_target_before_them_stays(ros):
         command(live)
         live.wait(lambda text=refused: text in live.refused, refused)
         assert f"{ros.namespace}/indenter/" in live.refused
-    live.wait(lambda: refused in live.values.get("refused", ""), "the diagnostics to report it")
+    live.wait(
+        lambda: refused in live.reports.values.get("refused", ""), "the diagnostics to report it"
+    )
     live.wait(lambda: live.z < start - 0.1e-3, "the way to the target")
     count = len(live.images)
     live.wait(lambda: len(live.images) > count, "frames")

@@ -324,7 +324,7 @@ def test_two_sensors_stand_at_their_mounting_poses():
 def test_from_topic_to_browser(ros, grasp_bag, snapshots, opened):
     """The whole way, and back: a surface moves the mesh, a click reaches the service."""
     node = ros.start(WebViewer, sensor_descriptions=str(grasp_bag / "sensor.yaml"))
-    statuses = ros.listen(DiagnosticArray, "/diagnostics")
+    reports = ros.reports("web_viewer")
     called = []
 
     def answer(_request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -341,12 +341,4 @@ def test_from_topic_to_browser(ros, grasp_bag, snapshots, opened):
     tab.tab.get_by_text("zero", exact=True).click()
     ros.wait(lambda: called, "the call of the service")
     ros.wait(lambda: tab.tab.get_by_text("zeroed").count(), "its answer")
-    own = f"{ros.namespace.lstrip('/')}/web_viewer"
-    ros.wait(
-        lambda: any(
-            own in status.name and status.message == "1 browsers show the page"
-            for message in statuses
-            for status in message.status
-        ),
-        "its report",
-    )
+    ros.wait(lambda: reports.last.message == "1 browsers show the page", "its report")
