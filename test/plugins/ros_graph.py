@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from waiting import TIMEOUT_S, wait_until
@@ -33,9 +33,8 @@ class Reports:
         """The newest status, a stale one before the first."""
         from diagnostic_msgs.msg import DiagnosticStatus
 
-        return (self.all or [DiagnosticStatus(level=DiagnosticStatus.STALE, message="no report")])[
-            -1
-        ]
+        none = DiagnosticStatus(level=DiagnosticStatus.STALE, message="no report")
+        return [none, *self.all][-1]
 
     @property
     def values(self) -> dict[str, str]:
@@ -139,6 +138,23 @@ class RosGraph:
         client = self.node.create_client(service_type, name)
         self.wait(client.service_is_ready, f"service {name}", timeout_s)
         return client.call_async(request)
+
+    def set_parameters(
+        self, node: str, values: Mapping[str, Any], *, together: bool = False
+    ) -> Any:
+        """The answers to changes of a node's parameters, or that to all of them together."""
+        from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        changes = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        service = f"{self.namespace}/{node}/set_parameters"
+        if not together:
+            request = SetParameters.Request(parameters=changes)
+            return self.call(SetParameters, service, request).results
+        request = SetParametersAtomically.Request(parameters=changes)
+        return self.call(SetParametersAtomically, f"{service}_atomically", request).result
 
     def close(self) -> None:
         """Destroy what was made."""

@@ -14,8 +14,8 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParametersAtomically
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, ListParameters
 from sensor_msgs.msg import Image
 
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
@@ -76,17 +76,8 @@ class _Driver:
 
     def set(self, **values):
         """Set controls as `ros2 param set` does; the reason of a refusal."""
-        request = SetParametersAtomically.Request()
-        for name, value in values.items():
-            kinds = {
-                bool: {"type": ParameterType.PARAMETER_BOOL, "bool_value": value},
-                int: {"type": ParameterType.PARAMETER_INTEGER, "integer_value": value},
-                str: {"type": ParameterType.PARAMETER_STRING, "string_value": value},
-            }
-            parameter = ParameterValue(**kinds[type(value)])
-            request.parameters.append(Parameter(name=f"controls.{name}", value=parameter))
-        service = "camera_driver/set_parameters_atomically"
-        result = self._ros.call(SetParametersAtomically, service, request).result
+        controls = {f"controls.{name}": value for name, value in values.items()}
+        result = self._ros.set_parameters("camera_driver", controls, together=True)
         assert result.successful is not bool(result.reason)
         return result.reason
 

@@ -12,8 +12,7 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.parameter import Parameter
+from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
@@ -135,22 +134,18 @@ def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(
     node = ros.start(ForceReconstructor, wait_for_model=True)
     fields = ros.listen(ForceFieldMsg, "force_field")
     publisher = ros.publisher(SurfaceMsg, "surface")
-    service = f"{ros.namespace}/force_reconstructor/set_parameters"
-
-    def put(name: str, number: float):
-        changed = Parameter(name, value=number).to_parameter_msg()
-        request = SetParameters.Request(parameters=[changed])
-        (result,) = ros.call(SetParameters, service, request).results
-        return result
-
-    for name in ("noise_depth", "slip.min_normal_force"):
-        refused = put(name, -1.0)
+    names = ("noise_depth", "slip.min_normal_force")
+    refusals = ros.set_parameters("force_reconstructor", dict.fromkeys(names, -1.0))
+    for name, refused in zip(names, refusals, strict=True):
         assert not refused.successful
         assert name.rpartition(".")[2] in refused.reason
     # Frames of half the noise that the new parameters speak of.
-    assert put("noise_depth", 2 * SENSOR.force.noise_depth).successful
-    assert put("noise_in_plane", 2 * SENSOR.force.noise_in_plane).successful
-    assert put("slip.min_normal_force", 1000.0).successful
+    good = {
+        "noise_depth": 2 * SENSOR.force.noise_depth,
+        "noise_in_plane": 2 * SENSOR.force.noise_in_plane,
+        "slip.min_normal_force": 1000.0,
+    }
+    assert all(answer.successful for answer in ros.set_parameters("force_reconstructor", good))
 
     def renewed() -> bool:
         publisher.publish(_surface_msg(1))

@@ -8,7 +8,6 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -26,6 +25,7 @@ pytestmark = pytest.mark.ros
 
 # What the whole chain promises for clean frames.
 RMSE_PX = 0.05
+CHANNELS = ("red", "green", "blue")
 
 
 def _stamp(number: int) -> Time:
@@ -113,13 +113,6 @@ def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sam
     assert tracker.diagnostics.bad_frames == 0
 
 
-def _set(ros, **values: float) -> list:
-    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    name = f"{ros.namespace}/gridline_tracker/set_parameters_atomically"
-    request = SetParametersAtomically.Request(parameters=parameters)
-    return ros.call(SetParametersAtomically, name, request).result
-
-
 def test_the_projection_of_colours_is_set_while_it_runs(ros, sample):
     """Red and green of equal luminance: grey sees nothing, red against green everything."""
     ros.start(GridlineTracker)
@@ -131,10 +124,11 @@ def test_the_projection_of_colours_is_set_while_it_runs(ros, sample):
     publisher.publish(_message(image, 0))
     ros.wait(lambda: len(grids) == 1, "a grid")
     assert (grids[0].found_fraction, grids[0].fault) == (0.0, "no_contrast")
-    refused = _set(ros, red=0.0, green=0.0, blue=0.0)
+    refused = ros.set_parameters("gridline_tracker", dict.fromkeys(CHANNELS, 0.0), together=True)
     assert not refused.successful
     assert refused.reason.startswith("tracking.red, tracking.green, tracking.blue: found 0, 0, 0")
-    assert _set(ros, red=0.5, green=-0.5, blue=0.0).successful
+    weights = dict(zip(CHANNELS, (0.5, -0.5, 0.0), strict=True))
+    assert ros.set_parameters("gridline_tracker", weights, together=True).successful
     publisher.publish(_message(image, 1))
     ros.wait(lambda: len(grids) == 2, "a grid")
     assert grids[1].found_fraction == 1.0

@@ -13,16 +13,13 @@ import yaml
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from rcl_interfaces.msg import Parameter as ParameterMsg
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import (
     DescribeParameters,
     GetParameters,
     ListParameters,
-    SetParameters,
-    SetParametersAtomically,
 )
-from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image
 
 from cmp_tactile_msgs.msg import Grid
@@ -121,18 +118,6 @@ def test_every_descriptor_has_type_meaning_unit_and_range(ros, node_class):
         assert reported or not number, f"{item.name}: no range"
 
 
-def _set(ros, node, *parameters: Parameter, together: bool = False) -> list[tuple[bool, str]]:
-    service = f"{ros.namespace}/{node.get_name()}/set_parameters"
-    messages: list[ParameterMsg] = [item.to_parameter_msg() for item in parameters]
-    if together:
-        request = SetParametersAtomically.Request(parameters=messages)
-        results = [ros.call(SetParametersAtomically, f"{service}_atomically", request).result]
-    else:
-        request = SetParameters.Request(parameters=messages)
-        results = list(ros.call(SetParameters, service, request).results)
-    return [(item.successful, item.reason) for item in results]
-
-
 REFUSED: list[tuple[str, Any, str]] = [
     ("slip.incipient_ratio", 0.9, "found 0.9, expected at most slip.full_ratio, 0.75"),
     ("slip.min_normal_force", math.nan, "found nan, expected a finite number"),
@@ -159,17 +144,14 @@ REFUSED: list[tuple[str, Any, str]] = [
 def test_what_cannot_be_is_refused_with_the_reason_and_changes_nothing(ros):
     node = ros.start(ForceReconstructor)
     before = _values(ros, node.get_name())
-    good = Parameter("smoothing_length", value=2e-3)
     for name, value, reason in REFUSED:
-        bad = Parameter(name, value=value)
+        (alone,) = ros.set_parameters(node.get_name(), {name: value})
         # One bad value refuses all that are set together with it.
-        for (done, reported), *_ in (
-            _set(ros, node, bad),
-            _set(ros, node, good, bad, together=True),
-        ):
-            assert not done, name
-            assert reason in reported
-            assert name.rpartition(".")[2] in reported
+        both = {"smoothing_length": 2e-3, name: value}
+        for answer in (alone, ros.set_parameters(node.get_name(), both, together=True)):
+            assert not answer.successful, name
+            assert reason in answer.reason
+            assert name.rpartition(".")[2] in answer.reason
     assert _values(ros, node.get_name()) == before
 
 
@@ -199,7 +181,8 @@ def test_parameters_change_between_frames_and_lose_none(ros):
     for k in range(6):
         message.header.stamp = Time(sec=1 + k)
         publisher.publish(message)
-        assert _set(ros, node, Parameter("follow", value=bool(k % 2))) == [(True, "")]
+        (answer,) = ros.set_parameters(node.get_name(), {"follow": bool(k % 2)})
+        assert answer.successful
         trackers.add(id(node._tracker))
     ros.wait(lambda: len(grids) == 6, "a grid of every image")
     assert [grid.header.stamp.sec for grid in grids] == [1, 2, 3, 4, 5, 6]

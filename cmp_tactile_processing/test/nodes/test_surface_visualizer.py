@@ -12,8 +12,6 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point
 from made_forces import made_contact, made_field
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
@@ -113,14 +111,6 @@ class Scene:
             assert np.isfinite(_points(marker)).all()
             assert marker.text if marker.type == Marker.TEXT_VIEW_FACING else marker.points
         return {marker.ns + (f" {marker.id}" if marker.id else ""): marker for marker in markers}
-
-
-def _set(ros, name: str, value: float | bool):
-    """The answer to a change of a parameter."""
-    changed = Parameter(name, value=value).to_parameter_msg()
-    request = SetParameters.Request(parameters=[changed])
-    service = f"{ros.namespace}/surface_visualizer/set_parameters"
-    return ros.call(SetParameters, service, request).results[0]
 
 
 def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
@@ -257,7 +247,8 @@ def test_eight_contacts_have_texts_which_can_be_switched_off(ros):
         markers = scene.show(_pressed(*many[:count]))
         # Of three lines, two are used: nothing is known of slip.
         assert sum(marker.ns == "contact_text" for marker in markers.values()) == 2 * shown
-    assert _set(ros, "contact_text", False).successful
+    (answer,) = ros.set_parameters("surface_visualizer", {"contact_text": False})
+    assert answer.successful
     ros.wait(lambda: len(scene.arrays) == 4, "no contact without texts")
     names = {marker.ns for marker in scene.show(_pressed(*many)).values()}
     assert names == {"force", "contact", "resultant", "moment"}
@@ -380,7 +371,8 @@ def test_legend_shows_the_range_of_depth_and_the_scales_and_can_be_switched_off(
         "thick: force of a contact, 1 N = 1 mm",
         "with an arc: its moment, 10 N mm = 5 mm",
     ]
-    assert _set(ros, "legend", False).successful
+    (answer,) = ros.set_parameters("surface_visualizer", {"legend": False})
+    assert answer.successful
     ros.wait(lambda: len(scene.arrays) == 2, "the surface without a legend")
     assert set(scene.shown()) == {"surface"}
 
