@@ -144,21 +144,6 @@ def test_two_views_in_mirrors_are_described_as_they_are(rig, tmp_path, capsys):
     assert f"{rows} x {cols} corners in two mirrors" in capsys.readouterr().out
 
 
-def test_calibrate_gel_goes_on_from_the_description(tmp_path, capsys):
-    truth, rest = load_sensor("prototype"), tmp_path / "rest"
-    rest.mkdir()
-    for number, frame in enumerate(frames_of(truth, 8)):
-        cv2.imwrite(str(rest / f"{number}.png"), frame)
-    first, second = tmp_path / "mine.yaml", tmp_path / "calibrated.yaml"
-    assert asked_for(first, rest / "0.png", truth) == 0
-    words = ["calibrate", "gel", str(rest), "--sensor", str(first), "--output", str(second)]
-    assert main(words) == 0
-    found = load_sensor(str(second))
-    assert found.calibration.reprojection < REPROJECTION_PX
-    assert found.camera.fx == pytest.approx(truth.camera.fx, rel=FOCAL_TOLERANCE)
-    assert "Usable" in capsys.readouterr().out
-
-
 def camera_pair():
     """Two cameras that look at the gel from where the mirrors of sample_rig show it from."""
     sensor = load_sensor("sample_rig")

@@ -26,7 +26,7 @@ from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
 from cmp_tactile_processing.ros.wiring import Given, Input, WiredNode
 
-CYCLES = 12
+CYCLES = 6
 PERIOD_S = 0.02
 # A component that stayed would have some 10,000.  Memory does not show it: each node of rclpy
 # leaves 0.1 MB behind in ROS itself.
