@@ -19,14 +19,16 @@ def check_build_tools():
 
 def test_all_that_is_missing_is_reported_at_once(tools, monkeypatch, tmp_path):
     """A fresh machine lacks several things; nobody wants to learn of them one by one."""
-    (tools / "c++").unlink()
-    (tools / "cmake").unlink()
+    for tool in tools.iterdir():
+        tool.unlink()
     monkeypatch.setitem(sys.modules, "ensurepip", None)
     monkeypatch.setattr(machine.sysconfig, "get_path", lambda _: str(tmp_path))
     python = f"python3.{sys.version_info.minor}"
     with pytest.raises(SetupError) as caught:
         machine.check_tools(for_venv=True, for_wheels=True)
-    assert f"'sudo apt install g++ cmake {python}-venv {python}-dev'" in str(caught.value)
+    assert "not found: C compiler, C++ compiler, make, cmake" in str(caught.value)
+    packages = f"gcc g++ make cmake {python}-venv {python}-dev"
+    assert f"'sudo apt install {packages}'" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
