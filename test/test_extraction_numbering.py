@@ -8,7 +8,6 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from hard_frames.deformation import deformation_of, jump
 from hard_frames.grid_score import score_grid
@@ -18,11 +17,6 @@ from hard_frames.studio import PatternCase, PatternStudio
 # Whole checkers along x and y, one and two in each direction: the shifted lattice looks like the
 # one before.
 SHIFTS = [(n * x, n * y) for n in (1, 2) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("sample_rig")
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from scipy.linalg import cho_factor, cho_solve
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.force.large_press import LargePress, settle
-from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.gel import NeoHookeanElastomer
 
 # Nodes and mesh of the truth: neither those of the inverse nor those of the correction.
@@ -29,11 +28,6 @@ PRESSES = [
     (1.0, 0.25, 1.9e-3, 0.04),
     (2.2, 0.5, 2.4e-3, 0.06),
 ]
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("sample_rig")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import Status, SurfaceGrid
-from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.print_inspection.defects import DefectKind
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -27,11 +26,6 @@ FINE = 24
 RIM = 0.55
 SIDE_PX = 16.8
 BLOBS = Flaws(missing_ink=30, splashes=30, blob_radius=1.1e-4)
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("sample_rig")
 
 
 def photograph(sensor, ink, settings, surface=None):

@@ -80,11 +80,6 @@ class Trial:
 
 
 @pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("sample_rig")
-
-
-@pytest.fixture(scope="module")
 def gel(sensor):
     return LinearElastomer(sensor, 24)
 
