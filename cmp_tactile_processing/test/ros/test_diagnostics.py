@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 pytest.importorskip("rclpy")
@@ -54,19 +52,16 @@ def test_a_bug_in_a_callback_is_reported_with_its_traceback_and_ends_nothing(ros
     assert topic in log
 
 
-class _Slow(StageNode):
-    """A stage that takes its time for every frame, and passes stamps on."""
+class _Relay(StageNode):
+    """A stage that passes surfaces on."""
 
-    work_s = 0.0
-
-    default_name = "slow"
+    default_name = "relay"
 
     def _set_up(self):
         self.results = self.add_publisher(Surface, "result")
         self.add_input(Surface, "surface", self._work, lambda msg: msg)
 
     def _work(self, msg, _header):
-        time.sleep(self.work_s)
         self.results.publish(msg)
         self.frame_out(msg.header)
 
@@ -80,7 +75,7 @@ def _surface(stamp_ns: int) -> Surface:
 
 
 def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
-    node = ros.start(_Slow)
+    node = ros.start(_Relay)
     results = ros.listen(Surface, "result")
     ros.wait_subscribed(node, "result")
     publisher = ros.publisher(Surface, "surface")
@@ -113,7 +108,7 @@ def outside(ros):
 
 
 def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, outside):
-    node = ros.start(_Slow)
+    node = ros.start(_Relay)
     # Each would cost time whenever the executor waits.
     assert sum(item.get_num_entities().num_events for item in node.waitables) == 0
     name = f"{ros.namespace}/outside"
@@ -150,9 +145,9 @@ def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, out
 
 def test_a_clock_that_stands_still_silences_nobody(ros):
     """As in a simulation that is paused: ros/diagnostics 210, 458 (stale, or of another clock)."""
-    ros.start(_Slow, use_sim_time=True)
+    ros.start(_Relay, use_sim_time=True)
     reports = ros.listen(DiagnosticArray, "/diagnostics")
-    name = f"{ros.namespace}/slow"[1:]
+    name = f"{ros.namespace}/relay"[1:]
     ros.wait(lambda: [r for r in reports if r.status[0].name == name], "a report")
     (report,) = [r for r in reports if r.status[0].name == name][:1]
     assert report.header.stamp == Time()
@@ -160,7 +155,7 @@ def test_a_clock_that_stands_still_silences_nobody(ros):
 
 def test_age_is_counted_by_the_clock_of_a_recording(ros):
     """As `ros2 bag play --clock` gives it: a frame is as old as it was when it was recorded."""
-    node = ros.start(_Slow, use_sim_time=True)
+    node = ros.start(_Relay, use_sim_time=True)
     ros.publisher(Clock, "/clock").publish(Clock(clock=Time(sec=100)))
     ros.wait(lambda: node.get_clock().now().nanoseconds == 100 * 10**9, "the clock")
     ros.publisher(Surface, "surface").publish(_surface(99_750 * 10**6))
@@ -169,7 +164,7 @@ def test_age_is_counted_by_the_clock_of_a_recording(ros):
 
 
 def test_nobody_publishing_is_reported(ros):
-    node = ros.start(_Slow)
+    node = ros.start(_Relay)
     topic = f"{ros.namespace}/surface"
     assert node._status().message == f"no frames received: no publisher of {topic}"
     ros.node.create_publisher(Surface, "surface", 1)
