@@ -14,7 +14,7 @@ from cmp_tactile_processing.measured import Status, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # A marker whose deviation is so many times the median's shows next to nothing.
-MUCH_NOISIER = 4.0
+MUCH_NOISIER = 5.0
 MISSING = int(Status.MISSING)
 
 Array = NDArray[np.float64]
