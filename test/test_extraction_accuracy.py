@@ -14,6 +14,7 @@ from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
+from hard_frames.covers import Cover
 from hard_frames.deformation import deformation_of
 from hard_frames.grid_score import (
     displacement_errors,
@@ -21,7 +22,7 @@ from hard_frames.grid_score import (
     score_grid,
 )
 from hard_frames.library import cases_of, flawed_pairs
-from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
+from hard_frames.studio import PatternCase, PatternStudio, bent, pattern_rig
 
 # Across the line: RMS of virtual markers, and the distance that one in a hundred exceeds, px.
 VIRTUAL_RMS = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.03}
@@ -173,6 +174,16 @@ def test_other_grids(studio, described):
     assert score.wrong == 0
     assert score.found_visible == score.visible == rows * cols
     assert grid.row_lines.shape == (rows, cols - 1, points, 2)
+
+
+def test_a_grid_that_slides_with_a_third_hidden_is_not_taken_for_a_turned_one(
+    sensor, studio, trackers
+):
+    """Where it is hidden, the rest also fits the other view in some places."""
+    case = bent(sensor, "slide", cover=Cover("left", 1 / 3))
+    score = score_of(trackers, [studio.photograph(case)])
+    assert score.wrong == 0
+    assert score.found_far == score.far > 0
 
 
 def test_light_that_is_too_low_gives_no_wrong_number(sensor, studio, trackers):

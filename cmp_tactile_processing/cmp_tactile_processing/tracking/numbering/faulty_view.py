@@ -25,6 +25,9 @@ ALIKE = 0.4
 # In a frame that is turned by half, one view may look nearly as the other one: grids that differ
 # by less than this, in sides, are the same.
 ALIKE_ACROSS = 0.15
+# A part of a grid fits another view in some of its places: where less than the first of these
+# shares is seen, the other view has to explain the corners this much better.
+NEARLY_WHOLE, SURELY_BETTER = 0.9, 0.5
 # A gel does not turn as a whole by more than this, rad: the largest of hard twists is 0.04.
 LARGEST_TURN = 0.1
 # Fewer corners have little shape.
@@ -94,7 +97,10 @@ class OtherViews:
                 "the view is a mirror image of the expected one; "
                 "check views.<view>.mirror and views.<view>.roi in the sensor's description"
             )
-        if min(turned, across) < BETTER * own:
+        share = len(position) / self._nominal.corners[..., 0].size
+        if turned < BETTER * own or across < own * (
+            BETTER if share >= NEARLY_WHOLE else SURELY_BETTER
+        ):
             reason = "the pattern in the image is turned relative to the sensor's description"
             return GridFault.TURNED, reason
         whole = len(position) == self._nominal.corners[..., 0].size
