@@ -48,7 +48,7 @@ BLURS, HARMONICS = np.geomspace(5e-3, 1.0, 200), np.arange(1, 200, 2)
 # Standard deviations of a corner were measured on pictures drawn with known blur, noise and
 # contrast: below FLOOR_PX they do not fall; the rest is proportional to noise, to 1 / contrast, to
 # blur^2 + BLUR_PX^2 and, in units of the pitch, to side^-1.5.
-FLOOR_PX, BLUR_PX = 0.005, 1.37
+FLOOR_PX, BLUR_PX = 0.003, 1.37
 
 
 @dataclass(frozen=True)
