@@ -82,11 +82,12 @@ class OtherViews:
         # Views differ by more: none fits nearly as well as one that fits so well.
         if own < self._least_difference * BETTER / (1 + BETTER):
             return GridFault.NONE, ""
+        share = len(position) / self._nominal.corners[..., 0].size
         mirrored = turned = np.inf
         if own > LARGEST_DEFORMATION:
             mirrored = self._least(GridFault.MIRRORED, position, number)
         across = np.inf
-        if len(position) >= TURNED_SHARE * self._nominal.corners[..., 0].size:
+        if share >= TURNED_SHARE:
             turned = self._least(GridFault.TURNED, position, number)
             across = min(
                 (self._least_misfit(position, number, corners) for corners in self._beside),
@@ -97,14 +98,11 @@ class OtherViews:
                 "the view is a mirror image of the expected one; "
                 "check views.<view>.mirror and views.<view>.roi in the sensor's description"
             )
-        share = len(position) / self._nominal.corners[..., 0].size
-        if turned < BETTER * own or across < own * (
-            BETTER if share >= NEARLY_WHOLE else SURELY_BETTER
-        ):
+        sure = BETTER if share >= NEARLY_WHOLE else SURELY_BETTER
+        if turned < BETTER * own or across < sure * own:
             reason = "the pattern in the image is turned relative to the sensor's description"
             return GridFault.TURNED, reason
-        whole = len(position) == self._nominal.corners[..., 0].size
-        if whole and BETTER * turned < own and not self._as_before(position, number, previous):
+        if share == 1 and BETTER * turned < own and not self._as_before(position, number, previous):
             return GridFault.AMBIGUOUS, "the pattern fits equally well if it is turned in the image"
         return GridFault.NONE, ""
 
