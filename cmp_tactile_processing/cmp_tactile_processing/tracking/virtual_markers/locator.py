@@ -20,18 +20,20 @@ from cmp_tactile_processing.tracking.virtual_markers.crossings import (
 )
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LANES,
-    MEASURED,
-    MISSING,
-    PREDICTED,
     Fits,
     FitScratch,
     MarkerBasis,
-    Markers,
     blocks_of,
     fit_segments,
-    place_markers,
     set_sizes,
     share_of_models,
+)
+from cmp_tactile_processing.tracking.virtual_markers.placing import (
+    MEASURED,
+    MISSING,
+    PREDICTED,
+    Markers,
+    place_markers,
 )
 from cmp_tactile_processing.tracking.virtual_markers.ridge import (
     BOX,
