@@ -20,10 +20,8 @@ from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
 from cmp_tactile_processing.tracking.corners.bends import with_bends
-from cmp_tactile_processing.tracking.corners.measured_markers import (
-    MeasuredCorners,
-    MeasuredMarkers,
-)
+from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
+from cmp_tactile_processing.tracking.corners.measured_markers import MeasuredMarkers
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
     GridlineDetector,

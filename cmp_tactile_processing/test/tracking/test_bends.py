@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.tracking.corners.bends import with_bends
-from cmp_tactile_processing.tracking.corners.measured_markers import MeasuredCorners
+from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
 
 SIDE_PX = 20.0
 # How far a corner moves for each 1/px of its edges' bends, px^2: as of a window of 8 px.
@@ -104,6 +104,6 @@ def test_a_corner_that_was_lost_and_found_otherwise_stays():
     lost = np.zeros(corners.shape[:2], dtype=bool)
     lost[3, 3] = True
     std = np.full(corners.shape[:2], CERTAIN)
-    left = MeasuredCorners(corners, std, np.zeros_like(lost), pull).without(lost)
+    left = MeasuredCorners(corners, std, np.zeros_like(lost), ~lost, pull).without(lost)
     assert not moved(corners, left.pull)[3, 3].any()
     np.testing.assert_array_equal(moved(corners, left.pull)[~lost], moved(corners, pull)[~lost])

@@ -20,10 +20,11 @@ from cmp_tactile_processing.tracking.corners.evidence import (
     measure_bends,
     ring_evidence,
 )
+from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
 from cmp_tactile_processing.tracking.corners.neighbours import (
     border_of,
-    drop_stray_parts,
     edge_crossings,
+    known_beside,
     local_steps,
     off_neighbours,
     outside_corners,
@@ -31,6 +32,7 @@ from cmp_tactile_processing.tracking.corners.neighbours import (
     predicted_places,
 )
 from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit
+from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
 from cmp_tactile_processing.tracking.detector import NominalGrid
 
 # Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie
@@ -51,68 +53,6 @@ MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN = 8, 3, 3
 MOST_BEYOND, LONGEST_BEYOND, FEWEST_BEYOND = 0.5, 0.15, 3
 # A corner this near to a tear of the image is left out, in sides.
 NEAR_TEAR = 0.15
-
-
-@dataclass(frozen=True)
-class MeasuredCorners:
-    """position (rows, cols, 2) px, std (rows, cols) px per coordinate; NaN where not measured.
-
-    predicted (rows, cols): the position is what the corners around leave room for, no more.
-    pull (rows, cols, 2, 4): as of `SaddlePoints`.
-    """
-
-    position: NDArray[np.float64]
-    std: NDArray[np.float64]
-    predicted: NDArray[np.bool_]
-    pull: NDArray[np.float64]
-
-    @property
-    def missing(self) -> int:
-        """Number of corners without a position."""
-        return int(np.isnan(self.position[..., 0]).sum())
-
-    @property
-    def off_model(self) -> NDArray[np.bool_]:
-        """Corners (rows, cols) to which no model was fitted though it was to others: of a flaw."""
-        fitted = self.pull.any(axis=(-2, -1))
-        return np.asarray(~fitted & fitted.any())
-
-    def without(self, lost: NDArray[np.bool_]) -> MeasuredCorners:
-        """The corners less those of a mask (rows, cols)."""
-        position = np.where(lost[..., None], np.nan, self.position)
-        std, predicted = np.where(lost, np.nan, self.std), self.predicted & ~lost
-        # What is found at its place otherwise was not fitted with these edges.
-        pull = np.where(lost[..., None, None], 0.0, self.pull)
-        return MeasuredCorners(position, std, predicted, pull)
-
-    def none(self) -> MeasuredCorners:
-        """A grid of the same size of which no corner is known."""
-        return self.without(np.ones_like(self.predicted))
-
-    def copy(self) -> MeasuredCorners:
-        """The same corners, of which some may be set."""
-        arrays = self.position, self.std, self.predicted, self.pull
-        return MeasuredCorners(*(array.copy() for array in arrays))
-
-    def take(self, where: NDArray[np.bool_], found: MeasuredCorners) -> None:
-        """Set the corners of a mask (rows, cols) to those that were fitted."""
-        for own, other in (
-            (self.position, found.position),
-            (self.std, found.std),
-            (self.pull, found.pull),
-        ):
-            own[where] = other[where]
-
-    def put(
-        self,
-        where: NDArray[np.bool_],
-        position: NDArray[np.float64],
-        std: float | NDArray[np.float64],
-        predicted: bool | NDArray[np.bool_] = False,
-    ) -> None:
-        """Set the n corners of a mask (rows, cols) to positions (n, 2) that were not fitted."""
-        self.position[where], self.std[where] = position, std
-        self.predicted[where], self.pull[where] = predicted, 0.0
 
 
 @dataclass(frozen=True)
@@ -307,9 +247,14 @@ class MeasuredMarkers:
         """Corners within so many sides of their starts (rows, cols, 2) px, hessians (n, 3)."""
         shape = start.shape[:2]
         found = self._fit.fit(image, start.reshape(-1, 2), reach * self._nominal.side_px)
-        position, std = found.position.reshape(start.shape), found.std.reshape(shape)
-        predicted, pull = np.zeros(shape, dtype=bool), found.pull.reshape(*shape, 2, 4)
-        return MeasuredCorners(position, std, predicted, pull), found.hessian
+        corners = MeasuredCorners(
+            position=found.position.reshape(start.shape),
+            std=found.std.reshape(shape),
+            predicted=np.zeros(shape, dtype=bool),
+            modelled=found.modelled.reshape(shape),
+            pull=found.pull.reshape(*shape, 2, 4),
+        )
+        return corners, found.hessian
 
     def _in_sight(
         self, image: PreparedImage, position: NDArray[np.float64], hessian: NDArray[np.float64]
@@ -406,17 +351,19 @@ def _ends_everywhere(
 
 def _enclosed(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Corners between known neighbours along one gridline, with another on the other gridline."""
-    padded = np.pad(known, 1)
-    up, down = padded[:-2, 1:-1], padded[2:, 1:-1]
-    left, right = padded[1:-1, :-2], padded[1:-1, 2:]
+    up, down, left, right = known_beside(known)
     return np.asarray((up & down & (left | right)) | (left & right & (up | down)))
 
 
 def _alone(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Known corners without a known neighbour along one of their gridlines."""
-    padded = np.pad(known, 1)
-    along, across = padded[:-2, 1:-1] | padded[2:, 1:-1], padded[1:-1, :-2] | padded[1:-1, 2:]
-    return np.asarray(known & ~(along & across))
+    up, down, left, right = known_beside(known)
+    return np.asarray(known & ~((up | down) & (left | right)))
+
+
+def _surrounded(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Corners all of whose neighbours in the grid are known."""
+    return np.asarray(np.logical_and.reduce(known_beside(known, outside=True)))
 
 
 def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -426,13 +373,6 @@ def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:
         return doubtful
     worst = cv2.dilate(off, np.ones((5, 5), dtype=np.uint8))
     return np.asarray(doubtful & (off >= worst) & (off > PULLED_TIMES * _around(off)))
-
-
-def _surrounded(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Corners all of whose neighbours in the grid are known."""
-    padded = np.pad(known, 1, constant_values=True)
-    along, across = padded[:-2, 1:-1] & padded[2:, 1:-1], padded[1:-1, :-2] & padded[1:-1, 2:]
-    return np.asarray(along & across)
 
 
 def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -63,7 +63,8 @@ FARTHEST = 0.15
 BLUR_SPREAD, SLOPE_LEFT, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.4, 0.2, 4
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 
-Saddles = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Array = NDArray[np.float64]
+Saddles = tuple[Array, Array, Array, NDArray[np.bool_], Array]
 
 
 class CornerPrior(NamedTuple):
@@ -85,13 +86,13 @@ class CornerPrior(NamedTuple):
 
 
 @kernel_part
-def _set_sines(p: NDArray[np.float64]) -> None:
+def _set_sines(p: Array) -> None:
     for line in range(2):
         p[P_COS + line], p[P_SIN + line] = np.cos(p[P_ANGLE + line]), np.sin(p[P_ANGLE + line])
 
 
 @kernel_part
-def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> None:
+def _set_directions(hessian: Array, p: Array) -> None:
     """Directions along which a saddle is level, which are about those of the edges."""
     mean, half = (hessian[0] + hessian[2]) / 2, (hessian[0] - hessian[2]) / 2
     axis = np.arctan2(hessian[1], half)
@@ -101,7 +102,7 @@ def _set_directions(hessian: NDArray[np.float64], p: NDArray[np.float64]) -> Non
 
 
 @kernel_part
-def _factor(a: NDArray[np.float64], first: int, size: int) -> bool:
+def _factor(a: Array, first: int, size: int) -> bool:
     """Factors of a block L D L^T: 1 / D on its diagonal, L below, D L^T above.
 
     False if it is not positive definite.  Unsigned: no index could count from the end.
@@ -127,7 +128,7 @@ def _factor(a: NDArray[np.float64], first: int, size: int) -> bool:
 
 
 @kernel
-def _solve(a: NDArray[np.float64], first: int, size: int, b: NDArray[np.float64]) -> float:
+def _solve(a: Array, first: int, size: int, b: Array) -> float:
     """Solution in place of the right side; by how much it lowers the sum of squares."""
     gain = 0.0
     for i in range(size):
@@ -153,7 +154,7 @@ def _solve(a: NDArray[np.float64], first: int, size: int, b: NDArray[np.float64]
 
 
 @kernel_part
-def _expected_residual(prior: CornerPrior, p: NDArray[np.float64]) -> float:
+def _expected_residual(prior: CornerPrior, p: Array) -> float:
     """Of noise and of what the model's shape leaves, grey levels."""
     return float(prior.noise + prior.misfit * abs(p[P_HALF]))
 
@@ -197,7 +198,7 @@ def _solve_for_step(work: WorkSpace, count: int, prior: CornerPrior, renew: bool
 
 
 @kernel_part
-def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, float]:
+def _move(p: Array, step: Array) -> tuple[float, float]:
     """Where both edges cross once each is offset by its part of the step."""
     c1, s1, c2, s2 = p[P_COS], p[P_SIN], p[P_COS + 1], p[P_SIN + 1]
     sine = c1 * s2 - s1 * c2
@@ -205,7 +206,7 @@ def _move(p: NDArray[np.float64], step: NDArray[np.float64]) -> tuple[float, flo
 
 
 @kernel_part
-def _update(p: NDArray[np.float64], step: NDArray[np.float64], radius: float) -> None:
+def _update(p: Array, step: Array, radius: float) -> None:
     for line in range(2):
         p[P_BEND + line] -= step[BEND + line]
         p[P_LIGHT + line] += step[X + line]
@@ -279,7 +280,7 @@ def _deviation(work: WorkSpace, count: int, variance: float) -> float:
 
 
 @kernel
-def _set_pull(work: WorkSpace, prior: CornerPrior, pull: NDArray[np.float64]) -> None:
+def _set_pull(work: WorkSpace, prior: CornerPrior, pull: Array) -> None:
     """Of both edges: direction, and the corner's move per 1/px by which the edge should bend.
 
     None where the edges hardly cross, as on a flaw of the print: a bend would then move the corner
@@ -310,10 +311,10 @@ def refine_by_model(
     """Replace position, standard deviation and pull of saddle points by those of the fitted model.
 
     image: grey levels (H, W) and which of them are unknown, (H, W) or (0, 0) where none is;
-    saddles: position (n, 2), hessian (n, 3), std (n,), pull (n, 2, 4).  Saddle points that the
-    model does not fit stay as they are.  blur: that is expected of the first corner, px.
+    saddles: position (n, 2), hessian (n, 3), std (n,), modelled (n,), pull (n, 2, 4).  Saddle
+    points that the model does not fit stay as they are.  blur: expected of the first corner, px.
     """
-    position, hessian, std, pull = saddles
+    position, hessian, std, modelled, pull = saddles
     disc, pixels, _, _, p = work
     for k in range(disc.shape[1]):
         disc[2, k] = disc[1, k] * image[0].shape[1] + disc[0, k]
@@ -338,7 +339,7 @@ def refine_by_model(
         if np.isfinite(dx):
             position[n, 0] += dx
             position[n, 1] += dy
-            known += 1
+            known, modelled[n] = known + 1, True
             share = max(1 / known, LATEST_SHARE)
             blur *= (p[P_BLUR] / blur) ** share
             right += share * (p[P_LIGHT] / p[P_HALF] - right)

@@ -42,14 +42,15 @@ NONE_UNKNOWN = np.zeros((0, 0), np.bool_)
 @dataclass(frozen=True)
 class SaddlePoints:
     """position (n, 2) px, NaN where the fit failed; hessian (n, 3): xx, xy, yy, grey / px^2;
-    std (n,): standard deviation of the position, px per coordinate; pull (n, 2, 4) of both edges:
-    direction (x, y), and by how much the position moves (x, y) for each 1/px that the edge should
-    bend more than not at all; 0 where no model was fitted.
+    std (n,): standard deviation of the position, px per coordinate; modelled (n,): the model of a
+    corner was fitted; pull (n, 2, 4) of both edges, 0 elsewhere: direction (x, y), and by how much
+    the position moves (x, y) for each 1/px that the edge should bend more than not at all.
     """
 
     position: NDArray[np.float64]
     hessian: NDArray[np.float64]
     std: NDArray[np.float64]
+    modelled: NDArray[np.bool_]
     pull: NDArray[np.float64]
 
 
@@ -95,7 +96,7 @@ class SaddlePointFit:
         first, reach = np.array(start, dtype=np.float64, order="C"), np.empty(n)
         reach[:] = reach_px
         saddles = np.empty((n, 2)), np.empty((n, 3)), np.empty(n)
-        pull = np.zeros((n, 2, 4))
+        of_model = np.zeros(n, dtype=np.bool_), np.zeros((n, 2, 4))
         arrived = ROUGHLY_PX if self._by_model else CONVERGED_PX
         error = image.noise * gradient_gain(self._window, image.smoothing_px)
         limits = (self._wide, self._window, arrived, error)
@@ -105,18 +106,18 @@ class SaddlePointFit:
             self._prior = self._prior._replace(noise=image.noise)
             unknown = NONE_UNKNOWN if image.replaced is None else image.replaced
             pixels = np.ascontiguousarray(image.grey), unknown
-            modelled = saddles[0].copy(), saddles[1], saddles[2].copy(), pull
-            refine_by_model(pixels, self._prior, modelled, FIRST_BLUR_PX, self._work)
+            refined = saddles[0].copy(), saddles[1], saddles[2].copy(), *of_model
+            refine_by_model(pixels, self._prior, refined, FIRST_BLUR_PX, self._work)
             # Salt and pepper, which the model knows about, is not a flaw of the print.
             if image.replaced is not None:
-                return SaddlePoints(*modelled)
-            _take_where_alike(modelled, saddles)
-        return SaddlePoints(*saddles, pull)
+                return SaddlePoints(*refined)
+            _take_where_alike(refined, saddles)
+        return SaddlePoints(*saddles, *of_model)
 
 
 @kernel
 def _take_where_alike(
-    modelled: Saddles,
+    refined: Saddles,
     saddles: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
 ) -> None:
     """Replace saddle points by the model's corners where noise alone sets the two apart.
@@ -125,14 +126,14 @@ def _take_where_alike(
     saddle point is then off by more, but by the same.
     """
     position, _, std = saddles
-    by_model, _, std_by_model, pull = modelled
+    by_model, _, std_by_model, modelled, pull = refined
     for n in range(len(position)):
         x, y = by_model[n, 0], by_model[n, 1]
         apart = np.hypot(x - position[n, 0], y - position[n, 1])
         if apart > max(APART_PX, APART_STD * std[n]):
             # What the flaw may pull it by.
             std[n] = np.hypot(std[n], apart)
-            pull[n] = 0.0
+            modelled[n], pull[n] = False, 0.0
         else:
             position[n, 0], position[n, 1], std[n] = x, y, std_by_model[n]
 

@@ -13,13 +13,13 @@ from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LANES,
     MARKER_BIAS_PX,
+    Array,
     Fits,
+    Index,
+    Single,
     true_std,
 )
 
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
-Index = NDArray[np.int64]
 # A marker farther than this from every measured column along the gridline is predicted, px.
 NEAR_PX = 2.0
 MISSING, MEASURED, PREDICTED = (int(status) for status in Status)
