@@ -171,6 +171,24 @@ def test_a_bend_between_corners_is_measured_where_both_views_tell(rig):
     assert (cols.status == Status.MEASURED).all()
 
 
+def test_a_groove_that_neither_view_measures_shows_in_the_std(rig):
+    """A groove along y between two columns: rows run across it, and along the baseline."""
+    pitch = rig.pattern.pitch
+
+    def groove(x, y):
+        depth = 0.05 * pitch * np.exp(-((x / (0.25 * pitch)) ** 2))
+        return np.stack([0 * x, 0 * x, -depth], axis=-1)
+
+    scene = make_scene(rig, groove)
+    rows, _ = scene.triangulate()
+    middle = rows.std.shape[1] // 2
+    error = distance(rows.position, scene.rows)[:, middle]
+    assert error.max() > 0.01 * pitch
+    # One groove is one draw: its depth is within two deviations with 95 %.
+    assert np.sqrt(np.mean((error / rows.std[:, middle]) ** 2)) < 2.0
+    assert np.median(rows.std[:, middle]) > 10 * np.median(rows.std[:, : middle - 3])
+
+
 def test_a_row_on_the_epipolar_direction_is_interpolated(sensor):
     """A flat pattern's rows run exactly along the baseline: both planes are one."""
     flat = replace(sensor, pattern=replace(sensor.pattern, surface=PatternSurface()))
