@@ -259,7 +259,7 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault, self._kind)
-        position = with_bends(position, corners.std, corners.pull)
+        position = with_bends(corners.position, corners.std, corners.pull)
         std, predicted = corners.std, corners.predicted
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:
@@ -267,6 +267,9 @@ class GridTracker:
             predicted = predicted | (self._defects.corner_weight < LEAST_WEIGHT)
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
+        # The gridlines show how they bend near a corner, and their neighbours only on the whole.
+        bent = corners.position, corners.std, corners.pull
+        position = with_bends(*bent, rows.position, cols.position)
         position, std = self._fused(position, std, predicted | corners.off_model)
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
@@ -300,7 +303,7 @@ class GridTracker:
 
         Where the print is flawed, corner and lines are off by other amounts in each frame.
         """
-        crossing, crossing_std = self._virtual.crossings()
+        crossing, crossing_std = self._virtual.crossings(position)
         kept = alone | np.isnan(std)
         position = np.where(kept[..., None], position, crossing)
         return position, np.where(kept, std, crossing_std)

@@ -62,6 +62,36 @@ def test_a_crest_is_not_flattened():
     )
 
 
+def test_virtual_markers_show_how_a_gridline_bends_at_a_corner():
+    """A wave 2.2 checkers long, of which corners alone show three quarters of the bend."""
+    corners, pull = grid(cols=21)
+    share = np.arange(1, 7) / 7
+    wave, height = 2 * np.pi / (2.2 * SIDE_PX), 0.01
+
+    def bent(points):
+        return points + height * np.sin(wave * points[..., :1] + 1.0) * (0, 1)
+
+    rows = corners[:, :-1, None] + SIDE_PX * share[:, None] * (1, 0)
+    cols = corners[:-1, :, None] + SIDE_PX * share[:, None] * (0, 1)
+    std = np.full(corners.shape[:2], CERTAIN)
+    shift = with_bends(bent(corners), std, pull, bent(rows), bent(cols)) - bent(corners)
+    bend = -height / 2 * wave**2 * np.sin(wave * corners[..., 0] + 1.0)
+    off = np.abs(shift[..., 1] + PULL * bend)[:, 2:-2].max() / np.abs(PULL * bend).max()
+    assert off < 0.1
+
+
+def test_a_ragged_edge_bends_no_corner():
+    """Its virtual markers turn by more from checker to checker than any gel makes them."""
+    corners, pull = grid(cols=21)
+    ragged = np.random.default_rng(4).normal(0, 2.0, (9, 20, 6, 1)) * (0, 1)
+    rows = corners[:, :-1, None] + SIDE_PX * np.arange(1, 7)[:, None] / 7 * (1, 0) + ragged
+    cols = corners[:-1, :, None] + SIDE_PX * np.arange(1, 7)[:, None] / 7 * (0, 1)
+    corners[..., 1] += 1e-4 * corners[..., 0] ** 2
+    std = np.full(corners.shape[:2], CERTAIN)
+    shift = with_bends(corners, std, pull, rows, cols) - corners
+    assert np.abs(shift[..., 1] - moved(corners, pull)[..., 1]).max() < 0.01 * SIDE_PX
+
+
 def test_noise_is_not_taken_for_bends():
     """Of white noise, the means over five corners move a corner by a third of what bends would."""
     corners, pull = grid(rows=40, cols=40)

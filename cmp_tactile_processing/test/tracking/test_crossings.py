@@ -17,6 +17,7 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
 )
 
 STD, LINE_STD, LENGTH_PX = 0.01, 0.005, 20.0
+AT_LINE = np.zeros((1, 3, 2))
 
 
 def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
@@ -38,7 +39,7 @@ def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
 def test_a_line_moves_a_corner_across_itself_alone():
     """Two segments and the saddle are three measurements: their weighted mean, in closed form."""
     lines = _gathered((0.004, 0.008))
-    corners, std = fused_corners(np.zeros((1, 3, 2)), np.full((1, 3), STD), lines)
+    corners, std = fused_corners(AT_LINE, np.full((1, 3), STD), AT_LINE, lines)
     weight, own = 1 / LINE_STD**2, 1 / STD**2
     assert corners[0, 1] == pytest.approx((0.0, weight * 0.012 / (2 * weight + own)), rel=1e-9)
     variances = 1 / own, 1 / (2 * weight + own)
@@ -49,9 +50,20 @@ def test_a_line_moves_a_corner_across_itself_alone():
 
 def test_a_corner_of_which_no_line_says_anything_stays_as_it_is():
     nothing = np.zeros((1, 3, ENTRIES))
-    corners, std = fused_corners(np.ones((1, 3, 2)), np.full((1, 3), STD), nothing)
+    corners, std = fused_corners(np.ones((1, 3, 2)), np.full((1, 3), STD), AT_LINE, nothing)
     assert (corners == 1).all()
     assert (std == STD).all()
+
+
+def test_lines_that_were_fitted_with_a_wrong_corner_say_less():
+    """A corner is found to be 0.004 px from where its lines were fitted, which see it there."""
+    lines, moved = _gathered((0.0, 0.0)), AT_LINE + (0.0, 0.004)
+    std = np.full((1, 3), STD)
+    corners, fused = fused_corners(moved, std, AT_LINE, lines)
+    weight, own = 2 / LINE_STD**2, 1 / STD**2
+    trusted = 0.004 * own / (weight + own)
+    assert 2 * trusted < corners[0, 1, 1] < 0.004
+    assert fused_corners(moved, std, moved, lines)[1][0, 1] < fused[0, 1] < STD
 
 
 @pytest.mark.parametrize("offsets", [(0.02, -0.02), (0.06, 0.06)])

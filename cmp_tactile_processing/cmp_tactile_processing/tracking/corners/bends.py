@@ -5,6 +5,8 @@ The fit of a corner expects edges that are straight, and sees too little of them
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,18 +18,45 @@ Float = NDArray[np.float64]
 SHARPEN = -1 / 8
 # And this share takes a corner's own error out of its bend: for where all differences are noise.
 SMOOTHEN = 1 / 3
+# Order of the curve through the virtual markers around a corner.  Where these turn by more than
+# twice this from checker to checker, rad, against what the corners show, they follow a ragged edge.
+DEGREE, RAGGED = 4, 0.1
 
 
-def with_bends(corners: Float, std: Float, pull: Float) -> Float:
+def with_bends(
+    corners: Float,
+    std: Float,
+    pull: Float,
+    row_lines: Float | None = None,
+    col_lines: Float | None = None,
+) -> Float:
     """Corners (rows, cols, 2) px once their edges are expected to bend as the gridlines do.
 
-    std (rows, cols) px; pull (rows, cols, 2, 4): as of `SaddlePoints`.
+    std (rows, cols) px; pull (rows, cols, 2, 4): as of `SaddlePoints`.  row_lines
+    (rows, cols-1, n, 2), col_lines (rows-1, cols, n, 2): virtual markers, px; without them bends
+    are those that the corners themselves show.
     """
+    rows, cols = corners.shape[:2]
+    row_lines = np.empty((rows, cols - 1, 0, 2)) if row_lines is None else row_lines
+    col_lines = np.empty((rows - 1, cols, 0, 2)) if col_lines is None else col_lines
+    derivatives = _derivatives(col_lines.shape[2])
     moved: Float = corners.copy()
-    _add_bends(corners, std, pull, moved)
-    across, std, pull = (np.ascontiguousarray(a.swapaxes(0, 1)) for a in (corners, std, pull))
-    _add_bends(across, std, pull, moved.swapaxes(0, 1))
+    _add_bends(corners, std, pull, (col_lines, derivatives), moved)
+    across = (corners, std, pull, row_lines)
+    corners, std, pull, row_lines = (np.ascontiguousarray(a.swapaxes(0, 1)) for a in across)
+    _add_bends(corners, std, pull, (row_lines, derivatives), moved.swapaxes(0, 1))
     return moved
+
+
+@lru_cache
+def _derivatives(n: int) -> Float:
+    """Weights (2, 2 n + 1) of the first and half the second derivative, per segment, in the middle.
+
+    Of the n virtual markers before a corner, itself and n behind it: by a curve of fourth order.
+    """
+    place = np.arange(-n, n + 1) / (n + 1)
+    terms = np.vander(place, min(DEGREE, 2 * n) + 1, increasing=True)
+    return np.ascontiguousarray(np.linalg.pinv(terms)[1:3], dtype=np.float64)
 
 
 @kernel_part
@@ -65,13 +94,40 @@ def _set_crests(corners: Float, std: Float, bends: Float, crests: Float) -> floa
     return min(noise / seen, 1.0) if seen > 0 else 1.0
 
 
+@kernel_part
+def _see_bends(corners: Float, lines: tuple[Float, Float], trust: float, bends: Float) -> None:
+    """Mix into the bends those that virtual markers (a - 1, b, n, 2) along axis 0 show."""
+    markers, derivatives = lines
+    n = markers.shape[2]
+    slope, bend = np.empty((2, 2))
+    for i in range(1, len(corners) - 1):
+        for j in range(corners.shape[1]):
+            for d in range(2):
+                slope[d] = derivatives[0, n] * corners[i, j, d]
+                bend[d] = derivatives[1, n] * corners[i, j, d]
+                for k in range(n):
+                    before, behind = markers[i - 1, j, k, d], markers[i, j, k, d]
+                    slope[d] += derivatives[0, k] * before + derivatives[0, n + 1 + k] * behind
+                    bend[d] += derivatives[1, k] * before + derivatives[1, n + 1 + k] * behind
+            scale = 1 / (slope[0] * slope[0] + slope[1] * slope[1])
+            x, y = bend[0] * scale - bends[i, j, 0], bend[1] * scale - bends[i, j, 1]
+            share = trust / (1 + (x * x + y * y) / (scale * RAGGED * RAGGED))
+            if np.isfinite(share):
+                bends[i, j, 0] += share * x
+                bends[i, j, 1] += share * y
+
+
 @kernel
-def _add_bends(corners: Float, std: Float, pull: Float, moved: Float) -> None:
+def _add_bends(
+    corners: Float, std: Float, pull: Float, lines: tuple[Float, Float], moved: Float
+) -> None:
     """Add to `moved` what bends along axis 0 pull each corner by."""
     bends, crests = np.empty_like(corners), np.empty_like(corners)
     _set_bends(corners, bends)
     noise = _set_crests(corners, std, bends, crests)
     bends += (SHARPEN + (SMOOTHEN - SHARPEN) * noise) * crests
+    if lines[0].shape[2] > 0:
+        _see_bends(corners, lines, 1 - noise, bends)
     last = len(corners) - 1
     for i in range(last + 1):
         for j in range(corners.shape[1]):

@@ -117,14 +117,16 @@ class VirtualMarkerLocator:
                 lines.correct(pixels, edges, image)
         return rows.result(), cols.result(transposed=True)
 
-    def crossings(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Corners (rows, cols, 2) px of the last `locate`, fused with the gridlines through them.
+    def crossings(
+        self, corners: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Corners (rows, cols, 2) px, fused with the gridlines of the last `locate` through them.
 
         And their standard deviations (rows, cols) px.  As they were given for "local_correction".
         """
         rows, cols = self._rows, self._cols
         lines = rows.at_corners + cols.at_corners.swapaxes(0, 1)
-        return fused_corners(rows.corners, rows.corner_std, lines)
+        return fused_corners(corners, rows.corner_std, rows.corners, lines)
 
 
 def _median(values: NDArray[np.float64]) -> float:
@@ -245,8 +247,9 @@ Array = NDArray[np.float64]
 def set_tangents(corners: Array, tangent: Array) -> None:
     """Tangents along axis 1 of corners (a, b, 2), px per segment; NaN where nothing is known.
 
-    Central differences; next to missing corners and at the ends, those of the parabola through
-    the next two corners, or the one difference that there is.
+    Central differences, of fourth order where two corners on both sides are known; next to missing
+    corners and at the ends, those of the parabola through the next two corners, or the one
+    difference that there is.
     """
     for i in range(corners.shape[0]):
         last = corners.shape[1] - 1
@@ -257,6 +260,9 @@ def set_tangents(corners: Array, tangent: Array) -> None:
                 after = corners[i, j + 1, axis] - here if j < last else math.nan
                 if not math.isnan(before) and not math.isnan(after):
                     value = (before + after) / 2
+                    if 1 < j < last - 1:
+                        farther = (corners[i, j + 2, axis] - corners[i, j - 2, axis]) / 4
+                        value += 0.0 if math.isnan(farther) else (value - farther) / 3
                 elif not math.isnan(after):
                     value = after
                     if j + 2 <= last and not math.isnan(corners[i, j + 2, axis]):
