@@ -31,7 +31,7 @@ def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise FrameError(msg) from None
     image = decode_image(content, str(path), depth)
-    if _next_shape(content)[:2] == image.shape[:2]:
+    if _is_animation(content) or _next_shape(content)[:2] == image.shape[:2]:
         msg = f"{path}: found several images in one file, expected one: write each to its own file"
         raise FrameError(msg)
     return image
@@ -43,6 +43,15 @@ def _next_shape(content: NDArray[np.uint8]) -> tuple[int, ...]:
         return ()
     _, images = cv2.imdecodemulti(content, cv2.IMREAD_UNCHANGED, range=(1, 2))
     return images[0].shape if images else ()
+
+
+def _is_animation(content: NDArray[np.uint8]) -> bool:
+    """Whether it is a PNG or WebP of several images, which each says before its first."""
+    head = content[:21].tobytes()
+    if head.startswith(b"\x89PNG"):
+        _, _, control = content.tobytes().partition(b"IDAT")[0].partition(b"acTL")
+        return int.from_bytes(control[:4], "big") > 1
+    return head[8:16] == b"WEBPVP8X" and bool(head[20] & 2)
 
 
 DEFAULT_FRAME_RATE = 30.0

@@ -7,6 +7,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import ImageFolder, VideoFile
@@ -215,6 +216,21 @@ def test_several_images_in_a_file_are_not_taken_for_one(tmp_path, frames):
     preview = cv2.resize(frames[0], None, fx=0.25, fy=0.25)
     cv2.imwritemulti(str(path), [frames[0], preview])
     assert np.array_equal(_read_all(ImageFolder(path)), frames[:1])
+
+
+@pytest.mark.parametrize("kind", ["png", "webp"])
+def test_an_animation_is_not_taken_for_one_image(tmp_path, frames, kind):
+    """Tried: of three frames one was read, and nothing said so.
+
+    Reports: kijai/ComfyUI-KJNodes 341, rokka-io/imagine-vips 35, opencv/opencv 27074.
+    """
+    path = tmp_path / f"moving.{kind}"
+    first, *others = map(Image.fromarray, frames)
+    first.save(path, save_all=True, append_images=others, lossless=True)
+    with pytest.raises(FrameSourceError, match="found several images in one file"):
+        _read_all(ImageFolder(path))
+    first.save(path, save_all=True, lossless=True)
+    assert len(_read_all(ImageFolder(path))) == 1
 
 
 def test_a_jpeg_with_a_part_missing_is_no_frame(image_folder, frames):
