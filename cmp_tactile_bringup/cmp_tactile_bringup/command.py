@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import signal
+import stat
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
+
+from cmp_tactile_bringup.terminal.stop_signal import stopping_signals
 
 # Nothing that takes time to load: `main` handles signals first.
 if TYPE_CHECKING:
@@ -39,15 +43,36 @@ def _repair_standard_streams() -> None:
     while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass
     os.close(number)
-    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
-    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    sys.stdout = _repaired(sys.stdout or open(1, "w", closefd=False))  # noqa: SIM115
+    sys.stderr = _repaired(sys.stderr or open(2, "w", closefd=False))  # noqa: SIM115
+
+
+def _repaired(stream: TextIO) -> TextIO:
+    if not isinstance(stream, io.TextIOWrapper):
+        return stream
+    raw = getattr(stream.buffer, "raw", stream.buffer)
+    # A terminal that was closed is known to be a device, and no more to be a terminal.
+    if isinstance(raw, io.FileIO) and stat.S_ISCHR(os.fstat(raw.fileno()).st_mode):
+        terminal = io.BufferedWriter(_Terminal(raw.fileno(), "w", closefd=False))
+        stream = io.TextIOWrapper(terminal, stream.encoding, line_buffering=True)
+    stream.reconfigure(errors="backslashreplace")
+    return stream
+
+
+class _Terminal(io.FileIO):
+    """Lets the work go on where the terminal was closed, as after `disown`."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise
+            return len(data)
 
 
 class _Interruption:
-    """What SIGINT and SIGTERM do to the command; a context manager.
+    """What SIGINT, SIGTERM and SIGHUP do to the command; a context manager.
 
     Until the subcommand begins, they end the process at once.  Then they leave it by an exception,
     so that what was started is ended too; that is raised again where Python drops it, in a
@@ -63,7 +88,7 @@ class _Interruption:
         self._show_unraisable = sys.unraisablehook
 
     def __enter__(self) -> _Interruption:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in stopping_signals():
             self._earlier[number] = signal.signal(number, self._on_signal)
         self._earlier[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._on_alarm)
         sys.unraisablehook = self._on_dropped

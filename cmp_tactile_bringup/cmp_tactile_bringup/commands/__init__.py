@@ -63,6 +63,7 @@ exit codes:
   0    done
   1    an error that you can correct: a wrong file, a limit that was missed
   2    a wrong option
+  129  stopped as the terminal or ssh was closed
   130  stopped by Ctrl-C
   143  stopped by SIGTERM
 focus, live, sensor, gripper, record and replay run until you stop them; then

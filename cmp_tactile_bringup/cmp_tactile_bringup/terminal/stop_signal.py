@@ -16,8 +16,14 @@ from contextlib import suppress
 from queue import Empty, SimpleQueue
 from types import FrameType
 
-NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+NUMBERS = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
 LONGEST_SLEEP = 1.0  # s
+
+
+def stopping_signals() -> list[int]:
+    """Those of them that are to stop this process: `nohup` lets SIGHUP be ignored."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [number for number in NUMBERS if number != signal.SIGHUP or not ignored]
 
 
 class StopSignal:
@@ -31,10 +37,8 @@ class StopSignal:
         self._news: SimpleQueue[None] = SimpleQueue()
         self._is_set = False
         self.by_signal = False
-        for number in NUMBERS:
-            # `nohup` lets SIGHUP be ignored.
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-                signal.signal(number, self._on_signal)
+        for number in stopping_signals():
+            signal.signal(number, self._on_signal)
         atexit.register(_ignore)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:

@@ -122,9 +122,13 @@ def catches(pid, number):
     return bool(int(mask, 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_the_command_is_loaded_ends_it_with_its_code(number):
-    """Python itself has no handler for SIGTERM: once there is one, the command's code runs."""
+    """Python itself has no handler for SIGTERM: once there is one, the command's code runs.
+
+    Reports: ninja-build/ninja 964, DarthSim/overmind 50; tried: the end of the terminal killed
+    `process` and `simulate`, and what they had begun stayed.
+    """
     command = [sys.executable, "-c", ENDLESS_INFO, "info"]
     processes = [
         subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
@@ -161,6 +165,20 @@ def test_a_reader_that_has_gone_is_no_error(words):
     finally:
         os.close(writer)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_terminal_that_was_closed_is_no_error():
+    """What `disown` keeps alive goes on; tried: of several recordings the first was processed.
+
+    Reports: tqdm/tqdm 1033, ml-evs/matador 190, fabric/fabric 1583.
+    """
+    terminal, inside = os.openpty()
+    os.close(terminal)
+    try:
+        words = _command("info", "sample_rig")
+        assert subprocess.run(words, stdout=inside, stderr=inside, check=False).returncode == 0
+    finally:
+        os.close(inside)
 
 
 def test_an_error_is_one_though_nobody_reads_the_output(tmp_path):

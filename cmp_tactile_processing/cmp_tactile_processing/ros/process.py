@@ -108,7 +108,7 @@ def spare_the_collector() -> None:
 
 
 def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
-    """Spin a node until SIGINT, SIGTERM or shutdown; the exit code.  For the main thread.
+    """Spin a node until SIGINT, SIGTERM, SIGHUP or shutdown; the exit code.  For the main thread.
 
     0 after a clean end; 1, with one line on stderr, where the node cannot start as it is set up.
     """
@@ -157,7 +157,7 @@ def leave_at_once(code: int) -> None:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """SIGINT and SIGTERM raise KeyboardInterrupt in here, also in a constructor that compiles.
+    """SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt here, also in a constructor that compiles.
 
     Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
     the interrupt is repeated until it comes through, and no traceback is printed for the lost ones.
@@ -173,7 +173,9 @@ def _interruptible() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
         raise KeyboardInterrupt
 
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGALRM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` has it
+        numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, interrupt) for number in numbers}
     sys.unraisablehook = report
     try:

@@ -33,7 +33,11 @@ def _start(node: str, *arguments: str, **environment: str) -> subprocess.Popen:
 # All nodes are run by the same function; one of these is long in building.
 @pytest.mark.parametrize(
     ("node", "number"),
-    [("view_splitter", signal.SIGINT), ("force_reconstructor", signal.SIGTERM)],
+    [
+        ("view_splitter", signal.SIGINT),
+        ("view_splitter", signal.SIGHUP),
+        ("force_reconstructor", signal.SIGTERM),
+    ],
 )
 def test_signal_ends_the_process_with_zero(ros, tmp_path, node, number):
     """Also while the force model is being built: its cache is empty here."""
