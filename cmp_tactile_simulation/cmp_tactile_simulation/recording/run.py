@@ -99,6 +99,10 @@ def _run(
     try:
         write_scene(scene, folder.path)
         _write_frames(simulation, after, count, write, progress)
+    except OSError as error:
+        # An open file does not say which it is.
+        error.filename = error.filename or str(folder.path)
+        raise
     finally:
         writer.close()
     if options.video:

@@ -222,6 +222,21 @@ def test_what_is_read_is_not_written_over(name, overwrite, block, small_scene, t
     assert contents(out) == before
 
 
+def test_a_full_disk_is_reported_with_its_folder(scene, tmp_path):
+    """Tried: "No space left on device", and no word of where."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill_disk(_what, _share):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+
+    try:
+        with pytest.raises(OSError, match="File too large") as caught:
+            run_scene(scene, tmp_path / "out", progress=fill_disk)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert caught.value.filename == str(tmp_path / "out")
+
+
 def test_a_video_that_was_not_written_whole_is_reported(scene, tmp_path):
     """The size that files may have stands for a full disk; afterwards the same run goes on."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
