@@ -8,9 +8,10 @@ import re
 import signal
 import sys
 import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import TypeVar
 
@@ -18,13 +19,19 @@ import rclpy
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import (
+    ExternalShutdownException,
+    ShutdownException,
+    SingleThreadedExecutor,
+    TimeoutException,
+)
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
 REPEAT_S = 0.5
+LOGGED_S = 5.0
 
 
 EXPECTED = {
@@ -98,6 +105,22 @@ def init_beside(context: Context) -> None:
     rclpy.init(args=ros_args, context=context, signal_handler_options=SignalHandlerOptions.NO)
 
 
+class LastingExecutor(SingleThreadedExecutor):
+    """Goes on after a callback that raised, as by a request that rclpy itself cannot read."""
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """As the base class's, but logs what the callback raises."""
+        with suppress(ShutdownException, TimeoutException):
+            callback, _, node = self.wait_for_ready_callbacks(timeout_sec)
+            callback()
+            error = callback.exception()
+            # A signal shuts the context down first; whatever then fails in rcl is part of the end.
+            if error is not None and self._context.ok():
+                trace = "".join(traceback.format_exception(error))
+                text = f"a callback raised an exception; the node continues\n{trace}"
+                node.get_logger().error(text, throttle_duration_sec=LOGGED_S)
+
+
 def spare_the_collector() -> None:
     """Let the garbage collector pass over all that there is by now; to be called once it is built.
 
@@ -120,7 +143,9 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
                 rclpy.init(args=args)
                 node = make_node()
             spare_the_collector()
-            rclpy.spin(node)
+            executor = LastingExecutor()
+            executor.add_node(node)
+            executor.spin()
     except (CmpTactileError, ParameterException) as error:
         sys.stderr.write(printable(f"error: {error}") + "\n")
         return 1
@@ -202,7 +227,7 @@ class Listener:
             init_beside(self._context)
             self.node = Node(self._node_name, namespace=self._namespace, context=self._context)
         self._subscribe()
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = LastingExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name=self._node_name, daemon=True)
         self._thread.start()

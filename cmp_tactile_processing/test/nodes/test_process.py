@@ -12,6 +12,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+
 from cmp_tactile_processing.ros.process import JoinError, Listener
 
 pytestmark = pytest.mark.ros
@@ -89,6 +92,23 @@ def test_wrong_parameter_is_one_line_and_exit_code_one(node, parameter, reason):
     assert len(lines) == 1, errors
     assert lines[0].startswith("error: ")
     assert reason in lines[0]
+
+
+def test_a_callback_that_raises_does_not_end_the_others():
+    """ROS's own raise at a request of an unknown type; tried: it ended every node by itself.
+
+    Reports: ros2/rclcpp 3257, Karsten1987/confbot_robot 28, ros-controls/ros2_controllers 136.
+    """
+    with Listener("asked") as asked:
+        odd = Parameter(name="use_sim_time", value=ParameterValue(type=255))
+        for request in (SetParameters.Request(parameters=[odd]), SetParameters.Request()):
+            client = asked.node.create_client(SetParameters, "/asked/set_parameters")
+            assert client.wait_for_service(START_TIMEOUT_S)
+            answer = client.call_async(request)
+        end = time.monotonic() + END_TIMEOUT_S
+        while not answer.done() and time.monotonic() < end:
+            time.sleep(0.01)
+        assert answer.done()
 
 
 def test_interrupt_that_a_finaliser_swallows_comes_again():
