@@ -22,7 +22,7 @@ from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.diagnostics.connections import unconnected, unpublished
+from cmp_tactile_processing.ros.diagnostics.connections import mixed, unconnected, unpublished
 from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, Stamp
 from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes, this_process
 from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
@@ -90,7 +90,7 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
 
         otherwise: the message where nothing is found.
         """
-        wrong = unconnected(self)
+        wrong = [*unconnected(self), *(mixed(self, topic) for topic in self._mixed_topics())]
         for text in wrong:
             if text not in self._wrong_before:
                 self.get_logger().warning(text)
@@ -177,6 +177,10 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
 
     def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         self.thresholds = thresholds
+
+    def _mixed_topics(self) -> list[str]:
+        """Inputs with messages of several publishers by turns since the last call."""
+        return []
 
 
 class CameraInfoPublisher:
@@ -277,7 +281,7 @@ class StageNode(ReportingNode):
         place.
         """
         name = self.resolve_topic_name(topic)
-        watch = InputWatch(newest=newest)
+        watch = InputWatch(name, newest=newest)
 
         def begin_guarded(given: Given) -> Finish:
             self.diagnostics.frame_in()
@@ -335,6 +339,9 @@ class StageNode(ReportingNode):
                 return
             self.diagnostics.bad_frame(f"{topic}: {error!r}")
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
+
+    def _mixed_topics(self) -> list[str]:
+        return [watch.topic for watch in self.diagnostics.inputs if watch.were_mixed()]
 
     def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         super()._use_thresholds(thresholds)

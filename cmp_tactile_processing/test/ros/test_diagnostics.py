@@ -107,6 +107,35 @@ def outside(ros):
     context.try_shutdown()
 
 
+def test_publishers_that_take_turns_are_named_and_one_after_another_is_right(ros, outside):
+    """Tried: "frames missing" and "stamps went back" at a camera beside a replay, and no reason.
+
+    Reports: gazebosim/ros_gz 591, moveit/moveit 3393, ros/ros_comm 1397.
+    """
+    node = ros.start(_Relay)
+    results, infos = ros.listen(Surface, "result"), []
+    ros.node.create_subscription(Surface, "surface", lambda _, info: infos.append(info), 5)
+    ros.wait_subscribed(node, "result")
+    replay, camera = (
+        ros.publisher(Surface, "surface"),
+        outside.create_publisher(Surface, "surface", 5),
+    )
+    ros.wait(lambda: camera.get_subscription_count() > 0, "both publishers")
+
+    def mixed(*publishers) -> bool:
+        for publisher in publishers:
+            count = len(results)
+            publisher.publish(_surface((count + 1) * 10**8))
+            ros.wait(lambda count=count: len(results) > count, "the result")
+        text = _values(node._status())["wrong connections"]
+        return f"surface: the messages of {ros.namespace}/outside and " in text
+
+    assert not mixed(replay, replay, camera, camera)
+    # rclpy of Jazzy does not say which publisher sent a message.
+    assert mixed(replay, camera, replay) == ("publisher_gid" in infos[0])
+    assert not mixed(replay, replay)
+
+
 def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, outside):
     node = ros.start(_Relay)
     # Each would cost time whenever the executor waits.

@@ -55,6 +55,12 @@ def _reason(publisher: Any, subscription: Any) -> str:
     return reason.replace("ERROR: ", "").strip("; ") if verdict == QoSCompatibility.ERROR else ""
 
 
+def mixed(node: Node, topic: str) -> str:
+    """That publishers of a topic take turns, with their names."""
+    names = sorted(map(_full_name, node.get_publishers_info_by_topic(topic)))
+    return f"{topic}: the messages of {' and '.join(names)} are mixed; end all of them but one"
+
+
 def _full_name(end: Any) -> str:
     if end.node_name == UNKNOWN_NAME:
         return "a node without a name"

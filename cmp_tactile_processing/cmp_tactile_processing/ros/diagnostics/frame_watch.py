@@ -84,17 +84,19 @@ MOST_PUBLISHERS = 16
 class InputWatch(StampWatch):
     """Counts for one subscription; `take_message` once per message, in the order of the callbacks.
 
-    newest: only the newest message is wanted.
+    topic: of the subscription.  newest: only the newest message is wanted.
     end: where frames come by a plain call, it knows the losses of the entrance.
     """
 
-    def __init__(self, *, newest: bool = False) -> None:
+    def __init__(self, topic: str = "", *, newest: bool = False) -> None:
         super().__init__()
+        self.topic = topic
         self._newest = newest
         self.end: Input | None = None
         self._lost = 0
         self._numbers: dict[bytes, int] = {}
         self._in_order = True
+        self._publisher, self._returns = b"", 0
 
     @property
     def lost(self) -> int:
@@ -109,6 +111,11 @@ class InputWatch(StampWatch):
     @property
     def _never_taken(self) -> int:
         return self._lost + (0 if self.end is None else self.end.dropped)
+
+    def were_mixed(self) -> bool:
+        """Whether publishers took turns since the last call; one that follows another does not."""
+        returns, self._returns = self._returns, 0
+        return returns > 1
 
     def add_lost(self, count: int) -> None:
         """Messages were lost, as the middleware says."""
@@ -131,6 +138,8 @@ class InputWatch(StampWatch):
             if number > last + 1 and self._in_order:
                 self._lost += number - last - 1
             self._in_order = number > last and (self._in_order or number == last + 1)
+            self._returns += publisher != self._publisher
+        self._publisher = publisher
         self._numbers[publisher] = number
 
 
