@@ -371,7 +371,8 @@ def read_camera_info(path: str | Path) -> tuple[str, ViewCameraInfo]:
     """Name and model of the camera of a file.
 
     As camera_calibration_parsers does: a file without `camera_name` is of the camera "unknown",
-    one without `distortion_model` is plumb_bob, and keys that belong to other tools are let be.
+    one without `distortion_model` is plumb_bob, of which k3 may be left out, and keys that belong
+    to other tools are let be.
     Raises DescriptionError naming file, key, what was found and what is expected.
     """
     return _camera_info_of(read_yaml(Path(path)))
@@ -397,13 +398,14 @@ def _matrix(key: str, matrix: NDArray[np.float64]) -> Iterator[str]:
 
 def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
     name = top.text("camera_name") if "camera_name" in top else "unknown"
-    has_model = "distortion_model" in top
-    model = top.choice("distortion_model", tuple(DISTORTION_LENGTH)) if has_model else "plumb_bob"
+    # camera_calibration of Melodic wrote the second.
+    keys = [key for key in ("distortion_model", "camera_model") if key in top]
+    model = top.choice(keys[0], tuple(DISTORTION_LENGTH)) if keys else "plumb_bob"
     info = ViewCameraInfo(
         width=top.integer("image_width", 1, MAX_IMAGE_SIDE),
         height=top.integer("image_height", 1, MAX_IMAGE_SIDE),
         model=model,
-        D=_read_matrix(top, "distortion_coefficients", 1, DISTORTION_LENGTH[model]).ravel(),
+        D=_read_distortion(top, model),
         K=_read_matrix(top, "camera_matrix", 3, 3),
         R=_read_matrix(top, "rectification_matrix", 3, 3),
         P=_read_matrix(top, "projection_matrix", 3, 4),
@@ -420,6 +422,14 @@ def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
         raise top.error("rectification_matrix", info.R.tolist(), expected)
     _refuse_parts_of_images(top, info)
     return name, info
+
+
+def _read_distortion(top: YamlSection, model: str) -> NDArray[np.float64]:
+    section, most = top.section("distortion_coefficients"), DISTORTION_LENGTH[model]
+    section.integer("rows", 1, 1)
+    # Kalibr and others have no k3, the last of plumb_bob.
+    count = section.integer("cols", 4 if model == "plumb_bob" else most, most)
+    return np.pad(section.numbers("data", count), (0, most - count))
 
 
 def _read_matrix(top: YamlSection, key: str, rows: int, cols: int) -> NDArray[np.float64]:

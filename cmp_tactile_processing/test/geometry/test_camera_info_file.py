@@ -96,6 +96,22 @@ def test_file_of_ros_is_read(tmp_path):
     assert (name, info.model, len(info.D)) == ("unknown", "plumb_bob", 5)
 
 
+def test_files_of_other_tools_are_read(tmp_path):
+    """Without k3, and with the model by its earlier name; tried: the first was refused, and of the
+    second the model was not read.
+
+    Reports: ethz-asl/kalibr 569, hku-mars/FAST-Calib 29, ros-drivers/video_stream_opencv 100.
+    """
+    path = tmp_path / "ros.yaml"
+    short = FOREIGN.replace("cols: 5", "cols: 4").replace(", -0.000212]", "]")
+    path.write_text(short)
+    _, info = read_camera_info(path)
+    np.testing.assert_array_equal(info.D, [0.189544, -0.018229, -0.000630, 0.000054, 0])
+    path.write_text(short.replace("distortion_model: plumb_bob", "camera_model: equidistant"))
+    _, info = read_camera_info(path)
+    assert (info.model, len(info.D)) == ("equidistant", 4)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
