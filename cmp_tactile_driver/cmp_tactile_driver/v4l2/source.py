@@ -43,6 +43,8 @@ def decode_buffer(
 
 
 SEQUENCES = 2**32
+# The noise of a camera makes two equal frames unlikely; so many in a row are reported.
+MOST_EQUAL = 10
 # How long a damaged frame is reported.
 MEMORY_S = 5.0
 # Of a frame that has just come; a time beyond is no time of this frame.
@@ -91,6 +93,7 @@ class V4L2Source:
         self._recent = ("", -MEMORY_S)
         self._bad_frames = self._dropped = self._reconnects = 0
         self._sequence: int | None = None
+        self._last_data, self._equal = b"", 1
         times = options.camera
         self._back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
         self._next_attempt = self._last_frame = 0.0
@@ -107,7 +110,7 @@ class V4L2Source:
 
     @property
     def health(self) -> frames.SourceHealth:
-        """Whether the camera is away, or gave damaged frames of late; the frames it lost."""
+        """Whether the camera is away, or gave damaged or equal frames of late; those it lost."""
         if self._lost:
             problem, is_recent = self._lost, True
         else:
@@ -298,6 +301,7 @@ class V4L2Source:
         self._last_frame = now_ns * 1e-9
         self._count_dropped(buffer.sequence)
         origin = f"{self._found.path} frame {buffer.sequence}"
+        self._count_equal(buffer.data, origin)
         try:
             if buffer.damaged:
                 msg = "data: found a buffer that the kernel marks as damaged, expected a whole one"
@@ -323,6 +327,14 @@ class V4L2Source:
             if 0 < missing < SEQUENCES // 2:
                 self._dropped += missing
         self._sequence = sequence
+
+    def _count_equal(self, data: bytes, origin: str) -> None:
+        self._equal = self._equal + 1 if data == self._last_data else 1
+        self._last_data = data
+        if self._equal > MOST_EQUAL:
+            self._note(
+                f"{origin}: found the same image {self._equal} times: has the camera stopped?"
+            )
 
     def _time_of(self, buffer: Buffer, now_ns: int) -> int:
         time_ns = buffer.monotonic_ns

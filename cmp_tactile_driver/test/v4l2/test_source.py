@@ -40,6 +40,26 @@ def test_a_camera_is_found_by_serial_link_and_path(open_source, plug, picture, d
     assert (source.frame_rate, source.health.problem) == (60.0, "")
 
 
+def test_a_camera_that_repeats_one_image_is_reported(open_source, plug, picture):
+    """Its force would be held for ever; tried: no word of it.
+
+    Reports: bluecherrydvr/unity 124, roleoroleo/yi-hack-Allwinner-v2 61.
+    """
+    camera = plug()
+    source = open_source()
+    source.start()
+
+    def problem_after(count: int, image) -> str:
+        for _ in range(count):
+            camera.give(image.tobytes())
+            assert source.poll(20.0) is not None
+        return source.health.problem
+
+    for image in (picture, picture[::-1]):
+        assert problem_after(10, image) == ""
+    assert "found the same image 11 times" in problem_after(11, picture)
+
+
 @pytest.mark.parametrize("extra_step", [0, 12])
 @pytest.mark.parametrize("colour", [True, False])
 def test_pixel_formats_with_padded_rows(open_source, plug, bags, extra_step, colour):
