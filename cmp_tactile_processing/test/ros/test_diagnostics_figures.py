@@ -104,6 +104,21 @@ def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
     assert watch.missing == 3 + 5 * 2
 
 
+def test_a_clock_that_is_set_and_another_recording_miss_no_frames():
+    """Tried: 2591980 of 2592010 frames missing, where the second recording is of the next day.
+
+    Reports: stereolabs/zed-ros-wrapper 778, ouster-lidar/ouster-sdk 176, evercam/ex_nvr 404.
+    """
+    watch = InputWatch()
+    for day in range(3):
+        for k in range(1, 10):
+            watch.take_message((86_400_000 * day + 33 * k) * MS, None)
+    assert watch.missing == 0
+    # A source that was silent for two seconds.
+    watch.take_message((86_400_000 * 2 + 33 * 69) * MS, None)
+    assert watch.missing == 59
+
+
 def test_frames_that_were_lost_here_are_not_missing_before_too():
     watch = InputWatch()
     for k in [*range(1, 10), 13, *range(14, 20), *range(22, 40, 3)]:

@@ -35,6 +35,9 @@ class StampWatch:
     speak of.
     """
 
+    longest_gap_ns = math.inf
+    """A longer gap misses no frames."""
+
     def __init__(self) -> None:
         self.missing = 0
         self.stamps = dict.fromkeys(Stamp, 0)
@@ -58,7 +61,7 @@ class StampWatch:
         if passed < 0:
             self._gaps = 0
             return Stamp.BACK
-        if passed < stamp_ns:  # else it is the first
+        if passed < min(stamp_ns, self.longest_gap_ns):  # all of the stamp has passed at the first
             self._pace(passed, lost - self._lost_before)
             self._lost_before = lost
         return Stamp.LATER
@@ -87,6 +90,9 @@ class InputWatch(StampWatch):
     topic: of the subscription.  newest: only the newest message is wanted.
     end: where frames come by a plain call, it knows the losses of the entrance.
     """
+
+    # A longer gap is to another recording, or of a clock that was set.
+    longest_gap_ns = 60e9
 
     def __init__(self, topic: str = "", *, newest: bool = False) -> None:
         super().__init__()
