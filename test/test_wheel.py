@@ -4,6 +4,7 @@ Reports of the kind, which the packaged sensors of our wheel had too: serpent-to
 163, matminer 178 (YAML files are there in the checkout and not where a wheel is installed).
 """
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -55,6 +56,24 @@ def environment(tmp_path_factory):
     return python
 
 
+def compiled_for(environment, folder):
+    """A cache folder for the wheel with what the checkout's same sources were compiled to.
+
+    Numba names a folder by that of the sources, and checks that those are unchanged.
+    """
+    (package,) = environment.parents[1].glob("lib/python*/site-packages/cmp_tactile_processing")
+    for sources in package.rglob("*/"):
+        ours = CORE / package.name / sources.relative_to(package)
+        compiled = Path(os.environ["NUMBA_CACHE_DIR"], cache_name(ours))
+        if compiled.is_dir():
+            shutil.copytree(compiled, folder / cache_name(sources))
+    return folder
+
+
+def cache_name(sources):
+    return f"{sources.name}_{hashlib.sha1(str(sources).encode()).hexdigest()}"  # noqa: S324
+
+
 def test_the_example_of_the_readme_runs_on_the_wheel(environment, packaged_grasp, tmp_path):
     example = blocks((ROOT / "README.md").read_text(encoding="utf-8"), "python")[0]
     shutil.copy(packaged_grasp / "sensor.yaml", tmp_path / "my_sensor.yaml")
@@ -62,7 +81,8 @@ def test_the_example_of_the_readme_runs_on_the_wheel(environment, packaged_grasp
     np.save(tmp_path / "frames.npy", np.stack([*frames[:2], frames[PRESSED]]))
     (tmp_path / "example.py").write_text(BEFORE + example + AFTER, encoding="utf-8")
     # Nothing of this checkout, and no ROS.
-    kept = {"PATH": os.defpath, "HOME": str(tmp_path)}
+    compiled = compiled_for(environment, tmp_path / "compiled")
+    kept = {"PATH": os.defpath, "HOME": str(tmp_path), "NUMBA_CACHE_DIR": str(compiled)}
     printed = run(environment, "example.py", cwd=tmp_path, env=kept)
     *force, corners = map(float, printed.split())
     true = read_truth(packaged_grasp).wrench[PRESSED, :3]
