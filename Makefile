@@ -40,7 +40,7 @@ paper: build ## Run the paper's experiments: 30 minutes on 2 cores (FAST=1: fewe
 		$(if $(FAST),--fast) $(PAPER_ARGS)
 
 test: build ## Run all tests: 15 to 25 minutes (PYTEST_ARGS="-k grid" for some of them; ROS=jazzy for Jazzy)
-	@setup/run python3 -m pytest -n logical --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
+	@setup/run python3 -m pytest -n auto --dist loadfile --no-loadscope-reorder $(PYTEST_ARGS)
 
 check: build ## Check style, types and imports (docs/architecture.md)
 	@setup/run ruff check

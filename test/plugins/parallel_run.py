@@ -18,6 +18,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+# Each needs up to 2.5 GB.
+MOST_WORKERS = 4
 # The highest number whose ports are free everywhere.
 LAST_DOMAIN = 101
 # The ports of a domain (DDS interoperability wire protocol, 9.6.1.1).
@@ -104,6 +106,12 @@ def pytest_configure(config: pytest.Config) -> None:
         folder = tempfile.TemporaryDirectory(prefix="cmp_tactile_turns_")
         config.add_cleanup(folder.cleanup)
         config.stash[_FOLDER] = folder.name
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Workers of `-n auto`: one more than processors, as many tests wait for other processes."""
+    return min((os.cpu_count() or 1) + 1, MOST_WORKERS)
 
 
 @pytest.hookimpl(optionalhook=True)
