@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
+import runpy
 import subprocess
 import sys
+from contextlib import redirect_stdout
 
 import pytest
 
@@ -23,6 +26,14 @@ def one_line_error(capsys: pytest.CaptureFixture[str], *expected: str) -> None:
     (line,) = (line for line in err.splitlines() if line.startswith("error:"))
     for text in expected:
         assert text in line
+
+
+def printed_by(script: object, *arguments: object) -> str:
+    """What a program prints, in this process: without the seconds in which one of its own loads."""
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as out:
+        patch.setattr(sys, "argv", [str(script), *map(str, arguments)])
+        runpy.run_path(str(script), run_name="__main__")
+    return out.getvalue()
 
 
 def output_of(*arguments: object, **environment: str | None) -> str:

@@ -1,13 +1,12 @@
 """docs/tutorials/weigh.md: its commands do what it says, as they stand in it."""
 
-import runpy
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_output import printed_by
 from documents import assert_printed, blocks, shell_lines, shown_after
 
 from cmp_tactile_bringup.command import main
@@ -19,15 +18,13 @@ PRACTICE = TUTORIAL.read_text(encoding="utf-8")
 OWN = (TUTORIAL.parents[1] / "calibrate.md").read_text(encoding="utf-8")
 
 
-def run(line, capsys, monkeypatch):
+def run(line, capsys):
     """What a command of the tutorial prints; it must end well."""
     program, *arguments = shlex.split(line)
+    if program == "python3":
+        return printed_by(*arguments)
     if program == "cmp_tactile":
         assert main(arguments) == 0, line
-    elif program == "python3":
-        # As a process of its own would, but for the seconds that loading takes.
-        monkeypatch.setattr(sys, "argv", arguments)
-        runpy.run_path(arguments[0], run_name="__main__")
     else:
         # For its redirection.
         subprocess.run(["bash", "-c", line], check=True)
@@ -61,7 +58,7 @@ def test_a_weight_is_read_back_and_two_weights_determine_an_unknown_gel(
     first, *others = shell_lines(PRACTICE)
     assert first == "cmp_tactile simulate weigh --output weigh"
     (tmp_path / "weigh").symlink_to(weigh_bag)
-    printed = {line: run(line, capsys, monkeypatch) for line in others}
+    printed = {line: run(line, capsys) for line in others}
     described, wrong, weighed = (
         table(text) for line, text in printed.items() if line.startswith("python3")
     )
