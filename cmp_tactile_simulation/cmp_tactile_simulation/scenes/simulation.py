@@ -222,6 +222,7 @@ class Simulation:
             scene.indenter.friction,
         )
         self._motion = description.Motion(scene.motion)
+        self._phase_end: tuple[description.PhaseStart, Pose] | None = None
 
     @cached_property
     def camera(self) -> SceneCamera:
@@ -330,6 +331,12 @@ class Simulation:
                 state.contact, description.load_between(begin.load, goal, share)
             )
         else:
-            end = description.goal_pose(goal, begin.pose, self.contact)
+            end = self._end_of_phase(begin, goal)
             contact = self.contact.move(state.contact, begin.pose.towards(end, share))
         return MechanicalState(frame, contact, begin)
+
+    def _end_of_phase(self, begin: description.PhaseStart, goal: description.Goal) -> Pose:
+        """The goal's pose, worked out once: to look for where a mesh touches takes a second."""
+        if self._phase_end is None or self._phase_end[0] is not begin:
+            self._phase_end = begin, description.goal_pose(goal, begin.pose, self.contact)
+        return self._phase_end[1]
