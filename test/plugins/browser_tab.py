@@ -16,6 +16,11 @@ window.scenes = [];
 window.__THREE_DEVTOOLS__ = new EventTarget();
 window.__THREE_DEVTOOLS__.addEventListener('observe', event => {
   const seen = event.detail;
+  if (seen.isWebGLRenderer) {
+    // Without a graphics card, pictures of the whole window take most of the time.
+    seen.setPixelRatio(0.2);
+    seen.setPixelRatio = () => {};
+  }
   if (!seen.isScene) return;
   window.scenes.push(seen);
   seen.onBeforeRender = (renderer, scene, camera) => {
