@@ -249,12 +249,17 @@ def test_on_a_terminal_what_is_missing_is_asked_for(tmp_path):
     assert "size:" in path.read_text().split("# x, y, thickness at the apex, assumed")[0]
 
 
-def test_nothing_is_asked_for_where_that_is_said(tmp_path):
+def test_nothing_is_asked_for_where_that_is_said(tmp_path, monkeypatch, capsys):
     picture, path = shutil.copy(PICTURE, tmp_path / "gel.png"), tmp_path / "mine.yaml"
-    words = ["init", str(picture), "--pitch", "1.5", "--yes", "-o", str(path)]
-    shown, code = answered(words, [])
-    assert code == 0, shown
-    assert path.exists()
-    shown, code = answered(["init", str(picture), "--yes", "-o", str(tmp_path / "b.yaml")], [])
-    assert code == 2
-    assert "--pitch: found nothing" in shown
+    terminal, theirs = pty.openpty()
+    # The end of the input, for whoever asks.
+    os.write(terminal, b"\x04" * 10)
+    with os.fdopen(theirs) as stdin:
+        assert stdin.isatty()
+        monkeypatch.setattr("sys.stdin", stdin)
+        assert main(["init", str(picture), "--pitch", "1.5", "--yes", "-o", str(path)]) == 0
+        assert path.exists()
+        with pytest.raises(SystemExit, match="2"):
+            main(["init", str(picture), "--yes", "-o", str(tmp_path / "b.yaml")])
+    os.close(terminal)
+    assert "--pitch: found nothing" in capsys.readouterr().err

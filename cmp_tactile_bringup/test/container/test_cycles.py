@@ -26,7 +26,7 @@ from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
 from cmp_tactile_processing.ros.wiring import Given, Input, WiredNode
 
-CYCLES = 6
+WARM_UP, CYCLES = 2, 4
 PERIOD_S = 0.02
 # A component that stayed would have some 10,000.  Memory does not show it: each node of rclpy
 # leaves 0.1 MB behind in ROS itself.
@@ -141,11 +141,11 @@ def test_components_come_and_go_beside_a_sensor_at_full_rate(cell):
         for unique_id in (ids[1], ids[0], ids[2]):
             cell.container.unload(unique_id)
 
-    for number in range(3):
+    for number in range(WARM_UP):
         cycle(number)
     before = threading.active_count(), _handles(), _objects()
     sent = camera.sent
-    for number in range(3, CYCLES + 3):
+    for number in range(WARM_UP, WARM_UP + CYCLES):
         cycle(number)
     assert camera.sent > sent
     # By itself, before anybody here collects garbage.
