@@ -82,13 +82,18 @@ CORNER_TOLERANCE_PX, REPROJECTION_PX = 0.1, 0.02
 FOCAL_TOLERANCE, MIRROR_TOLERANCE_M, RADIUS_TOLERANCE = 0.005, 5e-5, 0.01
 
 
-def frames_of(sensor, count=1):
-    """Frames of a sensor at rest, which differ by their noise."""
+def frame_of(sensor):
+    """A frame of a sensor at rest."""
     rendered = Renderer(sensor, Checkerboard(sensor.pattern)).render(
         DeformedSurface.rest(sensor.pattern)
     )
-    streams = map(np.random.default_rng, range(count))
-    return [expose([rendered], CameraSettings(), stream) for stream in streams]
+    return expose([rendered], CameraSettings(), np.random.default_rng(0))
+
+
+@pytest.fixture(scope="module")
+def sample_frame():
+    """Of the sample rig."""
+    return frame_of(load_sensor("sample_rig"))
 
 
 def corners_of(sensor, frame):
@@ -123,7 +128,7 @@ RIGS = {
 @pytest.mark.parametrize("rig", RIGS)
 def test_two_views_in_mirrors_are_described_as_they_are(rig, tmp_path, capsys):
     truth, path = RIGS[rig](), tmp_path / "mine.yaml"
-    (frame,) = frames_of(truth)
+    frame = frame_of(truth)
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
     assert asked_for(path, tmp_path / "rest.png", truth) == 0
     found = load_sensor(str(path))
@@ -163,7 +168,7 @@ def camera_pair():
 
 def test_two_cameras_are_told_from_mirrors(tmp_path, capsys):
     truth, path = camera_pair(), tmp_path / "mine.yaml"
-    (frame,) = frames_of(truth)
+    frame = frame_of(truth)
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
     assert asked_for(path, tmp_path / "rest.png", truth) == 0
     assert "20 x 20 corners in the pictures of two cameras" in capsys.readouterr().out
@@ -177,18 +182,17 @@ def test_two_cameras_are_told_from_mirrors(tmp_path, capsys):
     assert fx == pytest.approx(truth.views["left"].camera.fx, rel=0.02)
 
 
-def test_views_that_the_given_kind_does_not_show_are_refused(tmp_path, capsys):
+def test_views_that_the_given_kind_does_not_show_are_refused(sample_frame, tmp_path, capsys):
     truth, path = load_sensor("sample_rig"), tmp_path / "mine.yaml"
-    (frame,) = frames_of(truth)
-    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    cv2.imwrite(str(tmp_path / "rest.png"), sample_frame)
     assert asked_for(path, tmp_path / "rest.png", truth, "--views", "cameras") == 1
     assert "expected another --views" in capsys.readouterr().err
     assert not path.exists()
 
 
-def test_one_of_two_views_in_sight_is_named_where_two_are_asked_for(tmp_path, capsys):
+def test_one_of_two_views_in_sight_is_named_where_two_are_asked_for(sample_frame, tmp_path, capsys):
     truth = load_sensor("sample_rig")
-    (frame,) = frames_of(truth)
+    frame = sample_frame.copy()
     frame[:, 512:] = np.random.default_rng(1).normal(90, 3, (768, 512)).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
     path = tmp_path / "mine.yaml"
@@ -200,10 +204,10 @@ def test_one_of_two_views_in_sight_is_named_where_two_are_asked_for(tmp_path, ca
     assert "20 x 20 corners, and the pattern ends" in capsys.readouterr().out
 
 
-def test_unequal_patterns_in_the_two_views_are_refused(tmp_path, capsys):
+def test_unequal_patterns_in_the_two_views_are_refused(sample_frame, tmp_path, capsys):
     truth = load_sensor("sample_rig")
     smaller = replace(truth, pattern=replace(truth.pattern, rows=17))
-    (frame,), (other,) = frames_of(truth), frames_of(smaller)
+    frame, other = sample_frame.copy(), frame_of(smaller)
     frame[:, 512:] = other[:, 512:]
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
     path = tmp_path / "mine.yaml"
@@ -233,10 +237,9 @@ def answered(words, answers):
     return shown, process.wait(60)
 
 
-def test_on_a_terminal_what_is_missing_is_asked_for(tmp_path):
-    truth, path = load_sensor("sample_rig"), tmp_path / "mine.yaml"
-    (frame,) = frames_of(truth)
-    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+def test_on_a_terminal_what_is_missing_is_asked_for(sample_frame, tmp_path):
+    path = tmp_path / "mine.yaml"
+    cv2.imwrite(str(tmp_path / "rest.png"), sample_frame)
     answers = [tmp_path / "rest.png", "soft", "0.7", "", "300", ""]
     shown, code = answered(["init", "-o", str(path)], answers)
     assert code == 0, shown
