@@ -6,15 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_viewer.errors import ViewerError
-from cmp_tactile_viewer.snapshot import (
-    Action,
-    HealthLine,
-    Level,
-    PassiveSource,
-    Pose,
-    ShownSensor,
-    Touch,
-)
+from cmp_tactile_viewer.snapshot import Action, PassiveSource, Pose, ShownSensor, Touch
 from cmp_tactile_viewer.sources.recording import open_source
 
 BUTTON = "press me"
@@ -113,15 +105,6 @@ def test_the_mouse_drags_the_indenter(controlled, serve, opened, snapshots):
     x, y, z = controlled.moves[-1].position
     assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert z < 0.002
-
-
-def test_texts_from_topics_are_shown_as_they_are(source, serve, opened):
-    page = serve(source)
-    tab = opened(page)
-    tab.sees("nothing to report yet")
-    page.show_health([HealthLine(Level.WARN, "/thumb/camera", "<b id=bad>gone</b> & lost")])
-    tab.sees("<b id=bad>gone</b> & lost")
-    assert tab.tab.locator("#bad").count() == 0
 
 
 def test_the_slider_seeks_and_the_end_is_said(grasp_bag, sensor, serve, opened):

@@ -119,6 +119,7 @@ def test_each_camera_button_frames_the_gel(source, serve, opened, snapshots):
 
 
 def test_buttons_stay_where_they_are_whatever_is_said(recorded, serve, opened):
+    """Texts from topics are shown as they are."""
     page = serve(recorded)
     tab = opened(page)
     tab.sees("nothing to report yet")
@@ -133,6 +134,9 @@ def test_buttons_stay_where_they_are_whatever_is_said(recorded, serve, opened):
     tab.tab.wait_for_timeout(300)
     assert button.bounding_box() == place
     assert folder.bounding_box() == below
+    page.show_health([HealthLine(Level.WARN, "/thumb/camera", "<b id=bad>gone</b> & lost")])
+    tab.sees("<b id=bad>gone</b> & lost")
+    assert tab.tab.locator("#bad").count() == 0
 
 
 def test_a_recording_that_goes_on_is_seen(recorded, serve, opened):
