@@ -51,10 +51,15 @@ def _repaired(stream: TextIO) -> TextIO:
     if not isinstance(stream, io.TextIOWrapper):
         return stream
     raw = getattr(stream.buffer, "raw", stream.buffer)
-    # A terminal that was closed is known to be a device, and no more to be a terminal.
+    # For a closed terminal isatty() is false, but it still is a character device.
     if isinstance(raw, io.FileIO) and stat.S_ISCHR(os.fstat(raw.fileno()).st_mode):
         terminal = io.BufferedWriter(_Terminal(raw.fileno(), "w", closefd=False))
-        stream = io.TextIOWrapper(terminal, stream.encoding, line_buffering=True)
+        stream = io.TextIOWrapper(
+            terminal,
+            stream.encoding,
+            line_buffering=True,
+            write_through=stream.write_through,
+        )
     stream.reconfigure(errors="backslashreplace")
     return stream
 
@@ -105,6 +110,8 @@ class _Interruption:
         return self.number and 128 + self.number
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        if number == self.number == signal.SIGHUP:
+            return  # a shell and the kernel send one each
         self.number = number
         if not self.has_begun:
             try:

@@ -23,6 +23,7 @@ from rclpy.node import Node
 
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.ros.process import log_raised
 from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 
 ComponentClass = type[Node]
@@ -114,10 +115,7 @@ class LoadedComponent:
             f"a callback raised an exception (number {self.callback_errors}); the node "
             f"continues\n{text}"
         )
-        if is_known:
-            self.node.get_logger().error(message, throttle_duration_sec=5.0)
-        else:
-            self.node.get_logger().error(message)
+        log_raised(self.node, message, is_known=is_known)
 
 
 class Spinner:

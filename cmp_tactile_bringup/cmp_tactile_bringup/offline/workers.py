@@ -100,7 +100,7 @@ def _run_pool(left: dict[int, Task], display: Display, processes: int) -> list[i
 def _for_new_processes() -> Iterator[None]:
     """Processes that begin here have ENVIRONMENT and run nothing of the current folder.
 
-    Ctrl-C and the end of the terminal do not reach them, for good: their parent ends them.
+    They never receive Ctrl-C or the end of the terminal: their parent ends them.
     """
     before, folder = dict(os.environ), os.open(".", os.O_PATH)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGHUP])

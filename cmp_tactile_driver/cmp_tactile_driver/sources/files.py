@@ -47,11 +47,15 @@ def _next_shape(content: NDArray[np.uint8]) -> tuple[int, ...]:
 
 def _is_animation(content: NDArray[np.uint8]) -> bool:
     """Whether it is a PNG or WebP of several images, which each says before its first."""
-    head = content[:21].tobytes()
-    if head.startswith(b"\x89PNG"):
-        _, _, control = content.tobytes().partition(b"IDAT")[0].partition(b"acTL")
-        return int.from_bytes(control[:4], "big") > 1
-    return head[8:16] == b"WEBPVP8X" and bool(head[20] & 2)
+    data = content.tobytes()
+    if not data.startswith(b"\x89PNG"):
+        return data[8:16] == b"WEBPVP8X" and bool(data[20] & 2)
+    chunk = 8
+    while (kind := data[chunk + 4 : chunk + 8]) not in (b"IDAT", b""):
+        if kind == b"acTL":
+            return int.from_bytes(data[chunk + 8 : chunk + 12], "big") > 1
+        chunk += 12 + int.from_bytes(data[chunk : chunk + 4], "big")
+    return False
 
 
 DEFAULT_FRAME_RATE = 30.0

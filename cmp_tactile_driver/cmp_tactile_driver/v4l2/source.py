@@ -301,7 +301,6 @@ class V4L2Source:
         self._last_frame = now_ns * 1e-9
         self._count_dropped(buffer.sequence)
         origin = f"{self._found.path} frame {buffer.sequence}"
-        self._count_equal(buffer.data, origin)
         try:
             if buffer.damaged:
                 msg = "data: found a buffer that the kernel marks as damaged, expected a whole one"
@@ -312,6 +311,7 @@ class V4L2Source:
             self._bad_frames += 1
             self._note(f"{origin}: {error}")
             return None
+        self._count_equal(buffer.data, origin)
         # Only a good frame shows that the camera is well again.
         self._lost = ""
         self._back_off.reset()

@@ -398,9 +398,12 @@ def _matrix(key: str, matrix: NDArray[np.float64]) -> Iterator[str]:
 
 def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
     name = top.text("camera_name") if "camera_name" in top else "unknown"
-    # camera_calibration of Melodic wrote the second.
-    keys = [key for key in ("distortion_model", "camera_model") if key in top]
-    model = top.choice(keys[0], tuple(DISTORTION_LENGTH)) if keys else "plumb_bob"
+    model = "plumb_bob"
+    if "distortion_model" in top:
+        model = top.choice("distortion_model", tuple(DISTORTION_LENGTH))
+    elif "camera_model" in top and top.text("camera_model") in DISTORTION_LENGTH:
+        # As camera_calibration of Melodic wrote it; another tool's may be the projection.
+        model = top.text("camera_model")
     info = ViewCameraInfo(
         width=top.integer("image_width", 1, MAX_IMAGE_SIDE),
         height=top.integer("image_height", 1, MAX_IMAGE_SIDE),

@@ -90,7 +90,8 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
 
         otherwise: the message where nothing is found.
         """
-        wrong = [*unconnected(self), *(mixed(self, topic) for topic in self._mixed_topics())]
+        mixtures = (mixed(self, topic) for topic in self._take_mixed_topics())
+        wrong = [*unconnected(self), *filter(None, mixtures)]
         for text in wrong:
             if text not in self._wrong_before:
                 self.get_logger().warning(text)
@@ -178,7 +179,7 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
     def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         self.thresholds = thresholds
 
-    def _mixed_topics(self) -> list[str]:
+    def _take_mixed_topics(self) -> list[str]:
         """Inputs with messages of several publishers by turns since the last call."""
         return []
 
@@ -340,8 +341,8 @@ class StageNode(ReportingNode):
             self.diagnostics.bad_frame(f"{topic}: {error!r}")
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
-    def _mixed_topics(self) -> list[str]:
-        return [watch.topic for watch in self.diagnostics.inputs if watch.were_mixed()]
+    def _take_mixed_topics(self) -> list[str]:
+        return [watch.topic for watch in self.diagnostics.inputs if watch.take_mixed()]
 
     def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
         super()._use_thresholds(thresholds)

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -23,8 +23,8 @@ from rclpy.executors import (
     ExternalShutdownException,
     ShutdownException,
     SingleThreadedExecutor,
-    TimeoutException,
 )
+from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -108,17 +108,30 @@ def init_beside(context: Context) -> None:
 class LastingExecutor(SingleThreadedExecutor):
     """Goes on after a callback that raised, as by a request that rclpy itself cannot read."""
 
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """As the base class's, but logs what the callback raises."""
-        with suppress(ShutdownException, TimeoutException):
-            callback, _, node = self.wait_for_ready_callbacks(timeout_sec)
-            callback()
-            error = callback.exception()
-            # A signal shuts the context down first; whatever then fails in rcl is part of the end.
-            if error is not None and self._context.ok():
+    def spin(self) -> None:
+        """Until it or its context is shut down; logs what callbacks raise."""
+        before = ""
+        with suppress(ShutdownException):
+            while self.context.ok():
+                callback, _, node = self.wait_for_ready_callbacks()
+                callback()
+                error = callback.exception()
+                # A signal shuts the context down first; what then fails in rcl is part of the end.
+                if error is None or not self.context.ok():
+                    continue
                 trace = "".join(traceback.format_exception(error))
                 text = f"a callback raised an exception; the node continues\n{trace}"
-                node.get_logger().error(text, throttle_duration_sec=LOGGED_S)
+                log_raised(node, text, is_known=trace == before)
+                before = trace
+
+
+def log_raised(node: Node | None, text: str, *, is_known: bool) -> None:
+    """Log what a callback of a node raised; what is known already only once in five seconds."""
+    logger = get_logger("rclpy") if node is None else node.get_logger()
+    if is_known:
+        logger.error(text, throttle_duration_sec=LOGGED_S)
+    else:
+        logger.error(text)
 
 
 def spare_the_collector() -> None:
@@ -135,7 +148,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
 
     0 after a clean end; 1, with one line on stderr, where the node cannot start as it is set up.
     """
-    node = None
+    node = executor = None
     before = frozenset(threading.enumerate())
     try:
         with _interruptible():
@@ -156,6 +169,8 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
         if rclpy.ok():
             raise
     finally:
+        if executor is not None:
+            executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
@@ -186,7 +201,7 @@ def _interruptible() -> Iterator[None]:
 
     Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
     the interrupt is repeated until it comes through, and no traceback is printed for the lost ones.
-    rclpy passes its signals on to these handlers.
+    rclpy passes SIGINT and SIGTERM on to these handlers.
     """
     report_unraisable = sys.unraisablehook
 
@@ -194,14 +209,18 @@ def _interruptible() -> Iterator[None]:
         if unraisable.exc_type is not KeyboardInterrupt:
             report_unraisable(unraisable)
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        if number == signal.SIGHUP:
+            # A shell and the kernel send one each: the second must not disturb the end.
+            before[number] = signal.SIG_IGN
+            signal.signal(number, signal.SIG_IGN)
         signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
         raise KeyboardInterrupt
 
     numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGALRM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` has it
         numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, interrupt) for number in numbers}
+    before: dict[int, Any] = {number: signal.signal(number, interrupt) for number in numbers}
     sys.unraisablehook = report
     try:
         yield

@@ -243,18 +243,24 @@ def _widen_in_depth(at: tuple[Layout, int], curves: LineCurves, planes: LinePlan
 @kernel_part(fastmath={"contract", "arcp", "nsz"})
 def _add_bow(first: int, n: int, curves: LineCurves, planes: LinePlanes, sums: Array) -> None:
     """Add what a segment says of its depth: normal equation, squared offsets over noise, count."""
-    left, frame, prior = planes.left, curves.frame, curves.prior
+    left, right, frame, prior = planes.left, planes.right, curves.frame, curves.prior
     for k in range(n):
         i = first + k
-        if left[3, i] > 0.0 and not _is_measured(left, planes.right, i):
-            a, b, c = left[0, i], left[1, i], left[2, i]
+        if _is_measured(left, right, i):
+            continue
+        # Two views of a gridline that neither measures see nearly the same plane.
+        share = 0.5 if left[3, i] > 0.0 and right[3, i] > 0.0 else 1.0
+        for plane in (left, right):
+            if not plane[3, i] > 0.0:
+                continue
+            a, b, c = plane[0, i], plane[1, i], plane[2, i]
             by_depth = (a * frame[2, i] + b * frame[5, i]) * _bow(k, n)
-            noise = 1.0 / left[3, i]
+            noise = 1.0 / plane[3, i]
             noise += a * a * prior[0, i] + 2 * a * b * prior[1, i] + b * b * prior[2, i]
-            sums[0] += by_depth * by_depth / noise
-            sums[1] += by_depth * c / noise
-            sums[2] += c * c / noise
-            sums[3] += 1.0
+            sums[0] += share * by_depth * by_depth / noise
+            sums[1] += share * by_depth * c / noise
+            sums[2] += share * c * c / noise
+            sums[3] += share
 
 
 @kernel_part

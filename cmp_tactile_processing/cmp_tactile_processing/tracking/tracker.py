@@ -259,7 +259,8 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault, self._kind)
-        position = with_bends(corners.position, corners.std, corners.pull)
+        straight = corners.position, corners.std, corners.pull
+        position = with_bends(*straight)
         std, predicted = corners.std, corners.predicted
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:
@@ -267,9 +268,8 @@ class GridTracker:
             predicted = predicted | (self._defects.corner_weight < LEAST_WEIGHT)
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
-        # The gridlines show how they bend near a corner, and their neighbours only on the whole.
-        bent = corners.position, corners.std, corners.pull
-        position = with_bends(*bent, rows.position, cols.position)
+        # Virtual markers show how gridlines bend close to a corner; other corners are farther off.
+        position = with_bends(*straight, (rows.position, cols.position))
         position, std = self._fused(position, std, predicted | corners.off_model)
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin

@@ -110,6 +110,9 @@ def test_files_of_other_tools_are_read(tmp_path):
     path.write_text(short.replace("distortion_model: plumb_bob", "camera_model: equidistant"))
     _, info = read_camera_info(path)
     assert (info.model, len(info.D)) == ("equidistant", 4)
+    # Another tool's kind of projection.
+    path.write_text(short.replace("distortion_model: plumb_bob", "camera_model: pinhole"))
+    assert read_camera_info(path)[1].model == "plumb_bob"
 
 
 @pytest.mark.parametrize(

@@ -64,6 +64,10 @@ def test_signal_ends_the_process_with_zero(ros, tmp_path, node, number):
         )
         time.sleep(0.3)
         process.send_signal(number)
+        if number == signal.SIGHUP:
+            # As a shell and then the kernel do.
+            time.sleep(0.005)
+            process.send_signal(number)
         _, errors = process.communicate(timeout=END_TIMEOUT_S)
     finally:
         process.kill()
@@ -95,7 +99,7 @@ def test_wrong_parameter_is_one_line_and_exit_code_one(node, parameter, reason):
 
 
 def test_a_callback_that_raises_does_not_end_the_others():
-    """ROS's own raise at a request of an unknown type; tried: it ended every node by itself.
+    """ROS's own raise at a request of an unknown type; tried: that ended every node by itself.
 
     Reports: ros2/rclcpp 3257, Karsten1987/confbot_robot 28, ros-controls/ros2_controllers 136.
     """

@@ -171,7 +171,8 @@ def test_a_bend_between_corners_is_measured_where_both_views_tell(rig):
     assert (cols.status == Status.MEASURED).all()
 
 
-def test_a_groove_that_neither_view_measures_shows_in_the_std(rig):
+@pytest.mark.parametrize("blind", ["left", "right", ""])
+def test_a_groove_that_neither_view_measures_shows_in_the_std(rig, blind):
     """A groove along y between two columns: rows run across it, and along the baseline."""
     pitch = rig.pattern.pitch
 
@@ -180,6 +181,8 @@ def test_a_groove_that_neither_view_measures_shows_in_the_std(rig):
         return np.stack([0 * x, 0 * x, -depth], axis=-1)
 
     scene = make_scene(rig, groove)
+    if blind:
+        scene.grids[blind].row_line_status[:] = Status.MISSING
     rows, _ = scene.triangulate()
     middle = rows.std.shape[1] // 2
     error = distance(rows.position, scene.rows)[:, middle]

@@ -74,7 +74,7 @@ def test_virtual_markers_show_how_a_gridline_bends_at_a_corner():
     rows = corners[:, :-1, None] + SIDE_PX * share[:, None] * (1, 0)
     cols = corners[:-1, :, None] + SIDE_PX * share[:, None] * (0, 1)
     std = np.full(corners.shape[:2], CERTAIN)
-    shift = with_bends(bent(corners), std, pull, bent(rows), bent(cols)) - bent(corners)
+    shift = with_bends(bent(corners), std, pull, (bent(rows), bent(cols))) - bent(corners)
     bend = -height / 2 * wave**2 * np.sin(wave * corners[..., 0] + 1.0)
     off = np.abs(shift[..., 1] + PULL * bend)[:, 2:-2].max() / np.abs(PULL * bend).max()
     assert off < 0.1
@@ -88,7 +88,7 @@ def test_a_ragged_edge_bends_no_corner():
     cols = corners[:-1, :, None] + SIDE_PX * np.arange(1, 7)[:, None] / 7 * (0, 1)
     corners[..., 1] += 1e-4 * corners[..., 0] ** 2
     std = np.full(corners.shape[:2], CERTAIN)
-    shift = with_bends(corners, std, pull, rows, cols) - corners
+    shift = with_bends(corners, std, pull, (rows, cols)) - corners
     assert np.abs(shift[..., 1] - moved(corners, pull)[..., 1]).max() < 0.01 * SIDE_PX
 
 

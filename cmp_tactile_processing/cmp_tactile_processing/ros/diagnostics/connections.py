@@ -56,8 +56,10 @@ def _reason(publisher: Any, subscription: Any) -> str:
 
 
 def mixed(node: Node, topic: str) -> str:
-    """That publishers of a topic take turns, with their names."""
+    """That publishers of a topic take turns, with their names; empty once there is only one."""
     names = sorted(map(_full_name, node.get_publishers_info_by_topic(topic)))
+    if len(names) < 2:
+        return ""
     return f"{topic}: the messages of {' and '.join(names)} are mixed; end all of them but one"
 
 

@@ -61,7 +61,7 @@ class StampWatch:
         if passed < 0:
             self._gaps = 0
             return Stamp.BACK
-        if passed < min(stamp_ns, self.longest_gap_ns):  # all of the stamp has passed at the first
+        if passed < min(stamp_ns, self.longest_gap_ns):  # before the first frame is no interval
             self._pace(passed, lost - self._lost_before)
             self._lost_before = lost
         return Stamp.LATER
@@ -118,7 +118,7 @@ class InputWatch(StampWatch):
     def _never_taken(self) -> int:
         return self._lost + (0 if self.end is None else self.end.dropped)
 
-    def were_mixed(self) -> bool:
+    def take_mixed(self) -> bool:
         """Whether publishers took turns since the last call; one that follows another does not."""
         returns, self._returns = self._returns, 0
         return returns > 1

@@ -18,27 +18,29 @@ Float = NDArray[np.float64]
 SHARPEN = -1 / 8
 # And this share takes a corner's own error out of its bend: for where all differences are noise.
 SMOOTHEN = 1 / 3
-# Order of the curve through the virtual markers around a corner.  Where these turn by more than
-# twice this from checker to checker, rad, against what the corners show, they follow a ragged edge.
-DEGREE, RAGGED = 4, 0.1
+# Degree of the curve through the virtual markers around a corner, of few and of more per segment.
+LOW_DEGREE, FEW_MARKERS, DEGREE = 2, 3, 4
+# Where these turn by more than this from checker to checker, rad, against what the corners show,
+# they follow a ragged edge.
+RAGGED_TURN = 0.2
 
 
 def with_bends(
     corners: Float,
     std: Float,
     pull: Float,
-    row_lines: Float | None = None,
-    col_lines: Float | None = None,
+    lines: tuple[Float, Float] | None = None,
 ) -> Float:
     """Corners (rows, cols, 2) px once their edges are expected to bend as the gridlines do.
 
-    std (rows, cols) px; pull (rows, cols, 2, 4): as of `SaddlePoints`.  row_lines
-    (rows, cols-1, n, 2), col_lines (rows-1, cols, n, 2): virtual markers, px; without them bends
-    are those that the corners themselves show.
+    std (rows, cols) px; pull (rows, cols, 2, 4): as of `SaddlePoints`.  lines: virtual markers
+    (rows, cols-1, n, 2) and (rows-1, cols, n, 2), px; without them bends are those that the
+    corners themselves show.
     """
     rows, cols = corners.shape[:2]
-    row_lines = np.empty((rows, cols - 1, 0, 2)) if row_lines is None else row_lines
-    col_lines = np.empty((rows - 1, cols, 0, 2)) if col_lines is None else col_lines
+    if lines is None:
+        lines = np.empty((rows, cols - 1, 0, 2)), np.empty((rows - 1, cols, 0, 2))
+    row_lines, col_lines = lines
     derivatives = _derivatives(col_lines.shape[2])
     moved: Float = corners.copy()
     _add_bends(corners, std, pull, (col_lines, derivatives), moved)
@@ -50,12 +52,13 @@ def with_bends(
 
 @lru_cache
 def _derivatives(n: int) -> Float:
-    """Weights (2, 2 n + 1) of the first and half the second derivative, per segment, in the middle.
+    """Weights (2, 2 n + 1) of the first and half the second derivative, per segment, at a corner.
 
-    Of the n virtual markers before a corner, itself and n behind it: by a curve of fourth order.
+    Of the n virtual markers before the corner, the corner and the n behind it; (0, 1) for n = 0.
     """
     place = np.arange(-n, n + 1) / (n + 1)
-    terms = np.vander(place, min(DEGREE, 2 * n) + 1, increasing=True)
+    degree = LOW_DEGREE if n <= FEW_MARKERS else DEGREE
+    terms = np.vander(place, min(degree, 2 * n) + 1, increasing=True)
     return np.ascontiguousarray(np.linalg.pinv(terms)[1:3], dtype=np.float64)
 
 
@@ -111,7 +114,8 @@ def _see_bends(corners: Float, lines: tuple[Float, Float], trust: float, bends: 
                     bend[d] += derivatives[1, k] * before + derivatives[1, n + 1 + k] * behind
             scale = 1 / (slope[0] * slope[0] + slope[1] * slope[1])
             x, y = bend[0] * scale - bends[i, j, 0], bend[1] * scale - bends[i, j, 1]
-            share = trust / (1 + (x * x + y * y) / (scale * RAGGED * RAGGED))
+            # A bend is half a turn.
+            share = trust / (1 + 4 * (x * x + y * y) / (scale * RAGGED_TURN * RAGGED_TURN))
             if np.isfinite(share):
                 bends[i, j, 0] += share * x
                 bends[i, j, 1] += share * y

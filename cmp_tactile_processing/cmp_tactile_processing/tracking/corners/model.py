@@ -339,7 +339,8 @@ def refine_by_model(
         if np.isfinite(dx):
             position[n, 0] += dx
             position[n, 1] += dy
-            known, modelled[n] = known + 1, True
+            modelled[n] = True
+            known += 1
             share = max(1 / known, LATEST_SHARE)
             blur *= (p[P_BLUR] / blur) ** share
             right += share * (p[P_LIGHT] / p[P_HALF] - right)

@@ -26,8 +26,8 @@ ENTRIES = 5
 # A line that is further off than this many standard deviations, from the saddle or from the same
 # line beyond the corner, kinks there or has a flaw: it says nothing of the corner.
 DISAGREEMENT = 2.5
-# Lines that were fitted with a corner which was off, as they bend more than it was known, are off
-# by so many times as much.  Measured under a sphere that shears and twists the gel.
+# Lines that were fitted with a corner in the wrong place are off by this many times its error.
+# Measured under a sphere that shears and twists the gel.
 MISLED = 5.0
 
 
