@@ -3,9 +3,11 @@
 
 The bound of Cramer and Rao is the smallest standard deviation that an unbiased estimate can have.
 For a corner it is that of a shift, along x and y, of the pixels within half a checker of it; for a
-virtual marker, of a shift across its gridline of the pixels in its share of the segment. An
-estimate that also uses what lies farther away can be better than this bound. The pixels' gradients
-come from the rendered frame without noise, the noise from the camera's settings.
+virtual marker, of a shift across its gridline of the pixels in its share of the segment. The second
+bound of a corner is that where the pixels' places may also be off by any quadratic function of
+place: of an estimate that does not know how the edges bend. An estimate that also uses what lies
+farther away can be better than these bounds. The pixels' gradients come from the rendered frame
+without noise, the noise from the camera's settings.
 
 How many times its reported deviation an error is, as a root mean square, stands beside ours: 1 is
 right.
@@ -98,16 +100,23 @@ class View:
         self._slopes = np.stack([spline(y, x, dy=1), spline(y, x, dx=1)], axis=-1)
         self._shape = height, width
 
-    def of_corners(self) -> Array:
-        """Squared bounds (rows, cols) of the distance, px^2; NaN outside the view."""
+    def of_corners(self) -> tuple[Array, Array]:
+        """Squared bounds (rows, cols) of the distance, px^2; NaN outside the view.
+
+        The second are for unknown bends of the edges.
+        """
         corners = self.truth.corners
         side = self._sides()
-        found = np.full(corners.shape[:2], np.nan)
-        for place in np.ndindex(found.shape):
+        found = np.full((2, *corners.shape[:2]), np.nan)
+        for place in np.ndindex(corners.shape[:2]):
             offset, slope = self._around(corners[place], side[place])
             near = np.linalg.norm(offset, axis=-1) < side[place] / 2
-            found[place] = _variance(slope[near], self._noise)
-        return found
+            x, y = 2 * offset[near].T / side[place]
+            ones = np.ones_like(x)
+            for bound, terms in zip(found, ([ones], [ones, x * x, x * y, y * y]), strict=True):
+                effect = [term[:, None] * slope[near] for term in terms]
+                bound[place] = _variance(np.hstack(effect), self._noise)
+        return found[0], found[1]
 
     def of_markers(self, lines: Array, axis: int) -> tuple[Array, Array]:
         """Squared bounds (a, b, n) across the gridlines along an axis, px^2, and normals."""
@@ -144,12 +153,14 @@ class View:
         return offset, self._slopes[rows.ravel(), cols.ravel()]
 
 
-def _variance(slope: Array, noise: float) -> float:
-    """Trace of the smallest covariance of a shift of pixels with these gradients (m, 2), px^2."""
-    information = slope.T @ slope
-    if np.linalg.det(information) <= 0:
+def _variance(effect: Array, noise: float) -> float:
+    """Trace of the smallest covariance of a shift, px^2, from its effect on the pixels, first two
+    columns of (m, n), grey levels per px; the other columns: effects that are not known.
+    """
+    information = effect.T @ effect
+    if len(effect) == 0 or np.linalg.matrix_rank(information) < len(information):
         return np.nan
-    return float(noise**2 * np.trace(np.linalg.inv(information)))
+    return float(noise**2 * np.trace(np.linalg.inv(information)[:2, :2]))
 
 
 def _seen(**camera: float) -> Callable[[SensorDescription, int], list[PatternCase]]:
@@ -212,18 +223,19 @@ def marker_errors(grid: Grid, view: View) -> Iterator[tuple[Array, Array, Array]
 
 
 def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
-    """A row of the table: kind, bound of a corner, each detector, our virtual markers, and our
-    errors over the reported deviations.
+    """A row of the table: kind, both bounds of a corner, each detector, our virtual markers, and
+    our errors over the reported deviations.
     """
     sensor, studio = load_sensor(SENSOR), PatternStudio()
     corners = {detector.name: Squares() for detector in detectors}
-    markers, bounds = Squares(), []
+    markers, bounds, bent_bounds = Squares(), [], []
     of_corners, of_markers = Reported(), Reported()
     for seed in range(seeds):
         for case in KINDS[kind](sensor, seed):
             for name, image, view in _views(case, studio):
-                bound = view.of_corners()
+                bound, bent_bound = view.of_corners()
                 bounds.append(bound[np.isfinite(bound)])
+                bent_bounds.append(bent_bound[np.isfinite(bent_bound)])
                 for number, detector in enumerate(detectors):
                     found = detector.detect(case.sensor, name, image, view.truth).grid
                     corners[detector.name].add(corner_error(found, view.truth), bound)
@@ -233,8 +245,8 @@ def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
                         for error, std, limit in marker_errors(found, view):
                             markers.add(error**2, limit)
                             of_markers.add(error, std)
-    least = f"{np.sqrt(np.concatenate(bounds).mean()):.4f} px"
-    return [kind, least, *map(str, (*corners.values(), markers, of_corners, of_markers))]
+    least = (f"{np.sqrt(np.concatenate(each).mean()):.4f} px" for each in (bounds, bent_bounds))
+    return [kind, *least, *map(str, (*corners.values(), markers, of_corners, of_markers))]
 
 
 def main() -> int:
@@ -249,7 +261,17 @@ def main() -> int:
     detectors: list[Detector] = [ours()[0], *peers()]
     names = [detector.name for detector in detectors]
     print("RMS error, and how many times the bound that is")
-    print(head("frames", "bound", *names, "our virtual markers", "z of corners", "z of markers"))
+    print(
+        head(
+            "frames",
+            "bound",
+            "bends unknown",
+            *names,
+            "our virtual markers",
+            "z of corners",
+            "z of markers",
+        )
+    )
     for kind in arguments.kind or KINDS:
         print(line(*measure(kind, arguments.seeds, detectors)), flush=True)
     return 0

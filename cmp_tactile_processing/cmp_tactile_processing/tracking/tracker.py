@@ -19,7 +19,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
-from cmp_tactile_processing.tracking.corners.bends import with_bends
+from cmp_tactile_processing.tracking.corners.bends import GridlineBends
 from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
 from cmp_tactile_processing.tracking.corners.measured_markers import MeasuredMarkers
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
@@ -259,8 +259,8 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault, self._kind)
-        straight = corners.position, corners.std, corners.pull
-        position = with_bends(*straight)
+        bends = GridlineBends(corners.position, corners.std, corners.pull)
+        position = bends.corrected()
         std, predicted = corners.std, corners.predicted
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:
@@ -269,7 +269,8 @@ class GridTracker:
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
         # Virtual markers show how gridlines bend close to a corner; other corners are farther off.
-        position = with_bends(*straight, (rows.position, cols.position))
+        bends.add_markers(position, rows.position, cols.position)
+        position = bends.corrected()
         position, std = self._fused(position, std, predicted | corners.off_model)
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin

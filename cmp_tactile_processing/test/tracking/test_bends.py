@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.tracking.corners.bends import with_bends
+from cmp_tactile_processing.tracking.corners.bends import GridlineBends
 from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
 
 SIDE_PX = 20.0
@@ -26,8 +26,12 @@ def grid(rows=9, cols=11):
     return SIDE_PX * np.stack([j, i], axis=-1), pull
 
 
-def moved(corners, pull, std=CERTAIN):
-    return with_bends(corners, np.full(corners.shape[:2], std), pull) - corners
+def moved(corners, pull, std=CERTAIN, lines=None):
+    """What the corners' bends move them by, and those of virtual markers along rows and columns."""
+    bends = GridlineBends(corners, np.full(corners.shape[:2], std), pull)
+    if lines is not None:
+        bends.add_markers(bends.corrected(), *lines)
+    return bends.corrected() - corners
 
 
 def test_straight_gridlines_move_nothing():
@@ -73,8 +77,7 @@ def test_virtual_markers_show_how_a_gridline_bends_at_a_corner():
 
     rows = corners[:, :-1, None] + SIDE_PX * share[:, None] * (1, 0)
     cols = corners[:-1, :, None] + SIDE_PX * share[:, None] * (0, 1)
-    std = np.full(corners.shape[:2], CERTAIN)
-    shift = with_bends(bent(corners), std, pull, (bent(rows), bent(cols))) - bent(corners)
+    shift = moved(bent(corners), pull, lines=(bent(rows), bent(cols)))
     bend = -height / 2 * wave**2 * np.sin(wave * corners[..., 0] + 1.0)
     off = np.abs(shift[..., 1] + PULL * bend)[:, 2:-2].max() / np.abs(PULL * bend).max()
     assert off < 0.1
@@ -87,8 +90,7 @@ def test_a_ragged_edge_bends_no_corner():
     rows = corners[:, :-1, None] + SIDE_PX * np.arange(1, 7)[:, None] / 7 * (1, 0) + ragged
     cols = corners[:-1, :, None] + SIDE_PX * np.arange(1, 7)[:, None] / 7 * (0, 1)
     corners[..., 1] += 1e-4 * corners[..., 0] ** 2
-    std = np.full(corners.shape[:2], CERTAIN)
-    shift = with_bends(corners, std, pull, (rows, cols)) - corners
+    shift = moved(corners, pull, lines=(rows, cols))
     assert np.abs(shift[..., 1] - moved(corners, pull)[..., 1]).max() < 0.01 * SIDE_PX
 
 

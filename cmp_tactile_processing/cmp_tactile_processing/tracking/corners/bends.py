@@ -25,36 +25,61 @@ LOW_DEGREE, FEW_MARKERS, DEGREE = 2, 3, 4
 RAGGED_TURN = 0.2
 
 
-def with_bends(
-    corners: Float,
-    std: Float,
-    pull: Float,
-    lines: tuple[Float, Float] | None = None,
-) -> Float:
-    """Corners (rows, cols, 2) px once their edges are expected to bend as the gridlines do.
+class GridlineBends:
+    """How the gridlines of one grid bend at its corners, first as the corners show it.
 
-    std (rows, cols) px; pull (rows, cols, 2, 4): as of `SaddlePoints`.  lines: virtual markers
-    (rows, cols-1, n, 2) and (rows-1, cols, n, 2), px; without them bends are those that the
-    corners themselves show.
+    corners (rows, cols, 2) px; std (rows, cols) px; pull (rows, cols, 2, 4): as of `SaddlePoints`.
     """
-    rows, cols = corners.shape[:2]
-    if lines is None:
-        lines = np.empty((rows, cols - 1, 0, 2)), np.empty((rows - 1, cols, 0, 2))
-    row_lines, col_lines = lines
-    derivatives = _derivatives(col_lines.shape[2])
-    moved: Float = corners.copy()
-    _add_bends(corners, std, pull, (col_lines, derivatives), moved)
-    across = (corners, std, pull, row_lines)
-    corners, std, pull, row_lines = (np.ascontiguousarray(a.swapaxes(0, 1)) for a in across)
-    _add_bends(corners, std, pull, (row_lines, derivatives), moved.swapaxes(0, 1))
-    return moved
+
+    def __init__(self, corners: Float, std: Float, pull: Float) -> None:
+        self._corners = corners
+        self._cols = _AxisBends(corners, std, pull)
+        self._rows = _AxisBends(_transposed(corners), _transposed(std), _transposed(pull))
+
+    def add_markers(self, corners: Float, rows: Float, cols: Float) -> None:
+        """Improve the bends by the curves through the virtual markers.
+
+        corners: as corrected so far; rows (rows, cols-1, n, 2), cols (rows-1, cols, n, 2), px.
+        """
+        self._cols.add_markers(corners, cols)
+        self._rows.add_markers(_transposed(corners), _transposed(rows))
+
+    def corrected(self) -> Float:
+        """The corners (rows, cols, 2) px once their edges are expected to bend like this."""
+        moved: Float = self._corners + self._cols.shifts() + self._rows.shifts().swapaxes(0, 1)
+        return moved
+
+
+class _AxisBends:
+    """The bends of the gridlines along axis 0."""
+
+    def __init__(self, corners: Float, std: Float, pull: Float) -> None:
+        self._corners, self._pull = corners, pull
+        self._bends = np.empty_like(corners)
+        self._noise = _corner_bends(corners, std, self._bends)
+
+    def add_markers(self, corners: Float, markers: Float) -> None:
+        n = markers.shape[2]
+        if n > 0:
+            markers = np.ascontiguousarray(markers)
+            _add_markers(corners, markers, _derivatives(n), 1 - self._noise, self._bends)
+
+    def shifts(self) -> Float:
+        """By how much the bends move each corner (rows, cols, 2), px."""
+        shifts = np.zeros_like(self._corners)
+        _add_shifts(self._corners, self._bends, self._pull, shifts)
+        return shifts
+
+
+def _transposed(array: Float) -> Float:
+    return np.ascontiguousarray(array.swapaxes(0, 1))
 
 
 @lru_cache
 def _derivatives(n: int) -> Float:
     """Weights (2, 2 n + 1) of the first and half the second derivative, per segment, at a corner.
 
-    Of the n virtual markers before the corner, the corner and the n behind it; (0, 1) for n = 0.
+    Of the n virtual markers before the corner, the corner and the n behind it.
     """
     place = np.arange(-n, n + 1) / (n + 1)
     degree = LOW_DEGREE if n <= FEW_MARKERS else DEGREE
@@ -97,10 +122,21 @@ def _set_crests(corners: Float, std: Float, bends: Float, crests: Float) -> floa
     return min(noise / seen, 1.0) if seen > 0 else 1.0
 
 
-@kernel_part
-def _see_bends(corners: Float, lines: tuple[Float, Float], trust: float, bends: Float) -> None:
+@kernel
+def _corner_bends(corners: Float, std: Float, bends: Float) -> float:
+    """Set the bends along axis 0 to those that the corners show; which share of them is noise."""
+    crests = np.empty_like(corners)
+    _set_bends(corners, bends)
+    noise = _set_crests(corners, std, bends, crests)
+    bends += (SHARPEN + (SMOOTHEN - SHARPEN) * noise) * crests
+    return noise
+
+
+@kernel
+def _add_markers(
+    corners: Float, markers: Float, derivatives: Float, trust: float, bends: Float
+) -> None:
     """Mix into the bends those that virtual markers (a - 1, b, n, 2) along axis 0 show."""
-    markers, derivatives = lines
     n = markers.shape[2]
     slope, bend = np.empty((2, 2))
     for i in range(1, len(corners) - 1):
@@ -122,16 +158,8 @@ def _see_bends(corners: Float, lines: tuple[Float, Float], trust: float, bends: 
 
 
 @kernel
-def _add_bends(
-    corners: Float, std: Float, pull: Float, lines: tuple[Float, Float], moved: Float
-) -> None:
-    """Add to `moved` what bends along axis 0 pull each corner by."""
-    bends, crests = np.empty_like(corners), np.empty_like(corners)
-    _set_bends(corners, bends)
-    noise = _set_crests(corners, std, bends, crests)
-    bends += (SHARPEN + (SMOOTHEN - SHARPEN) * noise) * crests
-    if lines[0].shape[2] > 0:
-        _see_bends(corners, lines, 1 - noise, bends)
+def _add_shifts(corners: Float, bends: Float, pull: Float, shifts: Float) -> None:
+    """Add what bends along axis 0 move each corner by."""
     last = len(corners) - 1
     for i in range(last + 1):
         for j in range(corners.shape[1]):
@@ -148,4 +176,4 @@ def _add_bends(
             edge = first if is_first else second
             across = edge[0] * bend[1] - edge[1] * bend[0]
             for d in range(2):
-                moved[i, j, d] += edge[2 + d] * across
+                shifts[i, j, d] += edge[2 + d] * across
