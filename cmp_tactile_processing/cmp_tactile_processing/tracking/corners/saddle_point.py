@@ -67,6 +67,7 @@ class SaddlePointFit:
         self._quadratic = quadratic_work(self._wide)
         self._by_model = side_px >= LEAST_SIDE_OF_MODEL_PX
         self._prior = CornerPrior(
+            side=side_px,
             radius=min(MODEL_PER_SIDE * side_px, MOST_MODEL_PX),
             noise=0.0,
             bend=TURN_PER_CHECKER / side_px,
