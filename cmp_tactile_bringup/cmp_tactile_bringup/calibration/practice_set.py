@@ -27,7 +27,7 @@ from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
-from cmp_tactile_simulation.recording.writer import RecordingWriter
+from cmp_tactile_simulation.recording.truth import RecordingWriter
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, misuse, option
 
 if TYPE_CHECKING:
-    from cmp_tactile_simulation.recording.run import RunResult
     from cmp_tactile_simulation.scenes.description import Scene
 
 MAX_SEED = 2**32 - 1
@@ -19,7 +18,7 @@ MAX_FRAMES = 100_000
 @dataclass(frozen=True, kw_only=True)
 class Simulate(Command):
     """Simulate a scene: the contact of an indenter with the gel, the camera frames, and the truth.
-    An interrupted run leaves a readable recording; the same command continues it. docs/scenes.md
+    An interrupted run leaves a readable recording; the same command starts again. docs/scenes.md
     describes the files of scenes.
     """
 
@@ -49,7 +48,7 @@ class Simulate(Command):
     frames: Annotated[
         int | None, option("simulate only the first N frames", Number(1, MAX_FRAMES, kind=int))
     ] = None
-    overwrite: Annotated[bool, option("replace an earlier output, finished or not")] = False
+    overwrite: Annotated[bool, option("replace a finished output")] = False
     list_: Annotated[bool, option("show the packaged scenes and end")] = False
 
     def run(self) -> int:
@@ -66,13 +65,12 @@ class Simulate(Command):
         if self.seed is not None:
             scene = replace(scene, seed=self.seed)
         output = self.output or Path(scene.name)
-        result = _simulate(scene, output.expanduser(), self)
-        before = f", {result.resumed} of them from an earlier run" if result.resumed else ""
-        print(printable(f"{result.frames} frames -> {output}{before}"))
+        frames = _simulate(scene, output.expanduser(), self)
+        print(printable(f"{frames} frames -> {output}"))
         return 0
 
 
-def _simulate(scene: Scene, output: Path, arguments: Simulate) -> RunResult:
+def _simulate(scene: Scene, output: Path, arguments: Simulate) -> int:
     from cmp_tactile_bringup.terminal.output import shown_stages
     from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 

@@ -44,8 +44,7 @@ class ContactStep:
     ) -> None:
         self.elastomer, self.indenter = elastomer, indenter
         self.friction, self._accepted = friction, accepted
-        # What remembers is not linear: its compliance changes with every step.
-        self._changing = bool(elastomer.memory)
+        self._changing = elastomer.softens
         self._creeps = elastomer.creeps
         self._rest, self._beyond = elastomer.node_position, elastomer.beyond
         self._on_rim = elastomer.on_rim

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
 from pathlib import Path
 from time import monotonic
 
@@ -41,6 +40,8 @@ class LinearElastomer:
 
     # Whether its shape depends on how long its forces have been there, see `advance`.
     creeps = False
+    # Whether its compliance changes from step to step.
+    softens = False
 
     def __init__(
         self,
@@ -101,14 +102,6 @@ class LinearElastomer:
         xy = self.observers.points
         outside = (np.abs(xy) > np.array(self.nodes.extent) / 2).any(axis=1)
         return self._problem.geometry.contact_points(xy[outside])
-
-    @property
-    def memory(self) -> dict[str, NDArray[np.float64]]:
-        """All of the past that the next displacement depends on: none of a linear gel."""
-        return {}
-
-    def recall(self, memory: Mapping[str, NDArray[np.float64]]) -> None:
-        """Go on as from where `memory` was taken, to the last digits."""
 
     def advance(self, force: NDArray[np.float64], seconds: float) -> None:
         """Let time go on by `seconds`, from the state under `force` (N, 3) N, where it creeps."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,6 +57,8 @@ class NeoHookeanElastomer(LinearElastomer):
     mesh: the coarse mesh.
     """
 
+    softens = True
+
     def __init__(
         self,
         sensor: SensorDescription,
@@ -88,16 +89,6 @@ class NeoHookeanElastomer(LinearElastomer):
     def factorisations(self) -> int:
         """How many times the tangent stiffness has been factorised so far."""
         return self._block.factorisations
-
-    @property
-    def memory(self) -> dict[str, Array]:
-        """All of the past that the next displacement depends on, to its last digits."""
-        return self._block.memory
-
-    def recall(self, memory: Mapping[str, Array]) -> None:
-        """Go on as from where `memory` was taken, to the last digits."""
-        with one_thread():
-            self._block.recall(memory)
 
     def compliance(self, active: Index) -> Array:
         """Change of the active nodes' displacement with their forces, (3 k, 3 k) m/N.

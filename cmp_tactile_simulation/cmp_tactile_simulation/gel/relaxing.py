@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +10,6 @@ from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.gel.linear import LinearElastomer
 
 Array = NDArray[np.float64]
-# Of what it remembers beside the inner elastomer, as the keys of `memory`.
-MEMORY_PREFIX = "relaxing_"
 
 
 class RelaxingElastomer:
@@ -34,6 +30,7 @@ class RelaxingElastomer:
     """
 
     creeps = True
+    softens = True
 
     def __init__(self, elastic: LinearElastomer, relaxation: GelRelaxation) -> None:
         self.elastic, self.relaxation = elastic, relaxation
@@ -43,22 +40,6 @@ class RelaxingElastomer:
         self.on_rim, self.beyond = elastic.on_rim, elastic.beyond
         nothing = np.zeros_like(elastic.node_position)
         self._lag, self._before, self._step_s = nothing, nothing, 0.0
-
-    @property
-    def memory(self) -> dict[str, Array]:
-        """All of the past that the next displacement depends on."""
-        own = {"lag": self._lag, "before": self._before, "step_s": np.array(self._step_s)}
-        named = {f"{MEMORY_PREFIX}{name}": value.copy() for name, value in own.items()}
-        return {**self.elastic.memory, **named}
-
-    def recall(self, memory: Mapping[str, Array]) -> None:
-        """Go on as from where `memory` was taken, to the last digits."""
-        self._lag = memory[f"{MEMORY_PREFIX}lag"]
-        self._before = memory[f"{MEMORY_PREFIX}before"]
-        self._step_s = float(memory[f"{MEMORY_PREFIX}step_s"])
-        inner = {key: value for key, value in memory.items() if not key.startswith(MEMORY_PREFIX)}
-        if inner:
-            self.elastic.recall(inner)
 
     def advance(self, force: Array, seconds: float) -> None:
         """Let time go on by `seconds`; force (N, 3) N: what the step that ends was solved for."""

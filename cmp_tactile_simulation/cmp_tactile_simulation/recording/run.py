@@ -1,11 +1,13 @@
-"""Runs a scene into files, and goes on where an interrupted run stopped."""
+"""Runs a scene into a folder: a recording, and pictures of it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.util import find_spec
@@ -16,21 +18,31 @@ from cmp_tactile_processing.cache import files
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.checkpoints import Checkpoints
-from cmp_tactile_simulation.recording.output_folder import Job, OutputFolder
-from cmp_tactile_simulation.recording.truth import count_frames
-from cmp_tactile_simulation.recording.video import write_video
-from cmp_tactile_simulation.recording.writer import FrameOutput, ImageWriter, RecordingWriter
+from cmp_tactile_simulation.recording.pictures import write_images, write_video
+from cmp_tactile_simulation.recording.truth import RecordingWriter, recorded_frames
 from cmp_tactile_simulation.scenes.description import Scene
-from cmp_tactile_simulation.scenes.file import load_scene, scene_mapping, write_scene
-from cmp_tactile_simulation.scenes.simulation import MechanicalState, SimulatedFrame, Simulation
+from cmp_tactile_simulation.scenes.file import (
+    SCENE_FILE,
+    load_scene,
+    scene_mapping,
+    write_scene,
+)
+from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
 
-FORMATS = ("bag", "png")
 PACKAGES = ("cmp_tactile_simulation", "cmp_tactile_processing")
 SIMULATING = "simulating"
-VIDEO = "drawing the video"
+VIDEO, IMAGES = "drawing the video", "writing the images"
 VIDEO_FILE = "video.mp4"
 WAITING = "waiting for another process, which makes the same recording"
+# A folder without it is no output, and nothing in it is deleted.
+MARKER = ".cmp_tactile_recording"
+# Is there until the output is complete.
+UNFINISHED = ".unfinished"
+# All that a run writes, but for the indenter's mesh; nothing else is ever deleted.
+OURS = re.compile(
+    r"\.cmp_tactile_recording|\.unfinished|(scene|sensor|metadata)\.yaml|[^/]+\.mcap|(\.partial\.)?video\.mp4"
+    r"|\d{3,}\.(png|npz)"
+)
 
 
 @dataclass(frozen=True)
@@ -47,102 +59,70 @@ class RunOptions:
     overwrite: bool = False
 
 
-@dataclass(frozen=True)
-class RunResult:
-    """frames: in the output.  resumed: how many of them were there before this run."""
-
-    frames: int
-    resumed: int
-
-
 def run_scene(
     scene: Scene,
     output: Path,
     options: RunOptions | None = None,
     cache_dir: Path | None = None,
     progress: Progress | None = None,
-) -> RunResult:
-    """Simulate a scene into the folder `output`; goes on with an unfinished run of the same scene.
+) -> int:
+    """Simulate a scene into the folder `output`; returns the number of frames.
 
+    An unfinished output is replaced, a finished one only where the options say so.
     progress: called with what is done and the fraction of it.  The same scene gives the same
-    bytes, interrupted or not.
+    bytes.
     Raises OutputError where the folder cannot be used, other SimulationErrors where the scene
     cannot be simulated; what was simulated until then can be read.
     """
-    folder = OutputFolder.at(output)
-    folder.check_apart(file for file in (scene.file, scene.indenter.file) if file is not None)
-    with folder.locked():
-        return _run(scene, folder, options or RunOptions(), cache_dir, progress or _silent)
+    options, progress = options or RunOptions(), progress or _silent
+    folder = _usable(output)
+    _check_apart(folder, (file for file in (scene.file, scene.indenter.file) if file is not None))
+    with _locked(folder):
+        _check_replaceable(folder, overwrite=options.overwrite)
+        simulation = Simulation(scene, cache_dir, progress)
+        _clear(folder)
+        folder.mkdir(exist_ok=True)
+        for name in (MARKER, UNFINISHED):
+            (folder / name).touch()
+        count = min(options.frames or scene.frame_count, scene.frame_count)
+        _record(simulation, folder, count, progress)
+        _write_pictures(scene, folder, options, progress)
+        (folder / UNFINISHED).unlink()
+    return count
 
 
-def _run(
-    scene: Scene,
-    folder: OutputFolder,
-    options: RunOptions,
-    cache_dir: Path | None,
-    progress: Progress,
-) -> RunResult:
-    count = min(options.frames or scene.frame_count, scene.frame_count)
-    job = job_of(scene, count, options.format)
-    folder.claim(job, overwrite=options.overwrite)
-    simulation = Simulation(scene, cache_dir, progress)
-    if options.overwrite:
-        folder.clear()
-    folder.begin(job)
-    checkpoints = Checkpoints(folder.hidden)
-    writer, after = _opened(folder, scene, options.format, checkpoints)
-
-    def write(frame: SimulatedFrame) -> None:
-        writer.append(frame)
-        checkpoints.save(frame.state)
-
+def _record(simulation: Simulation, folder: Path, count: int, progress: Progress) -> None:
+    """Write scene, sensor description and the bag of so many frames."""
+    scene = simulation.scene
+    write_scene(scene, folder)
+    writer = RecordingWriter(folder, scene.sensor)
     try:
-        write_scene(scene, folder.path)
-        _write_frames(simulation, after, count, write, progress)
+        _write_frames(simulation, count, writer.append, progress)
     except OSError as error:
         # An open file does not say which it is.
-        error.filename = error.filename or str(folder.path)
+        error.filename = error.filename or str(folder)
         raise
     finally:
         writer.close()
-    if options.video:
-        video = folder.path / VIDEO_FILE
-        write_video(video, writer.frames(), scene, lambda done: progress(VIDEO, done / count))
-    folder.finish()
-    return RunResult(count, 0 if after is None else after.frame + 1)
-
-
-def _opened(
-    folder: OutputFolder, scene: Scene, kind: str, checkpoints: Checkpoints
-) -> tuple[FrameOutput, MechanicalState | None]:
-    """A writer, and the state after the frames that it has already; None from the beginning."""
-    if kind == "png":
-        images = ImageWriter(folder.path, scene.frame_count)
-        return images, checkpoints.newest(images.written() - 1)
-    after = checkpoints.newest(count_frames(folder.path, scene.sensor) - 1)
-    kept = 0 if after is None else after.frame + 1
-    return RecordingWriter(folder.path, scene.sensor, kept), after
 
 
 def _write_frames(
     simulation: Simulation,
-    after: MechanicalState | None,
     count: int,
     write: Callable[[SimulatedFrame], None],
     progress: Progress,
 ) -> None:
-    """Write the frames after a state.
+    """Write the frames.
 
     Ctrl-C reaches the main thread alone: a frame that another writes is written whole.
     """
-    done = 0 if after is None else after.frame + 1
-    progress(SIMULATING, done / count)
+    progress(SIMULATING, 0.0)
     with (
         ThreadPoolExecutor(1, thread_name_prefix="writing") as pool,
-        closing(simulation.frames(after)) as frames,
+        closing(simulation.frames()) as frames,
     ):
         writing: Future[None] | None = None
-        for frame in islice(frames, count - done):
+        for frame in islice(frames, count):
             if writing is not None:
                 writing.result()
             writing = pool.submit(write, frame)
@@ -151,8 +131,91 @@ def _write_frames(
             writing.result()
 
 
+def _write_pictures(scene: Scene, folder: Path, options: RunOptions, progress: Progress) -> None:
+    """Make of the bag what else is wanted; images take its place."""
+    count = min(options.frames or scene.frame_count, scene.frame_count)
+    if options.video:
+        frames = recorded_frames(folder, scene.sensor)
+        write_video(folder / VIDEO_FILE, frames, scene, lambda done: progress(VIDEO, done / count))
+    if options.format == "png":
+        frames = recorded_frames(folder, scene.sensor)
+        write_images(folder, frames, scene.frame_count, lambda done: progress(IMAGES, done / count))
+        for name in (f"{folder.name}.mcap", "metadata.yaml"):
+            (folder / name).unlink()
+
+
 def _silent(_text: str, _fraction: float) -> None:
     pass
+
+
+def _usable(path: Path) -> Path:
+    """The folder that a path, relative or a link, leads to; OutputError where none can be."""
+    try:
+        folder, working = path.resolve(), Path.cwd()
+    except (OSError, RuntimeError) as error:
+        msg = f"{path}: cannot be an output folder: {error}"
+        raise OutputError(msg) from None
+    if folder == working or folder in working.parents:
+        # Files of a recording are not to be mixed with others of the working folder.
+        msg = f"{path}: is or contains the working folder; give another one with --output"
+        raise OutputError(msg)
+    return folder
+
+
+def _check_apart(folder: Path, inputs: Iterable[Path]) -> None:
+    """OutputError where one of the files that the run reads is in the folder."""
+    for file in inputs:
+        if (
+            folder in (file.parent.resolve() / file.name).parents
+            or folder in file.resolve().parents
+        ):
+            msg = f"{folder}: contains the input {file}; give another folder with --output"
+            raise OutputError(msg)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keep other processes away; OutputError where one of them is at work here."""
+    with ExitStack() as stack:
+        try:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            lock = folder.with_name(f".{folder.name}.lock")
+            stack.enter_context(files.locked(lock, wait_s=0.0))
+        except TimeoutError:
+            msg = f"{folder}: is being written by another process"
+            raise OutputError(msg) from None
+        except OSError as error:
+            msg = f"{folder}: cannot be an output folder: {error}"
+            raise OutputError(msg) from None
+        yield
+
+
+def _is_finished(folder: Path) -> bool:
+    return (folder / SCENE_FILE).is_file() and not (folder / UNFINISHED).exists()
+
+
+def _check_replaceable(folder: Path, *, overwrite: bool) -> None:
+    """OutputError where the folder holds something else, or a finished output that is to stay."""
+    is_folder = folder.is_dir()
+    if not folder.exists() or (is_folder and not any(folder.iterdir())):
+        return
+    if not (folder / MARKER).is_file():
+        found = f"no {MARKER}" if is_folder else "a file"
+        msg = f"{folder}: found {found}, expected a simulated recording or an empty folder"
+        raise OutputError(msg)
+    if _is_finished(folder) and not overwrite:
+        msg = f"{folder}: exists already; --overwrite replaces it"
+        raise OutputError(msg)
+
+
+def _clear(folder: Path) -> None:
+    """Delete what an earlier run wrote; other files stay."""
+    if not folder.exists():
+        return
+    # What says that a run wrote it goes last, should this be stopped.
+    for item in sorted(folder.iterdir(), key=lambda item: item.name == MARKER):
+        if OURS.fullmatch(item.name):
+            shutil.rmtree(item) if item.is_dir() else item.unlink()
 
 
 def recording_of(
@@ -160,23 +223,21 @@ def recording_of(
 ) -> Path:
     """The bag of a packaged scene ("grasp"), from the cache folder or simulated now.
 
-    The folder has the scene's name; scene.yaml and sensor.yaml are in it.  An interrupted
-    simulation goes on where it stopped; where another process makes the same one, this waits.
+    The folder has the scene's name; scene.yaml and sensor.yaml are in it.  Where another process
+    makes the same one, this waits.
     progress: called with what is done and the fraction of it.
     Raises SceneError for an unknown name, other SimulationErrors as `run_scene`.
     """
     scene = load_scene(scene_name)
-    job = job_of(scene, scene.frame_count, "bag")
-    name = files.digest(json.dumps(job, sort_keys=True))[:16]
-    place = (cache_dir or files.default_cache_dir()) / "recordings" / name
-    folder = OutputFolder(place / scene.name)
+    place = (cache_dir or files.default_cache_dir()) / "recordings" / _key(scene)
+    folder = place / scene.name
     try:
         files.own_contents(place)
     except OSError as error:
         msg = f"{place}: {error}"
         raise OutputError(msg) from None
-    if folder.finished:
-        return folder.path
+    if _is_finished(folder):
+        return folder
     with ExitStack() as stack:
         try:
             stack.enter_context(files.locked(place / ".lock", wait_s=0.0))
@@ -184,28 +245,21 @@ def recording_of(
             if progress:
                 progress(WAITING, 0.0)
             stack.enter_context(files.locked(place / ".lock"))
-        if not folder.finished:
-            try:
-                run_scene(scene, folder.path, RunOptions(), cache_dir, progress)
-            except OutputError:
-                # What a full disk or a strange hand left there is no recording to go on with.
-                run_scene(scene, folder.path, RunOptions(overwrite=True), cache_dir, progress)
-    return folder.path
+        if not _is_finished(folder):
+            run_scene(scene, folder, cache_dir=cache_dir, progress=progress)
+    return folder
 
 
-def job_of(scene: Scene, frames: int, kind: str) -> Job:
-    """All that the bytes of an output depend on.  kind: bag or png."""
+def _key(scene: Scene) -> str:
+    """Digest of all that the bytes of a recording depend on."""
     mesh = scene.indenter.file
-    job = {
+    sources = {
         "simulator": simulator_version(),
-        "format": kind,
-        "frames": frames,
         "scene": scene_mapping(scene),
         "sensor": dict(scene.sensor_mapping),
         "mesh": files.digest(mesh.read_bytes()) if mesh else "",
     }
-    # As it is read back: lists for tuples.
-    return dict(json.loads(json.dumps(job)))
+    return files.digest(json.dumps(sources, sort_keys=True))[:16]
 
 
 @lru_cache(maxsize=1)

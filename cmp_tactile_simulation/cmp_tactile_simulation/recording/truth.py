@@ -1,9 +1,10 @@
-"""A simulated frame in a bag, without ROS: its messages, and what is true of it, read back."""
+"""A simulated recording, written and read: a ROS 2 bag (MCAP) of frames with their truth."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,12 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
-from cmp_tactile_driver.errors import BagError
+from cmp_tactile_driver.bags.writer import BagTopic, write_metadata
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.messages import making, reading
-from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_typestore
+from cmp_tactile_processing.ros.messages.definitions import (
+    bag_messages,
+    simulation_definition,
+    simulation_typestore,
+)
 from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.laws import Pose
@@ -29,8 +35,6 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
 TRUE_TOPICS = ("truth/surface", "truth/force_field")
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient")
-FrameBytes = dict[str, bytes]
-"""CDR bytes of a frame's messages by topic, below the sensor's namespace."""
 # Camera noise leaves PNG's dictionary nothing to find: entropy coding alone is both the smallest
 # (21.9 MB against 23.8 MB for 60 frames) and seven times as fast.  OpenCV uses the strategy only
 # where a compression level is given too.
@@ -40,11 +44,6 @@ PNG_OPTIONS = (
     cv2.IMWRITE_PNG_STRATEGY,
     cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
 )
-
-
-def encode_png(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The bytes (n,) of an image as lossless PNG."""
-    return np.asarray(cv2.imencode(".png", image, PNG_OPTIONS)[1], np.uint8).ravel()
 
 
 class FrameTopics(NamedTuple):
@@ -67,29 +66,53 @@ def recorded_topics(sensor: SensorDescription) -> FrameTopics:
     return FrameTopics(f"/{sensor.ros_name}/", types)
 
 
-class FrameMessages:
-    """Makes the messages of one sensor's frames.
+class RecordingWriter:
+    """Writes one bag; all messages of a frame bear its stamp.
 
+    The same frames give the same bytes.  A frame is a chunk of the file: should the process be
+    killed, only the next one is lost.
     Raises MessageDefinitionError where the suite's message definitions are not installed.
     """
 
-    def __init__(self, sensor: SensorDescription) -> None:
-        self._sensor, self._make = sensor, bag_messages()
-        self._topics = recorded_topics(sensor)
+    def __init__(self, bag: Path, sensor: SensorDescription) -> None:
+        self._bag, self._sensor = bag, sensor
+        self._make = bag_messages()
         self._info = making.whole_frame_info(sensor)
+        self._prefix, self._types = recorded_topics(sensor)
+        self._topics = [
+            BagTopic(self._prefix + name, kind, simulation_definition(kind))
+            for name, kind in self._types.items()
+        ]
+        bag.mkdir(parents=True, exist_ok=True)
+        path = bag / f"{bag.name}.mcap"
+        path.unlink(missing_ok=True)
+        self._file = McapFile(path, compressed=False)
+        for topic in self._topics:
+            self._file.add_topic(topic.name, topic.kind, topic.definition.text)
 
-    def serialised(self, frame: SimulatedFrame) -> Iterator[tuple[str, bytes]]:
-        """Topic (below the namespace) and CDR bytes of all messages of a frame, in order."""
+    def append(self, frame: SimulatedFrame) -> None:
+        """Write the next frame."""
+        messages = self._messages(frame)
+        for name, kind in self._types.items():
+            data = bytes(simulation_typestore().serialize_cdr(messages[name], kind))
+            self._file.write(self._prefix + name, frame.stamp_ns, frame.stamp_ns, data)
+        self._file.flush()
+
+    def close(self) -> None:
+        """Write index and metadata.yaml."""
+        self._file.close()
+        write_metadata(self._bag, [self._file], self._topics)
+
+    def _messages(self, frame: SimulatedFrame) -> dict[str, Any]:
+        """The messages of a frame by topic, below the namespace."""
         make = self._make
         camera = make.header(frame.stamp_ns, camera_frame(self._sensor))
         gel = make.header(frame.stamp_ns, gel_frame(self._sensor))
-        messages = {
+        image = np.asarray(cv2.imencode(".png", frame.image, PNG_OPTIONS)[1], np.uint8).ravel()
+        return {
             "camera_info": make.camera_info(self._info, camera),
             "image_raw/compressed": make.new(
-                COMPRESSED_IMAGE,
-                header=camera,
-                format="mono8; png compressed ",
-                data=encode_png(frame.image),
+                COMPRESSED_IMAGE, header=camera, format="mono8; png compressed ", data=image
             ),
             "truth/surface": make.surface(frame.surface, gel),
             "truth/force_field": make.force_field(frame.force, gel),
@@ -101,8 +124,6 @@ class FrameMessages:
             },
             "truth/indenter_pose": self._pose(frame.pose, gel),
         }
-        for topic, kind in self._topics.types.items():
-            yield topic, bytes(simulation_typestore().serialize_cdr(messages[topic], kind))
 
     def _pose(self, pose: Pose, header: Any) -> Any:
         place = self._make.new(
@@ -111,6 +132,63 @@ class FrameMessages:
             orientation=self._make.quaternion(Rotation.from_matrix(pose.rotation)),
         )
         return self._make.new(POSE_STAMPED, header=header, pose=place)
+
+
+class RecordedFrame:
+    """A frame of a recording; each of its messages is decoded when it is asked for."""
+
+    def __init__(
+        self,
+        stamp_ns: int,
+        messages: Mapping[str, bytes],
+        sensor: SensorDescription,
+        views: Mapping[str, ViewGeometry],
+    ) -> None:
+        """messages: CDR bytes by topic, below the sensor's namespace."""
+        self.stamp_ns = stamp_ns
+        self._messages, self._sensor, self._views = messages, sensor, views
+        self._types = recorded_topics(sensor).types
+
+    @property
+    def png(self) -> bytes:
+        """The camera frame as the bytes of a PNG file."""
+        return bytes(self._message("image_raw/compressed").data)
+
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """The camera frame, (H, W)."""
+        return reading.image_from_msg(self._message("image_raw/compressed"))
+
+    @cached_property
+    def grids(self) -> dict[str, Grid]:
+        """The true markers by view, px of the view."""
+        shape = self._sensor.pattern.shape
+        return {
+            name: reading.grid_from_msg(self._message(f"truth/{name}/grid"), shape, view.placement)
+            for name, view in self._views.items()
+        }
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The true markers in 3-D, gel frame, m."""
+        message = self._message("truth/surface")
+        return reading.surface_from_msg(message, self._sensor.pattern.shape)
+
+    @cached_property
+    def force(self) -> ForceField:
+        """The true force field, gel frame."""
+        return reading.force_field_from_msg(self._message("truth/force_field"))
+
+    @cached_property
+    def pose(self) -> Pose:
+        """Of the indenter, gel frame."""
+        pose = self._message("truth/indenter_pose").pose
+        p, q = pose.position, pose.orientation
+        rotation = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        return Pose(np.array([p.x, p.y, p.z]), rotation)
+
+    def _message(self, topic: str) -> Any:
+        return simulation_typestore().deserialize_cdr(self._messages[topic], self._types[topic])
 
 
 @dataclass(frozen=True)
@@ -142,94 +220,59 @@ def read_truth(bag: Path) -> RecordedTruth:
     OutputError where it holds no truth.
     """
     sensor = SensorDescription.load(bag / "sensor.yaml")
-    views = build_views(sensor)
-    topics = [*TRUE_TOPICS, *(f"truth/{view}/grid" for view in views)]
-    rows = [
-        _row(stamp_ns, frame, sensor, views)
-        for stamp_ns, frame in recorded_frames(bag, sensor, topics)
-    ]
+    topics = [*TRUE_TOPICS, *(f"truth/{view}/grid" for view in sensor.views)]
+    rows = [_row(frame, sensor) for frame in recorded_frames(bag, sensor, topics)]
     if not rows:
         msg = f"{bag}: found no truth, expected the topics {', '.join(topics)}"
         raise OutputError(msg)
     return RecordedTruth(**{name: np.array([row[name] for row in rows]) for name in rows[0]})
 
 
-def _row(
-    stamp_ns: int, frame: FrameBytes, sensor: SensorDescription, views: Mapping[str, ViewGeometry]
-) -> dict[str, Any]:
+def _row(frame: RecordedFrame, sensor: SensorDescription) -> dict[str, Any]:
     """The values of RecordedTruth for a frame."""
-    shape, force = sensor.pattern.shape, true_force(frame, sensor)
-    pixels = dict.fromkeys(("left", "right"), np.full((*shape.corners, 2), np.nan))
-    for name, view in views.items():
-        message = deserialised(frame, f"truth/{name}/grid", sensor)
-        pixels[name] = reading.grid_from_msg(message, shape, view.placement).corners_frame
+    unseen = np.full((*sensor.pattern.shape.corners, 2), np.nan)
+    pixels = {name: grid.corners_frame for name, grid in frame.grids.items()}
     return {
-        "stamp_ns": stamp_ns,
-        "corners_left_px": pixels["left"],
-        "corners_right_px": pixels["right"],
-        "corners_m": true_surface(frame, sensor).position,
-        "wrench": force.wrench,
-        "contact_area": force.contact_area,
-        "slip_state": np.uint8(force.slip_state),
-        **{name: getattr(force.slip, name) for name in SLIP_FIGURES},
+        "stamp_ns": frame.stamp_ns,
+        "corners_left_px": pixels.get("left", unseen),
+        "corners_right_px": pixels.get("right", unseen),
+        "corners_m": frame.surface.position,
+        "wrench": frame.force.wrench,
+        "contact_area": frame.force.contact_area,
+        "slip_state": np.uint8(frame.force.slip_state),
+        **{name: getattr(frame.force.slip, name) for name in SLIP_FIGURES},
     }
 
 
 def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
     """The true force field of the frame with that stamp; errors as `read_truth`."""
     sensor = SensorDescription.load(bag / "sensor.yaml")
-    for stamp, frame in recorded_frames(bag, sensor, ("truth/force_field",)):
-        if stamp == stamp_ns:
-            return true_force(frame, sensor)
+    for frame in recorded_frames(bag, sensor, ("truth/force_field",)):
+        if frame.stamp_ns == stamp_ns:
+            return frame.force
     msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
     raise OutputError(msg)
 
 
-def true_force(frame: FrameBytes, sensor: SensorDescription) -> ForceField:
-    """The force field of a recorded frame."""
-    return reading.force_field_from_msg(deserialised(frame, "truth/force_field", sensor))
-
-
-def true_surface(frame: FrameBytes, sensor: SensorDescription) -> Surface:
-    """The surface of a recorded frame."""
-    message = deserialised(frame, "truth/surface", sensor)
-    return reading.surface_from_msg(message, sensor.pattern.shape)
-
-
 def recorded_frames(
     bag: Path, sensor: SensorDescription, topics: Sequence[str] = ()
-) -> Iterator[tuple[int, FrameBytes]]:
-    """Stamp in ns, and message bytes by topic, of the whole frames of a bag, in order.
+) -> Iterator[RecordedFrame]:
+    """The whole frames of a bag, in order.
 
-    topics: below the sensor's namespace; without them all that a simulation records.
+    topics: those that are read, below the sensor's namespace; without them all.
     Ends at the first frame that lacks a message, as the last one of an interrupted run may.
     Raises BagError for a bag that cannot be read.
     """
     prefix, types = recorded_topics(sensor)
     wanted = [prefix + topic for topic in topics or types]
-    storage = open_storage(bag)
+    storage, views = open_storage(bag), build_views(sensor)
     if not storage.topics.keys() >= set(wanted):
         return
     for stamp_ns, messages in groupby(storage.messages(wanted), key=_time_ns):
         frame = {item.topic.removeprefix(prefix): item.data for item in messages}
         if len(frame) < len(wanted):
             return
-        yield stamp_ns, frame
-
-
-def count_frames(bag: Path, sensor: SensorDescription) -> int:
-    """How many whole frames a bag has; 0 where there is none yet."""
-    try:
-        return sum(1 for _ in recorded_frames(bag, sensor))
-    except BagError:
-        return 0
-
-
-def deserialised(frame: FrameBytes, topic: str, sensor: SensorDescription) -> Any:
-    """One message of a frame."""
-    return simulation_typestore().deserialize_cdr(
-        frame[topic], recorded_topics(sensor).types[topic]
-    )
+        yield RecordedFrame(stamp_ns, frame, sensor, views)
 
 
 def _time_ns(message: StoredMessage) -> int:

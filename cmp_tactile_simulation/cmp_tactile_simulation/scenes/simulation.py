@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -169,15 +169,11 @@ class SceneCamera:
 
 @dataclass(frozen=True)
 class MechanicalState:
-    """All of the past that the frames after `frame` depend on; -1 before the first.
-
-    memory: of the elastomer, where it has one.
-    """
+    """What the next frame depends on beside the elastomer's past; frame -1 is before the first."""
 
     frame: int
     contact: ContactState
     phase_start: description.PhaseStart
-    memory: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -196,7 +192,6 @@ class SimulatedFrame:
     surface: Surface
     force: ForceField
     pose: Pose
-    state: MechanicalState
 
 
 class Simulation:
@@ -236,20 +231,19 @@ class Simulation:
         return MechanicalState(-1, self.contact.rest(pose), description.PhaseStart(pose, Load(0.0)))
 
     def states(self, after: MechanicalState | None = None) -> Iterator[MechanicalState]:
-        """The mechanics of all frames after a state, without pictures."""
-        state = self._begin(after)
+        """The mechanics of all frames after the latest state, without pictures."""
+        state = after or self.start()
         for frame in range(state.frame + 1, self.scene.frame_count):
             state = self._next(state, frame)
             yield state
 
-    def frames(self, after: MechanicalState | None = None) -> Generator[SimulatedFrame, None, None]:
-        """All frames after a state (that of an earlier frame), in order.
+    def frames(self) -> Generator[SimulatedFrame, None, None]:
+        """All frames, in order.
 
-        The same scene gives the same frames, wherever they begin.  The mechanics of the next
-        frames goes on while one is rendered.  Raises SimulationError after the last frame that
-        can be simulated, where that is not the scene's last.
+        The mechanics of the next frames goes on while one is rendered.  Raises SimulationError
+        after the last frame that can be simulated, where that is not the scene's last.
         """
-        state = self._begin(after)
+        state = self.start()
         moved = self.elastomer.marker_displacement(state.contact.force)
         pending: deque[Future[SimulatedFrame]] = deque()
         failure: SimulationError | None = None
@@ -260,7 +254,6 @@ class Simulation:
                     with self._telling(frame):
                         after_this = self.elastomer.marker_displacement(state.contact.force)
                     before, moved = moved, after_this
-                    state = replace(state, memory=self.elastomer.memory)
                     pending.append(pool.submit(self.observe, state, before, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
@@ -293,15 +286,7 @@ class Simulation:
             surface=view.surface,
             force=force_field(self.contact, state.contact, self.scene.sensor),
             pose=state.contact.pose,
-            state=state,
         )
-
-    def _begin(self, after: MechanicalState | None) -> MechanicalState:
-        if after is None:
-            return self.start()
-        if after.memory:
-            self.elastomer.recall(after.memory)
-        return after
 
     @contextmanager
     def _telling(self, frame: int) -> Iterator[None]:

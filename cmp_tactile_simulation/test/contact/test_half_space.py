@@ -43,7 +43,7 @@ class HalfSpace:
         rim[1:-1, 1:-1] = False
         self.on_rim = rim.ravel()
         self.beyond = np.zeros((0, 3))
-        self.memory = {}
+        self.softens = False
         self.creeps = False
         blocks = _hat_means(count, spacing, poisson) * (1 + poisson) / (np.pi * young)
         i, j = np.divmod(np.arange(count**2), count)

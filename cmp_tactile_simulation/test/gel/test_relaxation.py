@@ -106,15 +106,6 @@ def test_the_filter_finds_the_elastic_displacement_through_a_whole_handling(simu
     assert np.abs(moved).max() > 5e-5, "a gel that was just let go still has its dent"
 
 
-def test_a_run_goes_on_from_what_the_gel_remembers(simulated):
-    """Another simulation that is given a state gives the frames that follow it."""
-    frames = list(simulated(HANDLING).frames())
-    for frame in simulated(HANDLING).frames(after=frames[12].state):
-        expected = frames[frame.index]
-        np.testing.assert_array_equal(frame.force.force, expected.force.force)
-        np.testing.assert_array_equal(frame.surface.position, expected.surface.position)
-
-
 def test_a_live_gel_that_is_held_relaxes_in_real_time(simulated):
     """Whatever the steps' lengths: 0.5 s at once or in pieces."""
     gel = simulated([PRESS])

@@ -117,18 +117,25 @@ def test_images_come_with_the_arrays_of_their_truth(images, frames):
         np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), frame.image)
         with np.load(path.with_suffix(".npz"), allow_pickle=False) as arrays:
             left = frame.grids["left"]
-            np.testing.assert_array_equal(arrays["corners_left_px"], left.corners_frame)
-            np.testing.assert_array_equal(arrays["corners_m"], frame.surface.position)
-            np.testing.assert_array_equal(arrays["force"], frame.force.force)
-            np.testing.assert_array_equal(arrays["wrench"], frame.force.wrench)
+            expected = {
+                "corners_left_px": (left.corners_frame, ATOL_PX),
+                "corners_m": (frame.surface.position, ATOL_M),
+                "force": (frame.force.force, ATOL_N),
+                "wrench": (frame.force.wrench, ATOL_N),
+                "indenter_position": (frame.pose.position, 0),
+                "indenter_rotation": (frame.pose.rotation, 1e-15),
+            }
+            for name, (true, atol) in expected.items():
+                np.testing.assert_allclose(arrays[name], true, rtol=0, atol=atol)
             # 5 x 6 corners with 2 points between: every third point of a line is a corner.
             assert arrays["row_lines_right_px"].shape == (5, 16, 2)
             assert arrays["col_lines_m"].shape == (6, 13, 3)
             rows, cols = arrays["row_lines_left_px"], arrays["col_lines_left_px"]
-            np.testing.assert_array_equal(rows[:, ::3], left.corners_frame)
-            np.testing.assert_array_equal(rows[2, 4], left.row_lines_frame[2, 1, 0])
-            np.testing.assert_array_equal(cols[:, ::3].swapaxes(0, 1), left.corners_frame)
-            np.testing.assert_array_equal(cols[4, 5], left.col_lines_frame[1, 4, 1])
+            np.testing.assert_array_equal(rows[:, ::3], arrays["corners_left_px"])
+            np.testing.assert_array_equal(cols[:, ::3].swapaxes(0, 1), rows[:, ::3])
+            between = [rows[2, 4], cols[4, 5]]
+            true = [left.row_lines_frame[2, 1, 0], left.col_lines_frame[1, 4, 1]]
+            np.testing.assert_allclose(between, true, atol=ATOL_PX)
 
 
 def test_the_video_shows_every_frame_with_its_truth(bag):
@@ -169,3 +176,11 @@ def test_a_packaged_recording_is_simulated_once(scene, tmp_path, monkeypatch):
     )
     assert reported == []
     assert [path.name for path in folder.parent.iterdir()] == ["small"]
+
+
+def test_a_recording_made_with_other_sources_is_another(scene, tmp_path, monkeypatch):
+    module = "cmp_tactile_simulation.recording.run"
+    monkeypatch.setattr(f"{module}.load_scene", lambda _name: scene)
+    folder = recording_of("small", cache_dir=tmp_path)
+    monkeypatch.setattr(f"{module}.simulator_version", lambda: "another")
+    assert recording_of("small", cache_dir=tmp_path) != folder

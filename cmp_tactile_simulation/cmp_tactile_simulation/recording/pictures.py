@@ -1,16 +1,18 @@
-"""Simulated frames as a video: each frame, and beside it what is true of it."""
+"""A recording as pictures: numbered images with the arrays of their truth, and a video of both."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.measured import Grid, Surface, gridline_points
 from cmp_tactile_simulation.errors import OutputError
-from cmp_tactile_simulation.recording.writer import WrittenFrame
+from cmp_tactile_simulation.recording.truth import RecordedFrame
 from cmp_tactile_simulation.scenes.description import Motion, Scene
 
 Colour = tuple[int, int, int]
@@ -36,7 +38,7 @@ SUBPIXEL_BITS = 4
 
 def write_video(
     path: Path,
-    frames: Iterable[WrittenFrame],
+    frames: Iterable[RecordedFrame],
     scene: Scene,
     on_frame: Callable[[int], None] = lambda _done: None,
 ) -> None:
@@ -81,7 +83,7 @@ class _Scale:
         self.force_n = max(self.force_n, force_n)
 
 
-def draw_frame(frame: WrittenFrame, title: str, scale: _Scale | None = None) -> NDArray[np.uint8]:
+def draw_frame(frame: RecordedFrame, title: str, scale: _Scale | None = None) -> NDArray[np.uint8]:
     """The picture (768, w, 3) uint8 BGR: camera frame, depth map with force arrows, wrench."""
     scale = scale or _Scale()
     image = cv2.cvtColor(frame.image, cv2.COLOR_GRAY2BGR)
@@ -96,9 +98,9 @@ def draw_frame(frame: WrittenFrame, title: str, scale: _Scale | None = None) -> 
     return np.asarray(np.hstack([image, panel]), np.uint8)
 
 
-def _map(frame: WrittenFrame, scale: _Scale) -> NDArray[np.uint8]:
+def _map(frame: RecordedFrame, scale: _Scale) -> NDArray[np.uint8]:
     """Depth by colour with force arrows; x to the right, y upwards, as seen from the object."""
-    depth = np.nan_to_num(-frame.displacement[..., 2])
+    depth = np.nan_to_num(-frame.surface.displacement[..., 2])
     sums, places = _arrows(frame)
     in_plane = np.linalg.norm(sums[:, :2], axis=1)
     scale.include(float(depth.max()), float(in_plane.max(initial=0.0)))
@@ -124,9 +126,9 @@ def _fixed_point(pixel: NDArray[np.float64]) -> tuple[int, int]:
     return x, y
 
 
-def _pixel_map(frame: WrittenFrame) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def _pixel_map(frame: RecordedFrame) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """Pixels of the map for points at rest."""
-    rest = (frame.corners_m - frame.displacement)[..., :2].reshape(-1, 2)
+    rest = (frame.surface.position - frame.surface.displacement)[..., :2].reshape(-1, 2)
     low, high = np.nanmin(rest, axis=0), np.nanmax(rest, axis=0)
 
     def to_px(point: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -136,10 +138,10 @@ def _pixel_map(frame: WrittenFrame) -> Callable[[NDArray[np.float64]], NDArray[n
     return to_px
 
 
-def _arrows(frame: WrittenFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _arrows(frame: RecordedFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Forces (n, 3) N summed over blocks of nodes, and the blocks' places (n, 3) m."""
-    low, high = frame.force_position.min(axis=0)[:2], frame.force_position.max(axis=0)[:2]
-    cell = ((frame.force_position[:, :2] - low) / (high - low) * ARROWS_ACROSS).astype(np.intp)
+    low, high = frame.force.position.min(axis=0)[:2], frame.force.position.max(axis=0)[:2]
+    cell = ((frame.force.position[:, :2] - low) / (high - low) * ARROWS_ACROSS).astype(np.intp)
     cell = np.minimum(cell, ARROWS_ACROSS - 1)
     number = cell[:, 1] * ARROWS_ACROSS + cell[:, 0]
     count = np.maximum(np.bincount(number, minlength=ARROWS_ACROSS**2), 1)[:, None]
@@ -148,18 +150,18 @@ def _arrows(frame: WrittenFrame) -> tuple[NDArray[np.float64], NDArray[np.float6
         columns = [np.bincount(number, values[:, k], ARROWS_ACROSS**2) for k in range(3)]
         return np.stack(columns, axis=1)
 
-    return sums(frame.force), sums(frame.force_position) / count
+    return sums(frame.force.force), sums(frame.force.position) / count
 
 
-def _lines(frame: WrittenFrame, title: str, scale: _Scale) -> list[tuple[str, Colour]]:
-    fx, fy, fz, mx, my, mz = frame.wrench.tolist()
-    depth = 1e3 * float(np.nanmax(-frame.displacement[..., 2]))
+def _lines(frame: RecordedFrame, title: str, scale: _Scale) -> list[tuple[str, Colour]]:
+    fx, fy, fz, mx, my, mz = frame.force.wrench.tolist()
+    depth = 1e3 * float(np.nanmax(-frame.surface.displacement[..., 2]))
     key = f"colour: depth to {1e3 * scale.depth_m:.2f} mm   arrow: shear to {scale.force_n:.3f} N"
     return [
         (title, INK),
         (f"F  {fx:+8.3f} {fy:+8.3f} {fz:+8.3f} N", INK),
         (f"M  {1e3 * mx:+8.2f} {1e3 * my:+8.2f} {1e3 * mz:+8.2f} N mm", INK),
-        (f"depth {depth:.3f} mm   contact {1e6 * frame.contact_area:.1f} mm2", INK),
+        (f"depth {depth:.3f} mm   contact {1e6 * frame.force.contact_area:.1f} mm2", INK),
         (key, FAINT),
     ]
 
@@ -195,3 +197,61 @@ def _open(path: Path, picture: NDArray[np.uint8], rate: float) -> cv2.VideoWrite
         msg = f"{path}: OpenCV cannot write a video to this path"
         raise OutputError(msg)
     return writer
+
+
+LEAST_DIGITS = 3
+
+
+def write_images(
+    folder: Path, frames: Iterable[RecordedFrame], count: int, on_frame: Callable[[int], None]
+) -> None:
+    """Write NNN.png and NNN.npz of each frame into a folder; docs/scenes.md lists the arrays.
+
+    count: of the whole scene's frames.  on_frame: called with the number of frames done.
+    """
+    digits = max(LEAST_DIGITS, len(str(count - 1)))
+    for number, frame in enumerate(frames):
+        path = folder / f"{number:0{digits}d}.png"
+        path.write_bytes(frame.png)
+        np.savez_compressed(path.with_suffix(".npz"), allow_pickle=False, **_true_arrays(frame))
+        on_frame(number + 1)
+
+
+def _true_arrays(frame: RecordedFrame) -> dict[str, NDArray[Any]]:
+    force = frame.force
+    return {
+        **_pixels(frame.grids),
+        **_points(frame.surface),
+        "stamp_ns": np.array(frame.stamp_ns, np.int64),
+        "force_position": force.position,
+        "force": force.force,
+        "contact": force.contact,
+        "wrench": force.wrench,
+        "contact_area": np.array(force.contact_area),
+        "centre_of_pressure": force.centre_of_pressure,
+        "slip_state": np.array(int(force.slip_state), np.uint8),
+        "indenter_position": frame.pose.position,
+        "indenter_rotation": frame.pose.rotation,
+    }
+
+
+def _pixels(grids: Mapping[str, Grid]) -> dict[str, NDArray[np.float64]]:
+    arrays = {}
+    for view, grid in grids.items():
+        corners = grid.corners_frame
+        arrays[f"corners_{view}_px"] = corners
+        arrays[f"row_lines_{view}_px"] = gridline_points(corners, grid.row_lines_frame)
+        arrays[f"col_lines_{view}_px"] = gridline_points(
+            corners.swapaxes(0, 1), grid.col_lines_frame.swapaxes(0, 1)
+        )
+    return arrays
+
+
+def _points(surface: Surface) -> dict[str, NDArray[np.float64]]:
+    corners = surface.position
+    return {
+        "corners_m": corners,
+        "displacement_m": surface.displacement,
+        "row_lines_m": gridline_points(corners, surface.row_position),
+        "col_lines_m": gridline_points(corners.swapaxes(0, 1), surface.col_position.swapaxes(0, 1)),
+    }
