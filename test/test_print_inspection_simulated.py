@@ -32,7 +32,7 @@ def photograph(sensor, ink, settings, surface=None):
     """Prepared image and true grid of the left view."""
     surface = surface or DeformedSurface.rest(sensor.pattern)
     rendered = Renderer(sensor, ink, samples=2).render(surface)
-    frame = expose([rendered], settings, np.random.default_rng(ink.seed), ink.seed)
+    frame = expose(rendered, settings, np.random.default_rng(ink.seed), ink.seed)
     grey = split_frame(frame, build_views(sensor)["left"].placement)
     smooth = np.asarray(cv2.GaussianBlur(grey.astype(np.float32), (0, 0), 1.2), dtype=np.float32)
     contrast = float(np.ptp(np.percentile(grey, [5, 95])))
@@ -108,7 +108,7 @@ def test_blobs_are_found_and_nothing_else(sensor, settings, flaws, smallest_px):
         CameraSettings(read_noise=0, blur=0.3),
         CameraSettings(read_noise=8, blur=3),
         CameraSettings(read_noise=2, light_ratio=5, vignette=0.5),
-        CameraSettings(read_noise=2, blur=0.8, defocus=2),
+        CameraSettings(read_noise=2, blur=1.5),
         CameraSettings(read_noise=2, glare_spots=12),
     ],
 )

@@ -167,7 +167,7 @@ def _exposed(
         cover_rng = random_stream(Purpose.COVER, case.seed)
         rendered, covered = cover_views(rendered, truth, case.cover, cover_rng)
     noise = random_stream(Purpose.FRAME_NOISE, case.seed, case.frame)
-    image = expose([rendered], case.camera, noise, case.seed)
+    image = expose(rendered, case.camera, noise, case.seed)
     visible, far = {}, {}
     for name, grid in truth.items():
         visible[name] = shown[0][name] & _visible(image, grid, covered[name])

@@ -66,7 +66,7 @@ class PrintedGel:
     ) -> NDArray[np.uint8]:
         """The camera's frame (H, W) of what was rendered, under other settings where given."""
         rng = random_stream(Purpose.FRAME_NOISE, 0, number)
-        return expose([rendered], camera or CameraSettings(), rng, 0)
+        return expose(rendered, camera or CameraSettings(), rng, 0)
 
     def truth(self, surface: DeformedSurface) -> Truth:
         """What is true of the frame of a surface."""

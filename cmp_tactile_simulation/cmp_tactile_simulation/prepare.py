@@ -19,7 +19,7 @@ def prepare_rendering(scene: Scene) -> None:
     """Have numba's cache hold all that renders frames of a scene."""
     grid = observers(scene.sensor)
     at_rest = np.zeros((grid.rows, grid.cols, 3))
-    SceneCamera(scene, grid).observe(0, at_rest, at_rest)
+    SceneCamera(scene, grid).observe(0, at_rest)
 
 
 if __name__ == "__main__":

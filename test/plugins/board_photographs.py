@@ -49,7 +49,7 @@ def photograph_board(
         part = part[:, ::-1] if place.flipped else part
         part[:] = _seen(view, texture, target.square, T_gel_board)
     noise = random_stream(Purpose.FRAME_NOISE, seed)
-    return expose([RenderedFrame(grey, FINENESS)], camera or CameraSettings(), noise, seed)
+    return expose(RenderedFrame(grey, FINENESS), camera or CameraSettings(), noise, seed)
 
 
 @lru_cache(maxsize=2)

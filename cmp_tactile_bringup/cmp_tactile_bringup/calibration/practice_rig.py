@@ -110,7 +110,7 @@ def photograph_board(
     """
     rig = _board_as_sensor(sensor, target, T_gel_board)
     rendered = Renderer(rig, Checkerboard(rig.pattern)).render(DeformedSurface.rest(rig.pattern))
-    return expose([rendered], camera, random_stream(Purpose.FRAME_NOISE, seed), seed)
+    return expose(rendered, camera, random_stream(Purpose.FRAME_NOISE, seed), seed)
 
 
 def _board_as_sensor(

@@ -133,7 +133,7 @@ def _write_rest(
     for number in range(REST_FRAMES):
         progress("photographing the gel at rest", number / REST_FRAMES)
         noise = random_stream(Purpose.FRAME_NOISE, practice.seed, number)
-        _write_png(folder / f"{number:02d}.png", expose([rendered], camera, noise, practice.seed))
+        _write_png(folder / f"{number:02d}.png", expose(rendered, camera, noise, practice.seed))
     progress("photographing the gel at rest", 1.0)
 
 

@@ -44,7 +44,7 @@ def _every_frame(monkeypatch, own_signals):
 
 def taken(rendered, **settings):
     light = {"vignette": 0.0, **settings}
-    return expose([rendered], CameraSettings(**light), np.random.default_rng(3))
+    return expose(rendered, CameraSettings(**light), np.random.default_rng(3))
 
 
 def figures(text, name):

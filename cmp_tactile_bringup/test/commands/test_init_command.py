@@ -87,7 +87,7 @@ def frame_of(sensor):
     rendered = Renderer(sensor, Checkerboard(sensor.pattern)).render(
         DeformedSurface.rest(sensor.pattern)
     )
-    return expose([rendered], CameraSettings(), np.random.default_rng(0))
+    return expose(rendered, CameraSettings(), np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

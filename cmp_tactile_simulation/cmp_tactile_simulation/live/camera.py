@@ -16,7 +16,7 @@ from cmp_tactile_simulation.rendering.renderer import RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 
-# Noise that does not depend on the light is drawn from so many images, at places by chance.
+# Noise is drawn from so many images, at places by chance.
 NOISE_IMAGES = 8
 
 
@@ -47,13 +47,13 @@ class LiveCamera:
         camera = self._scene.camera
         if self._noise is not None:
             camera = replace(camera, read_noise=0.0)
-        image = expose([rendered], camera, self._rng, self._scene.seed)
+        image = expose(rendered, camera, self._rng, self._scene.seed)
         return image if self._noise is None else self._with_noise(image, self._noise)
 
     def _noise_images(self) -> NDArray[np.int16] | None:
-        """Images of the read noise, grey levels; None where the noise depends on the light."""
+        """Images of the read noise, grey levels; None without noise."""
         camera, size = self._scene.camera, self._scene.sensor.image
-        if camera.full_well > 0 or camera.read_noise == 0:
+        if camera.read_noise == 0:
             return None
         shape = NOISE_IMAGES, size.height, size.width
         noise = self._rng.standard_normal(shape, dtype=np.float32) * camera.read_noise

@@ -16,9 +16,8 @@ from cmp_tactile_simulation.scenes.description import Scene
 class LiveSensor:
     """A live sensor in this process.
 
-    The elastic model is linear, whatever the sensor's is, and motion blur is left out: both would
-    take longer than there is time.  Until the model is built (the first time for a sensor), the
-    frames show the gel at rest.
+    The elastic model is linear, whatever the sensor's is: another would take longer than there is
+    time.  Until the model is built (the first time for a sensor), the frames show the gel at rest.
     """
 
     def __init__(self, scene: Scene, settings: motion.LiveSettings, rate: float) -> None:
@@ -73,5 +72,4 @@ def live_scene(scene: Scene, settings: motion.LiveSettings) -> Scene:
         sensor=sensor,
         contact_nodes=min(scene.contact_nodes, settings.contact_nodes),
         samples=min(scene.samples, settings.samples),
-        camera=replace(scene.camera, motion_samples=1),
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,16 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import FrameError, ParameterError
+from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
 from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
 WHITE = 255.0
-# Blur that varies across the frame is mixed from levels this far apart, px, but not from more.
-BLUR_STEP = 0.3
-MOST_LEVELS = 16
 # Of a blur from the first of these on, px, the second is done before pixels integrate the light.
 # The rest is quicker after it, where whole pixels would alias and move corners by 0.01 px alone.
 WIDE_BLUR, BLUR_BEFORE = 1.5, 1.0
@@ -30,54 +26,24 @@ NOISE_STREAMS = 4
 
 
 def expose(
-    frames: Sequence[RenderedFrame],
+    frame: RenderedFrame,
     settings: CameraSettings,
     rng: np.random.Generator,
     seed: int = 0,
 ) -> NDArray[np.uint8]:
-    """The camera's frame (height, width) of what was rendered while the shutter was open.
+    """The camera's frame (height, width) of what was rendered.
 
     rng: noise of this frame.  seed: places of glare and clutter, the same in all frames.
-    Raises FrameError without frames or for frames of different sizes.
     """
-    grey, fineness = _mean(frames)
-    image = _through_lens(grey, fineness, settings)
+    image = _blurred(frame.grey, frame.fineness, settings.blur)
     optics = _optics(settings, image.shape, seed)
     image *= optics.gain
     image += optics.glow
     return _digitised(image, settings, rng)
 
 
-def _mean(frames: Sequence[RenderedFrame]) -> tuple[NDArray[np.float32], int]:
-    if not frames or any(
-        frame.grey.shape != frames[0].grey.shape or frame.fineness != frames[0].fineness
-        for frame in frames
-    ):
-        found = ", ".join(f"{frame.grey.shape}" for frame in frames) or "none"
-        msg = f"rendered frames: found {found}, expected one or more of the same size"
-        raise FrameError(msg)
-    if len(frames) == 1:
-        return frames[0].grey, frames[0].fineness
-    total = np.zeros_like(frames[0].grey)
-    for frame in frames:
-        total += frame.grey
-    return total / np.float32(len(frames)), frames[0].fineness
-
-
-def _through_lens(
-    grey: NDArray[np.float32], fineness: int, settings: CameraSettings
-) -> NDArray[np.float32]:
-    """Blurred, then integrated over the pixels: (height, width)."""
-    if settings.defocus == 0:
-        return _blurred(grey, fineness, settings.blur)
-    shape = grey.shape[0] // fineness, grey.shape[1] // fineness
-    image: NDArray[np.float32] = np.zeros(shape, dtype=np.float32)
-    for sigma, share in _blur_levels(shape, settings):
-        image += share * _blurred(grey, fineness, sigma)
-    return image
-
-
 def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[np.float32]:
+    """Blurred by a lens, then integrated over the pixels: (height, width)."""
     before = sigma if sigma < WIDE_BLUR else BLUR_BEFORE
     after = math.sqrt(sigma**2 - before**2)
     if before > 0:
@@ -96,24 +62,6 @@ def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
     way = x * math.cos(direction) + y * math.sin(direction)
     return np.asarray((way - way.min()) / max(float(np.ptp(way)), 1e-9))
-
-
-@lru_cache(maxsize=2)
-def _blur_levels(
-    shape: tuple[int, int], settings: CameraSettings
-) -> list[tuple[float, NDArray[np.float32]]]:
-    """Blurs, px, and the share that each has at each pixel."""
-    focus = settings.focus_position
-    off = np.abs(_along(shape, settings.focus_direction) - focus) / max(focus, 1 - focus)
-    variance = settings.blur**2 + (settings.defocus * off) ** 2
-    low, high = math.sqrt(float(variance.min())), math.sqrt(float(variance.max()))
-    count = min(MOST_LEVELS, max(2, math.ceil((high - low) / BLUR_STEP) + 1))
-    levels = np.linspace(low, high, count)
-    # A mixture of two Gaussians has the mean of their variances.
-    return [
-        (float(sigma), np.interp(variance, levels**2, chosen).astype(np.float32))
-        for sigma, chosen in zip(levels, np.eye(count), strict=True)
-    ]
 
 
 @dataclass(frozen=True)
@@ -146,15 +94,8 @@ def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Opt
 def _digitised(
     image: NDArray[np.float32], settings: CameraSettings, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
-    if settings.read_noise > 0 or settings.full_well > 0:
-        noise = _normal(image.shape, rng)
-        if settings.full_well > 0:
-            # So many electrons that Poisson's distribution is a normal one.
-            variance = image.clip(0) * np.float32(WHITE / settings.full_well)
-            noise *= np.sqrt(variance + np.float32(settings.read_noise**2))
-        else:
-            noise *= np.float32(settings.read_noise)
-        image = image + noise
+    if settings.read_noise > 0:
+        image = image + _normal(image.shape, rng) * np.float32(settings.read_noise)
     frame = np.rint(image).clip(0, WHITE).astype(np.uint8)
     if settings.salt_and_pepper > 0:
         struck = rng.random(frame.shape, dtype=np.float32) < settings.salt_and_pepper
@@ -218,29 +159,7 @@ class CameraSettings(Parameters, section="camera"):
         "of the distance from the centre",
         within=(0, 1),
     )
-    blur: float = parameter(
-        0.7, "standard deviation of the blur on the line in focus", unit="px", within=(0, 20)
-    )
-    defocus: float = parameter(
-        0.0,
-        "standard deviation of the additional blur at the point farthest from the line in focus; "
-        "it grows in proportion to the distance from the line",
-        unit="px",
-        within=(0, 20),
-    )
-    focus_position: float = parameter(
-        0.5,
-        "place of the line in focus along focus_direction: 0 at the beginning of the frame, 1 at "
-        "its end",
-        within=(0, 1),
-    )
-    focus_direction: float = parameter(
-        math.pi / 2,
-        "direction perpendicular to the line in focus, from the frame's x axis (right) towards y "
-        "(down)",
-        unit="rad",
-        within=(-2 * math.pi, 2 * math.pi),
-    )
+    blur: float = parameter(0.7, "standard deviation of the blur", unit="px", within=(0, 20))
     glare_spots: int = parameter(
         0, "number of glare spots; the seed sets their places", within=(0, 200)
     )
@@ -255,23 +174,9 @@ class CameraSettings(Parameters, section="camera"):
         "number of dust grains and hairs on the optics; the seed sets their places",
         within=(0, 2000),
     )
-    motion_samples: int = parameter(
-        1,
-        "number of states of the gel that are averaged in one exposure: motion blur",
-        within=(1, 64),
-    )
-    exposure_time: float = parameter(
-        0.01, "time over which these states are spread", unit="s", within=(0, 10)
-    )
-    full_well: float = parameter(
-        0.0,
-        "number of electrons at grey level 255, for the shot noise; 0 for none",
-        unit="electrons",
-        within=(0, 1e7),
-    )
     read_noise: float = parameter(
         1.0,
-        "standard deviation of the noise that does not depend on the light",
+        "standard deviation of the noise",
         unit="grey levels",
         within=(0, 100),
     )

@@ -133,38 +133,20 @@ class SceneCamera:
         self._renderer = Renderer(scene.sensor, ink, samples=scene.samples)
         self._truth = OpticalTruth(scene.sensor)
 
-    def observe(
-        self, frame: int, before: NDArray[np.float64], now: NDArray[np.float64]
-    ) -> CameraView:
+    def observe(self, frame: int, moved: NDArray[np.float64]) -> CameraView:
         """Frame number `frame` and its truth.
 
-        before, now (rows, cols, 3) m: displacement of the observers in the frame before and in
-        this one; motion blur sees the last part of the way, and what is true of the markers is
-        then the middle of the exposure.
+        moved (rows, cols, 3) m: displacement of the observers.
         """
         scene = self._scene
-        camera = scene.camera
-        backs = self._exposures()
-        images = [self._renderer.render(self._surface(now - b * (now - before))) for b in backs]
-        surface = self._surface(now - backs.mean() * (now - before))
+        surface = DeformedSurface(scene.sensor.pattern, self._observers, moved)
         # Noise of a frame must not depend on the frames that were rendered before it.
         rng = random_stream(Purpose.FRAME_NOISE, scene.seed, frame)
         return CameraView(
-            image=expose(images, camera, rng, scene.seed),
+            image=expose(self._renderer.render(surface), scene.camera, rng, scene.seed),
             grids=self._truth.grids(surface),
             surface=self._truth.surface(surface),
         )
-
-    def _exposures(self) -> NDArray[np.float64]:
-        """When the camera looks: shares of a frame's time before the frame's end."""
-        camera = self._scene.camera
-        if camera.motion_samples == 1:
-            return np.zeros(1)
-        open_share = min(1.0, camera.exposure_time * self._scene.rate)
-        return np.linspace(open_share, 0.0, camera.motion_samples)
-
-    def _surface(self, displacement: NDArray[np.float64]) -> DeformedSurface:
-        return DeformedSurface(self._scene.sensor.pattern, self._observers, displacement)
 
 
 @dataclass(frozen=True)
@@ -244,7 +226,6 @@ class Simulation:
         after the last frame that can be simulated, where that is not the scene's last.
         """
         state = self.start()
-        moved = self.elastomer.marker_displacement(state.contact.force)
         pending: deque[Future[SimulatedFrame]] = deque()
         failure: SimulationError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
@@ -252,9 +233,8 @@ class Simulation:
                 for frame in range(state.frame + 1, self.scene.frame_count):
                     state = self._next(state, frame)
                     with self._telling(frame):
-                        after_this = self.elastomer.marker_displacement(state.contact.force)
-                    before, moved = moved, after_this
-                    pending.append(pool.submit(self.observe, state, before, moved))
+                        moved = self.elastomer.marker_displacement(state.contact.force)
+                    pending.append(pool.submit(self.observe, state, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
             except SimulationError as error:
@@ -265,18 +245,12 @@ class Simulation:
         if failure is not None:
             raise failure
 
-    def observe(
-        self,
-        state: MechanicalState,
-        before: NDArray[np.float64],
-        moved: NDArray[np.float64],
-    ) -> SimulatedFrame:
+    def observe(self, state: MechanicalState, moved: NDArray[np.float64]) -> SimulatedFrame:
         """The frame of a state, and what is true of it.
 
-        before, moved (rows, cols, 3) m: displacement of the elastomer's observers in the frame
-        before and in this one.
+        moved (rows, cols, 3) m: displacement of the elastomer's observers.
         """
-        view = self.camera.observe(state.frame, before, moved)
+        view = self.camera.observe(state.frame, moved)
         return SimulatedFrame(
             index=state.frame,
             stamp_ns=self.scene.stamp_ns(state.frame),

@@ -48,7 +48,7 @@ def test_true_grids_agree_with_their_truth(sensor, truth):
 
 
 def test_the_undeformed_frame_agrees_to_the_camera_noise(theirs, rendered):
-    ours = expose([rendered], QUIET, np.random.default_rng(0))
+    ours = expose(rendered, QUIET, np.random.default_rng(0))
     off = theirs.astype(np.float64) - ours
     for region, mask in _regions(rendered.pixels).items():
         assert np.count_nonzero(mask) > 50_000, region
@@ -74,7 +74,7 @@ def _regions(grey):
 
 def test_the_detector_finds_our_corners_as_well_as_theirs(sensor, truth, theirs, rendered):
     arrays = truth("rest")
-    noisy = expose([rendered], CameraSettings(), np.random.default_rng(7))
+    noisy = expose(rendered, CameraSettings(), np.random.default_rng(7))
     for side, view in build_views(sensor).items():
         tracker, place = GridTracker(sensor, side), view.placement
         errors = {}

@@ -63,10 +63,9 @@ def test_a_press_moves_the_markers_under_the_indenter_down(frames):
 def test_a_phase_ends_at_its_load(frames, simulation):
     end = frames[6]
     np.testing.assert_allclose(end.force.wrench[:3], [0.1, 0.0, -0.6], atol=ATOL_LOAD_N)
-    load = simulation.contact.load(end.state.contact)
-    assert (load.normal, load.torque) == pytest.approx((0.6, 0.0), abs=ATOL_LOAD_N)
-    half_way = simulation.contact.load(frames[4].state.contact)
-    start = simulation.contact.load(frames[3].state.contact)
+    loads = [simulation.contact.load(state.contact) for state in simulation.states()]
+    assert (loads[6].normal, loads[6].torque) == pytest.approx((0.6, 0.0), abs=ATOL_LOAD_N)
+    start, half_way = loads[3:5]
     share = 7 / 27
     expected = start.normal + share * (0.6 - start.normal)
     assert half_way.normal == pytest.approx(expected, abs=ATOL_LOAD_N)
@@ -80,28 +79,6 @@ def test_holding_changes_nothing_but_the_noise(frames):
     # Two frames of read noise of one grey level, each rounded to whole levels.
     assert difference.std() == pytest.approx((2 * (1 + 1 / 12)) ** 0.5, rel=0.02)
     assert abs(difference.mean()) < 5 * difference.std() / difference.size**0.5
-
-
-def test_motion_blur_smears_what_moves_and_the_truth_is_its_middle(small_scene):
-    still = {"read_noise": 0.0}
-    blurred = still | {"motion_samples": 3, "exposure_time": 0.033}
-    knock = [
-        {"name": "press", "frames": 1, "by": {"position": [0, 0, -0.0006]}},
-        {"name": "knock", "frames": 1, "by": {"position": [0.001, 0, 0]}},
-        {"name": "stay", "frames": 1, "hold": True},
-    ]
-    sharp, smeared = (
-        list(Simulation(small_scene(camera=camera, motion=knock)).frames())
-        for camera in (still, blurred)
-    )
-    pairs = zip(sharp, smeared, strict=True)
-    change = [np.abs(a.image.astype(float) - b.image).max() for a, b in pairs]
-    assert change[1] > 10
-    assert change[2] == 0
-    # Three instants over 0.99 of the time between two frames: their middle is 0.495 before the end.
-    before, now = (frame.surface.position for frame in sharp[:2])
-    middle = now - 0.495 * (now - before)
-    np.testing.assert_allclose(smeared[1].surface.position, middle, atol=1e-9)
 
 
 def test_dots_are_seen_instead_of_checkers(small_scene, frames):
