@@ -24,7 +24,7 @@ from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFact
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.mechanics import LiveSettings
 from cmp_tactile_simulation.live.sensor import live_scene
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation

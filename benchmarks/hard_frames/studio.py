@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
+from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import LIGHT_GREY, Checkerboard, PrintDefects
-from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from hard_frames.covers import Cover, Scenery, cover_views, far_corners, pixels_of
 from hard_frames.deformation import EXTENT, Deformation, deform, deformation_of

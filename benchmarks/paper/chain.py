@@ -17,7 +17,7 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from hard_frames.grid_score import GridScore, join_scores, score_grid
-from paper.gel import Mechanics
+from paper.lab import Mechanics
 
 
 class ViewTracker(Protocol):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import yaml
 
@@ -16,6 +17,11 @@ from cmp_tactile_bringup.terminal.output import machine_facts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 
 MET_WORDS = {True: "met", False: "not met", None: "-"}
 CLAIM_HEAD = ("Section", "Claim", "The paper", "Here", "")
@@ -74,7 +80,7 @@ class Page:
     def rows(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         """A table alone."""
         lines = [head, ["---"] * len(head), *rows]
-        cells = (["-" if t == "nan" else t.replace("|", r"\|") for t in line] for line in lines)
+        cells = ([text.replace("|", r"\|") for text in line] for line in lines)
         self.parts.append("\n".join(f"| {' | '.join(line)} |" for line in cells))
 
     def figure(self, figure: Figure, key: str, **values: object) -> None:
@@ -115,6 +121,11 @@ class Page:
         path = self.folder / name
         path.write_text("\n\n".join(self.parts) + "\n", encoding="utf-8")
         return path
+
+
+def figures(form: str, *values: float) -> list[str]:
+    """Numbers as a table has them, "-" for one that is not known.  form: as str.format takes it."""
+    return ["-" if math.isnan(value) else form.format(value) for value in values]
 
 
 @cache
@@ -167,3 +178,60 @@ def add_facts(page: Page, facts: Mapping[str, str], root: Path) -> None:
     ).stdout.strip()  # fmt: skip
     page.rows(("", ""), {"Sources": commit or "no checkout", **facts, **machine_facts()}.items())
     page.prose("page", "seeds")
+
+
+# Okabe and Ito's colours, distinguished also by colour-blind readers and on a grey print, where
+# markers and lines help.
+LOOKS = {
+    "cmp": ("#0072B2", "o", "-"),
+    "cmp_paper": ("#56B4E9", "s", "--"),
+    "dmp_nearest": ("#D55E00", "^", "-"),
+    "dmp_assignment": ("#009E73", "P", "-."),
+    "dmp_grid": ("#E69F00", "D", "--"),
+    "dmp_flow": ("#CC79A7", "v", ":"),
+}
+TRUE_COLOUR, PAPER_COLOUR = "#000000", "#777777"
+WIDTH_IN = 9.0
+STYLE: Any = {
+    "backend": "Agg",
+    "figure.constrained_layout.use": True,
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.markersize": 5.0,
+    "image.interpolation": "nearest",
+}
+
+
+def panels(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, Any]:
+    """A new figure of the page's width, height in inches, and its axes; options of `subplots`."""
+    import matplotlib as mpl
+    import matplotlib.pyplot as plt
+
+    mpl.use("Agg")
+    mpl.rcParams.update(mpl.rcParamsDefault)
+    mpl.rcParams.update(STYLE)
+    return plt.subplots(rows, columns, figsize=(WIDTH_IN, height), **options)
+
+
+def look(method: str, *, hollow: bool = False) -> dict[str, Any]:
+    """Colour, line and marker of a method, by its key."""
+    colour, marker, line = LOOKS[method]
+    face = "white" if hollow else colour
+    return {"color": colour, "marker": marker, "linestyle": line, "markerfacecolor": face}
+
+
+def legend(
+    figure: Figure, axes: Axes, columns: int, place: Literal["lower", "upper"] = "lower"
+) -> None:
+    """Name the lines of one panel for all, below the panels or in the "upper" margin."""
+    handles, labels = axes.get_legend_handles_labels()
+    margin: Any = f"outside {place} center"
+    figure.legend(handles, labels, loc=margin, ncols=columns)

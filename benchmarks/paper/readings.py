@@ -18,7 +18,7 @@ from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import CMP, CMP_PAPER, Chain, Method
 from paper.dot_trackers import DMP_FLOW, DMP_GRID, DMP_NEAREST
-from paper.gel import Mechanics
+from paper.lab import Mechanics
 from paper.sequence import PrintedGel
 
 

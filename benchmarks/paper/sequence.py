@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard, Dots
-from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import Chain, Measurement
-from paper.gel import Mechanics
+from paper.lab import Mechanics
 
 # Of a dot, as a share of the pitch: see results/paper_dot_tuning.md.
 DOT_DIAMETER = 0.35

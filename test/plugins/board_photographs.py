@@ -13,9 +13,9 @@ from cmp_tactile_bringup.calibration.practice_rig import bare_views
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY
-from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame, pixel_rays
 
 # Samples along each side of a pixel, and greys that are kept of them for the blur.

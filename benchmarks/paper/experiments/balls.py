@@ -13,10 +13,8 @@ from scipy.optimize import least_squares
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.scenes.description import Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.figure_style import TRUE_COLOUR, look, panels
-from paper.gel import mechanics_of
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Workplace, mechanics_of
+from paper.page import TRUE_COLOUR, Page, figures, look, panels
 from paper.readings import DOTS, MEASURED, READINGS, BothPrints, Reading, name_of
 
 TITLE = "V.B: Precision: spheres fitted to balls"
@@ -247,9 +245,9 @@ def _table(fits: Mapping[Reading, BallFits], layer: float, page: Page) -> None:
         off = fit.from_ball, fit.from_ball - 2 * layer, fit.from_exact
         cells = (
             f"{np.mean(fit.count):.0f}",
-            *(f"{fit.percent(deviation):.2f}" for deviation in off),
-            f"{1e3 * _rms(fit.from_exact):.3f}",
-            f"{1e6 * np.nanmean(fit.rms):.2f}",
+            *figures("{:.2f}", *(fit.percent(deviation) for deviation in off)),
+            *figures("{:.3f}", 1e3 * _rms(fit.from_exact)),
+            *figures("{:.2f}", 1e6 * np.nanmean(fit.rms)),
             f"{np.isnan(fit.diameter).sum()}",
         )
         rows.append((name_of(reading), *cells))

@@ -14,8 +14,7 @@ from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 from hard_frames.grid_score import GridScore, join_scores
 from paper.chain import CMP, CMP_PAPER, Chain, Method, score_markers
-from paper.gel import mechanics_of, shortened
-from paper.lab import Arrays, Lab, Workplace
+from paper.lab import Arrays, Lab, Workplace, mechanics_of, shortened
 from paper.page import Page
 from paper.sequence import RenderedSequence
 

@@ -17,10 +17,8 @@ from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import CMP, CMP_PAPER, Chain, Method, score_markers
 from paper.dot_trackers import DMP_GRID, DMP_NEAREST, FOLLOWING_METHODS
-from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, legend, look, panels
-from paper.gel import Mechanics, mechanics_of
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Mechanics, Workplace, mechanics_of
+from paper.page import PAPER_COLOUR, TRUE_COLOUR, Page, figures, legend, look, panels
 from paper.sequence import PrintedGel, Truth
 
 TITLE = "V.D: Grasp of a hexagonal wrench with a knock"
@@ -353,7 +351,7 @@ def _smallest(jump: Array, where: NDArray[np.bool_]) -> float | None:
 def _grasp_table(grasps: Mapping[Method, GraspScore], page: Page) -> None:
     rows = []
     for method, grasp in grasps.items():
-        stages = (f"{100 * grasp.largest_in(stage):.3g}" for stage in STAGES)
+        stages = figures("{:.3g}", *(100 * grasp.largest_in(stage) for stage in STAGES))
         wrong = f"{grasp.frames_wrong} of {len(grasp.phase)}"
         rows.append((method.label, *stages, wrong, f"{grasp.bad.sum()}"))
     page.table("grasp.stages", rows, stages=[f"{stage}, %" for stage in STAGES], limit=LIMIT)

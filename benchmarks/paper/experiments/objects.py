@@ -23,10 +23,8 @@ from paper.chain import (
     score_markers,
 )
 from paper.dot_trackers import ALL_METHODS
-from paper.figure_style import panels
-from paper.gel import mechanics_of, shortened
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Workplace, mechanics_of, shortened
+from paper.page import Page, figures, panels
 from paper.readings import DepthField, nodes_of, true_displacement
 from paper.sequence import RenderedSequence, Truth, measured, with_steps_between
 
@@ -108,7 +106,7 @@ def _table(results: Mapping[str, Arrays], page: Page) -> None:
     rows = []
     for name, data in results.items():
         pressed = f"{1e3 * data['depth']:.2f} mm, {data['normal_force']:.2g} N"
-        errors = (f"{1e6 * _distance(data, method):.3g}" for method in ALL_METHODS)
+        errors = figures("{:.3g}", *(1e6 * _distance(data, method) for method in ALL_METHODS))
         rows.append((name, pressed, *errors))
     counted = (_counts(results, method) for method in ALL_METHODS)
     rows.append(("markers found / wrong numbers", "", *counted))

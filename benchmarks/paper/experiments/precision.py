@@ -30,10 +30,8 @@ from paper.chain import (
 )
 from paper.dot_trackers import ALL_METHODS, DMP_GRID, DMP_NEAREST, GridOrderTracker, NearestTracker
 from paper.dots import DotParameters
-from paper.figure_style import panels
-from paper.gel import Mechanics, mechanics_of, shortened
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Mechanics, Workplace, mechanics_of, shortened
+from paper.page import Page, figures, panels
 from paper.sequence import DOT_DIAMETER, RenderedSequence, measured, with_steps_between
 
 TITLE = "IV.D: Precision under normal force, tangential force and torque"
@@ -197,8 +195,8 @@ def _table(summaries: Mapping[str, Summary], page: Page) -> None:
     rows = []
     for method in METHODS:
         found = summaries[method.key]
-        errors = (f"{1e6 * value:.3g}" for value in (*found.rms, *found.largest))
-        ratio = f"{np.linalg.norm(found.rms) / ours:.2f}"
+        errors = figures("{:.3g}", *(1e6 * found.rms), *(1e6 * found.largest))
+        (ratio,) = figures("{:.2f}", np.linalg.norm(found.rms) / ours)
         rows.append((method.label, *errors, ratio, _times(found.concentration), found.counts))
     page.table("precision.loads", rows)
 
@@ -209,7 +207,7 @@ def _dots_table(data: Arrays, page: Page) -> None:
         errors = data[f"{size:g}_{centres}_errors"]
         both = float(np.linalg.norm(root_mean_square(errors)))
         counts = found_and_wrong(data[f"{size:g}_{centres}_counts"])
-        parts = (f"{1e6 * value:.3g}" for value in (*split_of(errors), both))
+        parts = figures("{:.3g}", *(1e6 * value for value in (*split_of(errors), both)))
         rows.append((f"{size:g}", centres, *parts, counts))
     page.table("precision.dots", rows, method=DMP_GRID.label, diameter=DOT_DIAMETER)
 

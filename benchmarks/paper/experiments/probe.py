@@ -15,10 +15,8 @@ from cmp_tactile_processing.measured import Surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.figure_style import panels
-from paper.gel import mechanics_of
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Workplace, mechanics_of
+from paper.page import Page, panels
 from paper.readings import (
     DOTS,
     READINGS,

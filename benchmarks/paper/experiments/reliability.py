@@ -18,10 +18,8 @@ from cmp_tactile_simulation.scenes.description import MoveBy, Scene, Start, Touc
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.chain import CMP, Chain, Method, score_markers
 from paper.dot_trackers import ALL_METHODS
-from paper.figure_style import PAPER_COLOUR, legend, look, panels
-from paper.gel import mechanics_of
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Workplace, mechanics_of
+from paper.page import PAPER_COLOUR, Page, legend, look, panels
 from paper.sequence import PrintedGel, Truth
 
 TITLE = "IV.F: Reliability in uneven light and noise"

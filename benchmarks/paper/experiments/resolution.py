@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from paper.figure_style import PAPER_COLOUR, TRUE_COLOUR, legend, look, panels
-from paper.gel import mechanics_of
-from paper.lab import Arrays, Lab, Workplace
-from paper.page import Page
+from paper.lab import Arrays, Lab, Workplace, mechanics_of
+from paper.page import PAPER_COLOUR, TRUE_COLOUR, Page, figures, legend, look, panels
 from paper.readings import (
     DOTS,
     MEASURED,
@@ -256,8 +254,9 @@ def _sphere_table(spheres: Arrays, page: Page) -> None:
     for reading in READINGS:
         near, everywhere = (1e6 * spheres[f"{reading.key}_{what}"] for what in ("near", "all"))
         share = spheres[f"{reading.key}_share"].mean(axis=0)
-        shares = (f"{100 * value:.0f}" for value in share)
-        rows.append((name_of(reading), f"{near.mean():.3g}", f"{everywhere.mean():.3g}", *shares))
+        shares = figures("{:.0f}", *(100 * share))
+        errors = figures("{:.3g}", near.mean(), everywhere.mean())
+        rows.append((name_of(reading), *errors, *shares))
     page.table("resolution.spheres", rows)
 
 

@@ -15,8 +15,7 @@ from cmp_tactile_bringup.terminal.output import processor_name
 from cmp_tactile_processing.sensor.description import SensorDescription
 from paper.chain import Chain, Method
 from paper.dot_trackers import ALL_METHODS
-from paper.gel import mechanics_of, shortened
-from paper.lab import Arrays, Lab, Workplace
+from paper.lab import Arrays, Lab, Workplace, mechanics_of, shortened
 from paper.page import Page
 from paper.sequence import Exposure, RenderedSequence
 

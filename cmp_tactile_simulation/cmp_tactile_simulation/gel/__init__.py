@@ -11,15 +11,15 @@ from pathlib import Path
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.errors import MaterialError
-from cmp_tactile_simulation.gel.linear import LinearElastomer
-from cmp_tactile_simulation.gel.neo_hookean import NeoHookeanElastomer
-from cmp_tactile_simulation.gel.problem import (
+from cmp_tactile_simulation.gel.linear import (
     NODES_RANGE,
     ContactProblem,
+    LinearElastomer,
+    RelaxingElastomer,
     contact_nodes,
     observers,
 )
-from cmp_tactile_simulation.gel.relaxing import RelaxingElastomer
+from cmp_tactile_simulation.gel.neo_hookean import NeoHookeanElastomer
 
 __all__ = [
     "NODES_RANGE",

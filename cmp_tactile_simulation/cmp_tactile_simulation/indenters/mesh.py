@@ -21,7 +21,6 @@ MAX_FACES = 2_000_000
 MAX_FILE_BYTES = 500_000_000
 # Between these, m, is what fits on or under a fingertip; elsewhere the unit is mistaken.
 MIN_EXTENT, MAX_EXTENT = 1e-4, 0.2
-MAX_GRID_POINTS = 9_000_000
 # The default resolution: this many grid points over the longer side, but no finer than needed.
 DEFAULT_POINTS, FINEST_DEFAULT = 800, 2e-5
 # The work of rounding edges grows with the square of this: grid points over a ball's radius.
@@ -50,7 +49,7 @@ class MeshIndenter:
     Only what is seen from below, along the gel's z axis with the indenter turned as at the start,
     is there: undercuts are filled, walls along that view lean a little outwards, and there is no
     upper side.  Distances are taken along the view and shortened by the slope: exact in sign, and
-    at the surface.  A later tilt is that of the underside alone: see `view_tilt_deg`.
+    at the surface.  A later tilt is that of the underside alone.
     name: of the file.  heights: in the turned frame.  edge_radius: rounding of edges, m.
     reach: m.  rotation (3, 3): from the mesh's own axes, the indenter's frame, to that frame.
     """
@@ -66,18 +65,17 @@ class MeshIndenter:
         cls,
         path: Path,
         scale: float = 1.0,
-        resolution: float | None = None,
         edge_radius: float | None = None,
         rotation: Array | None = None,
     ) -> MeshIndenter:
         """Read a closed mesh (STL, OBJ, PLY, OFF, glTF).
 
-        scale: from the file's unit to m, 0.001 for a file in mm.  resolution: of the heights, m;
-        default a point in 800 of the longer side.  edge_radius: m; default two points.
+        scale: from the file's unit to m, 0.001 for a file in mm.  edge_radius: m; default two
+        points of the heights, of which there are 800 along the longer side.
         rotation (3, 3): of the indenter in the gel frame at the start; default unturned.
         Raises IndenterError with file, found and expected: for a file that cannot be read, a mesh
-        with more than MAX_FACES faces, not watertight or without volume, and for a size or a
-        resolution out of range.
+        with more than MAX_FACES faces, not watertight or without volume, and for a size out of
+        range.
         """
         path = Path(path).absolute()
         turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
@@ -89,7 +87,6 @@ class MeshIndenter:
         return _loaded(
             _File(path, state.st_size, state.st_mtime_ns),
             scale,
-            resolution,
             edge_radius,
             tuple(turn.ravel().tolist()),
         )
@@ -108,11 +105,6 @@ class MeshIndenter:
         gap = (height - p_start[:, 2]) / steepness
         return gap, (normal / steepness[:, None]) @ self.rotation
 
-    def view_tilt_deg(self, rotation: Array) -> float:
-        """Angle between the view at the start and that with another rotation (3, 3) in the gel."""
-        cosine = float(self.rotation[2] @ rotation[2])
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-
 
 class _File(NamedTuple):
     """A file as it was when looked at: path, size in bytes, time of change in ns."""
@@ -127,7 +119,6 @@ class _File(NamedTuple):
 def _loaded(
     file: _File,
     scale: float,
-    resolution: float | None,
     edge_radius: float | None,
     rotation: tuple[float, ...],
 ) -> MeshIndenter:
@@ -140,15 +131,10 @@ def _loaded(
     triangles = scale * np.asarray(mesh.triangles, dtype=np.float64) - (low + high) / 2
     triangles = triangles @ turn.T
     extent = np.ptp(triangles.reshape(-1, 3), axis=0)[:2]
-    resolution = _checked_resolution(path, extent, resolution, edge_radius)
-    edge_radius = _checked_edge_radius(path, extent, resolution, edge_radius)
+    resolution, edge_radius = _fineness(path, extent, edge_radius)
     # A ball as wide as the outline would not fit between the grid's points in it.
     ball = min(edge_radius, max(float(extent.min()) / 2 - resolution, 0.0))
-    try:
-        heights = HeightField.of_triangles(triangles, resolution, ball)
-    except ValueError as error:
-        msg = f"{path}: resolution: {error}, expected a finer resolution"
-        raise IndenterError(msg) from None
+    heights = HeightField.of_triangles(triangles, resolution, ball)
     return MeshIndenter(
         path.name, heights, edge_radius, float(np.linalg.norm(high - low)) / 2, turn
     )
@@ -205,50 +191,25 @@ def _check_size(path: Path, extent: Array, scale: float) -> None:
     raise IndenterError(msg)
 
 
-def _checked_resolution(
-    path: Path, extent: Array, resolution: float | None, edge_radius: float | None
-) -> float:
-    """The resolution, m, for the extent (2,) m that is seen."""
-    if resolution is None:
-        # As fine as a ball of that radius may be; what is wrong with the radius is reported later.
-        for_ball = edge_radius / MAX_BALL_CELLS if edge_radius is not None else 0.0
-        finest = max(float(extent.max()) / DEFAULT_POINTS, FINEST_DEFAULT)
-        resolution = max(finest, min(for_ball, float(extent.min()) / MAX_BALL_CELLS))
-    points = float(np.prod(extent / resolution + 1)) if resolution > 0 else np.inf
-    if not points <= MAX_GRID_POINTS:
-        least = float(np.sqrt(np.prod(extent) / MAX_GRID_POINTS))
-        msg = f"{path}: resolution: found {resolution!r} m, expected at least about {least:.2g} m"
-        raise IndenterError(msg)
-    coarsest = float(extent.min()) / 2
-    if resolution > coarsest:
-        msg = (
-            f"{path}: resolution: found {resolution!r} m, expected at most {coarsest:.3g} m, half "
-            "of the shorter side as seen from above"
-        )
-        raise IndenterError(msg)
-    return resolution
-
-
-def _checked_edge_radius(
-    path: Path, extent: Array, resolution: float, edge_radius: float | None
-) -> float:
-    """The edges' radius, m: a ball wider than the outline would leave nothing of the solid."""
+def _fineness(path: Path, extent: Array, edge_radius: float | None) -> tuple[float, float]:
+    """Resolution of the heights and radius of the edges, m, for the extent (2,) m that is seen."""
     narrowest = float(extent.min())
-    if edge_radius is None:
-        return min(2 * resolution, narrowest / 4)
-    if not 0 <= edge_radius <= narrowest / 2:
+    if edge_radius is not None and not 0 <= edge_radius <= narrowest / 2:
+        # A ball wider than the outline would leave nothing of the solid.
         msg = (
             f"{path}: edge_radius: found {edge_radius!r} m, expected 0 to {narrowest / 2:.3g} m, "
             "half of the shorter side as seen from above"
         )
         raise IndenterError(msg)
-    if edge_radius > MAX_BALL_CELLS * resolution * (1 + 1e-9):
+    finest = max(float(extent.max()) / DEFAULT_POINTS, FINEST_DEFAULT)
+    resolution = max(finest, (edge_radius or 0.0) / MAX_BALL_CELLS)
+    if resolution > narrowest / 2:
         msg = (
-            f"{path}: resolution: found {resolution!r} m, expected at least "
-            f"{edge_radius / MAX_BALL_CELLS:.3g} m, 1/{MAX_BALL_CELLS} of the edge_radius"
+            f"{path}: size: found {narrowest:.3g} m along the shorter side as seen from above, "
+            f"expected at least {2 * resolution:.3g} m"
         )
         raise IndenterError(msg)
-    return edge_radius
+    return resolution, min(2 * resolution, narrowest / 4) if edge_radius is None else edge_radius
 
 
 # The underside of a solid as heights over a grid.
@@ -276,7 +237,6 @@ class HeightField:
 
         triangles: (n, 3, 3) corners, m.  edge_radius: m, 0 leaves the edges as they are; parts
         thinner than twice the radius disappear.
-        Raises ValueError where the triangles cover no point of the grid.
         """
         margin = edge_radius + 2 * resolution
         low = triangles[..., :2].min(axis=(0, 1)) - margin
@@ -284,9 +244,6 @@ class HeightField:
         cols, rows = (np.ceil((high - low) / resolution).astype(int) + 1).tolist()
         height = np.full((rows, cols), np.inf)
         _lower(height, triangles, low, resolution)
-        if not np.isfinite(height).any():
-            msg = f"found no point of a grid of {resolution:.3g} m over the solid"
-            raise ValueError(msg)
         height = _rounded(_walled(height, resolution), edge_radius, resolution)
         by_y, by_x = np.gradient(height, resolution)
         return cls((float(low[0]), float(low[1])), resolution, height, np.stack([by_x, by_y], -1))

@@ -2,15 +2,58 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_simulation.live import exchange, motion
-from cmp_tactile_simulation.live.camera import LiveCamera
-from cmp_tactile_simulation.live.contact import LiveContact, LiveState
-from cmp_tactile_simulation.rendering.renderer import OpticalTruth
+from cmp_tactile_driver.sources.frames import Frame
+from cmp_tactile_processing.measured import ForceField, Grid, Surface
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import Camera
+from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.live.mechanics import (
+    Command,
+    LiveContact,
+    LiveSettings,
+    LiveState,
+    LiveStatus,
+    check_command,
+)
+from cmp_tactile_simulation.rendering.camera import expose
+from cmp_tactile_simulation.rendering.ink import ink_of
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
+
+
+@dataclass(frozen=True)
+class TruthWanted:
+    """What is reported of a frame beside its picture.
+
+    force: the force field.  optics: grids and surface.
+    """
+
+    force: bool = False
+    optics: bool = False
+
+
+@dataclass(frozen=True)
+class LiveFrame(Frame):
+    """A frame, how the sensor is, and what was wanted of its truth.
+
+    pose: of the indenter; None for the gel at rest before there is a state, which has no force
+    field either.  grids: by view, px of the view.
+    """
+
+    status: LiveStatus
+    pose: Pose | None = None
+    force: ForceField | None = None
+    grids: Mapping[str, Grid] | None = None
+    surface: Surface | None = None
 
 
 class LiveSensor:
@@ -20,7 +63,7 @@ class LiveSensor:
     time.  Until the model is built (the first time for a sensor), the frames show the gel at rest.
     """
 
-    def __init__(self, scene: Scene, settings: motion.LiveSettings, rate: float) -> None:
+    def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
         """rate: contact steps per second that are aimed at, Hz."""
         self._scene = live_scene(scene, settings)
         self._contact = LiveContact(self._scene, settings, rate)
@@ -28,7 +71,7 @@ class LiveSensor:
         self._truth = OpticalTruth(self._scene.sensor)
         self._contact.start()
 
-    def picture(self, wanted: exchange.TruthWanted = exchange.TruthWanted()) -> exchange.LiveFrame:  # noqa: B008  frozen
+    def picture(self, wanted: TruthWanted = TruthWanted()) -> LiveFrame:
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         if self._contact.failure:
             msg = f"scene {self._scene.name}: {self._contact.failure}"
@@ -38,7 +81,7 @@ class LiveSensor:
         surface = self._surface(state)
         image = self._camera.picture(surface)
         self._contact.pictured(state)
-        return exchange.LiveFrame(
+        return LiveFrame(
             image=image,
             origin=f"{self._scene.name} [{state.number if state else 'at rest'}]",
             status=status,
@@ -48,9 +91,9 @@ class LiveSensor:
             surface=self._truth.surface(surface) if wanted.optics else None,
         )
 
-    def command(self, command: exchange.Command) -> None:
+    def command(self, command: Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
-        exchange.check_command(command, self._scene.sensor)
+        check_command(command, self._scene.sensor)
         self._contact.command(command)
 
     def close(self) -> None:
@@ -64,7 +107,7 @@ class LiveSensor:
         return DeformedSurface(pattern, observers, state.moved)
 
 
-def live_scene(scene: Scene, settings: motion.LiveSettings) -> Scene:
+def live_scene(scene: Scene, settings: LiveSettings) -> Scene:
     """The scene with what can be had in real time."""
     sensor = replace(scene.sensor, elastomer=replace(scene.sensor.elastomer, model="linear"))
     return replace(
@@ -72,4 +115,97 @@ def live_scene(scene: Scene, settings: motion.LiveSettings) -> Scene:
         sensor=sensor,
         contact_nodes=min(scene.contact_nodes, settings.contact_nodes),
         samples=min(scene.samples, settings.samples),
+    )
+
+
+# Noise is drawn from so many images, at places by chance.
+NOISE_IMAGES = 8
+
+
+class LiveCamera:
+    """Takes pictures of a scene's sensor.
+
+    The rays of 2 x 2 pixels are found together where the frame can be halved, and the noise of a
+    frame is one of a few images, moved about: both cost most of the time offline.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        """scene: as it is to be rendered live."""
+        self._scene = scene
+        ink = ink_of(scene.sensor.sheet, scene.pattern_type, scene.defects, scene.seed)
+        half = with_half_the_pixels(scene.sensor)
+        self._is_half = half is not None
+        samples = scene.samples * (2 if half else 1)
+        self._renderer = Renderer(half or scene.sensor, ink, samples=samples)
+        self._rng = np.random.default_rng(scene.seed)
+        self._noise = self._noise_images()
+
+    def picture(self, surface: DeformedSurface) -> NDArray[np.uint8]:
+        """The frame (height, width) of the gel."""
+        rendered = self._renderer.render(surface)
+        if self._is_half:
+            # Rendered finer than its pixels by 2, it has the full frame's.
+            rendered = RenderedFrame(rendered.grey, fineness=1)
+        camera = self._scene.camera
+        if self._noise is not None:
+            camera = replace(camera, read_noise=0.0)
+        image = expose(rendered, camera, self._rng, self._scene.seed)
+        return image if self._noise is None else self._with_noise(image, self._noise)
+
+    def _noise_images(self) -> NDArray[np.int16] | None:
+        """Images of the read noise, grey levels; None without noise."""
+        camera, size = self._scene.camera, self._scene.sensor.image
+        if camera.read_noise == 0:
+            return None
+        shape = NOISE_IMAGES, size.height, size.width
+        noise = self._rng.standard_normal(shape, dtype=np.float32) * camera.read_noise
+        return np.asarray(np.rint(noise), np.int16)
+
+    def _with_noise(self, image: NDArray[np.uint8], noise: NDArray[np.int16]) -> NDArray[np.uint8]:
+        chosen = noise[self._rng.integers(len(noise))]
+        down, right = self._rng.integers(image.shape)
+        moved = np.roll(chosen, (down, right), axis=(0, 1))
+        return np.asarray(cv2.add(image, moved, dtype=cv2.CV_8U), np.uint8)
+
+
+def with_half_the_pixels(sensor: SensorDescription) -> SensorDescription | None:
+    """The same sensor with pixels of twice the size; None where a side of a view is odd."""
+    image, views = sensor.image, sensor.views
+    sides = [image.width, image.height]
+    for view in views.values():
+        sides += [view.roi.x, view.roi.y, view.roi.width, view.roi.height]
+    if any(side % 2 for side in sides):
+        return None
+    halves = {
+        name: replace(
+            view,
+            roi=replace(
+                view.roi,
+                x=view.roi.x // 2,
+                y=view.roi.y // 2,
+                width=view.roi.width // 2,
+                height=view.roi.height // 2,
+            ),
+            camera=_with_half_the_pixels(view.camera),
+        )
+        for name, view in views.items()
+    }
+    return replace(
+        sensor,
+        image=replace(image, width=image.width // 2, height=image.height // 2),
+        camera=_with_half_the_pixels(sensor.camera),
+        views=halves,
+    )
+
+
+def _with_half_the_pixels(camera: Camera | None) -> Camera | None:
+    if camera is None:
+        return None
+    # The centre of the top-left pixel is (0, 0).
+    return replace(
+        camera,
+        fx=camera.fx / 2,
+        fy=camera.fy / 2,
+        cx=(camera.cx + 0.5) / 2 - 0.5,
+        cy=(camera.cy + 0.5) / 2 - 0.5,
     )

@@ -21,8 +21,8 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_simulation.live import exchange, motion
-from cmp_tactile_simulation.live.sensor import LiveSensor
+from cmp_tactile_simulation.live.mechanics import Command, LiveSettings, LiveStatus, check_command
+from cmp_tactile_simulation.live.sensor import LiveFrame, LiveSensor, TruthWanted
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
 
@@ -36,7 +36,7 @@ class LiveProcess:
     That process ends with this one, however it ends.  `picture` is for one thread.
     """
 
-    def __init__(self, scene: Scene, settings: motion.LiveSettings, rate: float) -> None:
+    def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
         """rate: contact steps per second that are aimed at, Hz."""
         self._scene = scene
         pairs = [Pipe() for _ in range(LANES)]
@@ -54,12 +54,12 @@ class LiveProcess:
         self._sending, self._drawing = threading.Lock(), threading.Lock()
         self._pictures.send((scene, settings, rate))
 
-    def picture(self, wanted: exchange.TruthWanted = exchange.TruthWanted()) -> exchange.LiveFrame:  # noqa: B008  frozen
+    def picture(self, wanted: TruthWanted = TruthWanted()) -> LiveFrame:  # noqa: B008  frozen
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         try:
             with self._drawing:
                 self._pictures.send(wanted)
-                answer: exchange.LiveFrame | str = self._pictures.recv()
+                answer: LiveFrame | str = self._pictures.recv()
         except (EOFError, OSError):
             msg = f"scene {self._scene.name}: its process ended with code {self._process.wait()}"
             raise FrameSourceError(msg) from None
@@ -67,9 +67,9 @@ class LiveProcess:
             raise FrameSourceError(answer)
         return answer
 
-    def command(self, command: exchange.Command) -> None:
+    def command(self, command: Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
-        exchange.check_command(command, self._scene.sensor)
+        check_command(command, self._scene.sensor)
         # Where the process has ended, the next picture shows it.
         with self._sending, suppress(OSError):
             self._commands.send(command)
@@ -94,13 +94,13 @@ def _serve(pictures: Connection[Any, Any], commands: Connection[Any, Any]) -> No
     while True:
         wanted = pictures.recv()
         try:
-            answer: exchange.LiveFrame | str = sensor.picture(wanted)
+            answer: LiveFrame | str = sensor.picture(wanted)
         except CmpTactileError as error:
             answer = str(error)
         pictures.send(answer)
 
 
-def _command(command: exchange.Command, made: Future[LiveSensor]) -> None:
+def _command(command: Command, made: Future[LiveSensor]) -> None:
     made.result().command(command)
 
 
@@ -135,11 +135,11 @@ class SimulatedSource:
         self,
         scene: Scene,
         frame_rate: float = 0.0,
-        make: Callable[[Scene, motion.LiveSettings, float], LiveSensor | LiveProcess] = LiveProcess,
+        make: Callable[[Scene, LiveSettings, float], LiveSensor | LiveProcess] = LiveProcess,
     ) -> None:
         """frame_rate: Hz, 0 for FRAME_RATE or the scene's own if that is lower."""
-        self.settings = motion.LiveSettings()
-        self.wanted = exchange.TruthWanted()
+        self.settings = LiveSettings()
+        self.wanted = TruthWanted()
         self._scene = scene
         self._frame_rate = frame_rate or min(FRAME_RATE, scene.rate)
         self._make = make
@@ -147,7 +147,7 @@ class SimulatedSource:
         # Frames are read on one thread, commands come on another.
         self._making = threading.Lock()
         self._ended = False
-        self._status = exchange.LiveStatus()
+        self._status = LiveStatus()
 
     @classmethod
     def from_options(cls, options: SourceOptions) -> SimulatedSource:
@@ -188,13 +188,13 @@ class SimulatedSource:
             "samples of a pixel": self.settings.samples**2,
         }
 
-    def read(self) -> exchange.LiveFrame:
+    def read(self) -> LiveFrame:
         """A frame of the newest state; FrameSourceError where nothing can be simulated."""
         frame = self._started().picture(self.wanted)
         self._status = frame.status
         return frame
 
-    def command(self, command: exchange.Command) -> None:
+    def command(self, command: Command) -> None:
         """Ask something of the indenter; CommandError for what cannot be."""
         self._started().command(command)
 

@@ -19,8 +19,8 @@ from cmp_tactile_processing.ros.messages.making import gel_frame, view_frame
 from cmp_tactile_processing.ros.parameters import declare_checked, describe
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError
-from cmp_tactile_simulation.live.exchange import LiveFrame, Reset, TruthWanted
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.mechanics import LiveSettings, Reset
+from cmp_tactile_simulation.live.sensor import LiveFrame, TruthWanted
 
 if TYPE_CHECKING:
     from cmp_tactile_simulation.live.source import SimulatedSource

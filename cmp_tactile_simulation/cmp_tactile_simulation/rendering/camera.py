@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
+from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
-from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
 WHITE = 255.0

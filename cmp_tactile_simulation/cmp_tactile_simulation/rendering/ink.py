@@ -15,7 +15,7 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Pattern
-from cmp_tactile_simulation.rendering.random_streams import Purpose, random_stream
+from cmp_tactile_simulation.rendering import Purpose, random_stream
 
 # Flaws of a printed pattern, as fixed functions of the place on the skin.
 

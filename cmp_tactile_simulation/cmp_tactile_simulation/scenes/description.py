@@ -308,13 +308,11 @@ def _touching(
 
 
 MESH = "mesh"
-MESH_KEYS = ("scale", "resolution", "edge_radius")
+MESH_KEYS = ("scale", "edge_radius")
 MAX_FRICTION = 10.0
 # Of everything that presses on a gel.
 SIDE_M = 1e-6, 0.2
 DEFAULT_FRICTION = 0.6
-# Of a mesh from its rotation at the start: more would show sides that its heights do not hold.
-MAX_TILT_DEG = 30.0
 
 INDENTERS: Mapping[str, Any] = {
     shape.name: shape
@@ -330,14 +328,11 @@ INDENTERS: Mapping[str, Any] = {
 }
 
 
-def read_indenter(
-    section: YamlSection, folder: Path, start: Start, motion: Sequence[Phase]
-) -> IndenterDescription:
+def read_indenter(section: YamlSection, folder: Path, start: Start) -> IndenterDescription:
     """The description of `indenter`; its keys are the fields of the shape.
 
     folder: of the scene file, which a mesh's path is relative to.
-    Raises DescriptionError for wrong keys, for a shape that cannot be made of their values, and
-    for a motion that tilts a mesh by more than MAX_TILT_DEG from the start.
+    Raises DescriptionError for wrong keys, and for a shape that cannot be made of their values.
     """
     kind = section.choice("type", (*INDENTERS, MESH))
     friction = DEFAULT_FRICTION
@@ -356,11 +351,9 @@ def read_indenter(
     section.finish()
     description = IndenterDescription(kind, friction, values, file)
     try:
-        indenter = indenter_of(description, start)
+        indenter_of(description, start)
     except IndenterError as error:
         raise section.error("", values or str(file), f"another indenter ({error})") from None
-    if isinstance(indenter, MeshIndenter):
-        _check_tilt(section, indenter, motion)
     return description
 
 
@@ -369,36 +362,12 @@ def indenter_of(description: IndenterDescription, start: Start) -> shapes.Indent
 
     start: its rotation says which side of a mesh touches.
     """
-    indenter: shapes.Indenter
     if description.file is not None:
-        indenter = MeshIndenter.load(
+        return MeshIndenter.load(
             description.file, **description.values, rotation=turned(start.rotation_deg)
         )
-    else:
-        indenter = INDENTERS[description.type](**description.values)
+    indenter: shapes.Indenter = INDENTERS[description.type](**description.values)
     return indenter
-
-
-def _check_tilt(section: YamlSection, mesh: MeshIndenter, motion: Sequence[Phase]) -> None:
-    """Refuse a motion that tilts the mesh too far; its phases turn at a constant rate."""
-    rotation = mesh.rotation
-    for phase in motion:
-        begin = Pose(rotation=rotation)
-        if isinstance(phase.goal, MoveTo) and phase.goal.rotation_deg is not None:
-            rotation = turned(phase.goal.rotation_deg)
-        elif isinstance(phase.goal, MoveBy):
-            rotation = turned(phase.goal.rotation_deg) @ rotation
-        if np.array_equal(begin.rotation, rotation):
-            continue
-        way = [begin.towards(Pose(rotation=rotation), share) for share in np.linspace(0, 1, 37)]
-        tilt = max(mesh.view_tilt_deg(pose.rotation) for pose in way)
-        if tilt > MAX_TILT_DEG + 1e-6:
-            raise section.error(
-                "",
-                f"a mesh that phase {phase.name!r} tilts by {tilt:.3g} degrees from its start",
-                f"at most {MAX_TILT_DEG:g}: only the side of a mesh that faces the gel at the "
-                "start is used; set `start.rotation_deg` instead",
-            )
 
 
 def _read_values(section: YamlSection, shape: Any) -> dict[str, Any]:

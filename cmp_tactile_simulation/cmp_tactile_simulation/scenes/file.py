@@ -28,6 +28,8 @@ from cmp_tactile_processing.sensor.yaml_section import (
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 from cmp_tactile_simulation.contact.laws import Load
 from cmp_tactile_simulation.errors import SceneError
+from cmp_tactile_simulation.rendering.camera import CameraSettings
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes import description
 
 FORMAT_VERSION = 1
@@ -35,10 +37,11 @@ SCENE_FILE = "scene.yaml"
 SENSOR_FILE = "sensor.yaml"
 MAX_FRAMES = 100_000
 MAX_REPEATS = 1000
-MAX_DEPTH = 8
 MAX_PHASE_S = 3600.0
 MAX_LOAD_N = 1000.0
 MAX_TORQUE_NM = 10.0
+# Keys of a scene that `scene_mapping` does not write as they are.
+WRITTEN_APART = ("sensor_mapping", "file")
 GOALS = ("to", "by", "load", "touch", "hold", "release")
 
 Point = tuple[float, float]
@@ -70,7 +73,7 @@ def _read(top: YamlSection, path: Path) -> description.Scene:
     sensor, mapping = _read_sensor(top, path)
     motion = _read_motion(top, values.get("rate", description.Scene.rate))
     start = _read_start(top.section("start"))
-    indenter = description.read_indenter(top.section("indenter"), path.parent, start, motion)
+    indenter = description.read_indenter(top.section("indenter"), path.parent, start)
     top.finish()
     return description.Scene(
         **values,
@@ -157,57 +160,36 @@ def _read_start(section: YamlSection) -> description.Start:
     )
 
 
-class _Context(NamedTuple):
-    """What phases mean depends on: frames/s; of a group its point, number (" 1") and depth."""
-
-    rate: float
-    point: Point | None = None
-    number: str = ""
-    depth: int = 0
-
-
 def _read_motion(top: YamlSection, rate: float) -> tuple[description.Phase, ...]:
     """The phases of `motion` in order, those of a group once for each of its points.
 
     rate: frames/s, which makes frames of durations.
     """
     phases: list[description.Phase] = []
-    frames = 0
-    for phase in _phases(top, _Context(rate)):
-        frames += phase.frames
-        if frames > MAX_FRAMES:
-            # Groups in groups may hold more phases than can be listed.
-            raise top.error("motion", f"{frames} frames or more", f"1 to {MAX_FRAMES} frames")
-        phases.append(phase)
+    for item in top.sections("motion"):
+        phases += _read_group(item, rate) if "motion" in item else [_read_phase(item, rate)]
+    frames = sum(phase.frames for phase in phases)
+    if not 0 < frames <= MAX_FRAMES:
+        raise top.error("motion", f"{frames} frames", f"1 to {MAX_FRAMES} frames")
     return tuple(phases)
 
 
-def _phases(section: YamlSection, context: _Context) -> Iterator[description.Phase]:
-    if context.depth > MAX_DEPTH:
-        raise section.error("motion", "one more", f"at most {MAX_DEPTH} nested groups")
-    items = list(section.sections("motion"))
-    if not items:
-        raise section.error("motion", "no phases", "at least one")
-    for item in items:
-        if "motion" in item:
-            yield from _group(item, context)
-        else:
-            yield _read_phase(item, context)
-
-
-def _group(section: YamlSection, context: _Context) -> Iterator[description.Phase]:
+def _read_group(section: YamlSection, rate: float) -> list[description.Phase]:
     """The phases of a group, once for each of its points or as often as it says."""
     if ("points" in section) == ("repeat" in section):
         raise section.error("", "a group", "either `points` or `repeat` beside its `motion`")
-    points: list[Point | None]
+    points: list[Point] | list[None]
     if "points" in section:
-        points = [*_read_points(section)]
+        points = _read_points(section)
     else:
-        points = [context.point] * section.integer("repeat", 1, MAX_REPEATS)
-    for number, point in enumerate(points, start=1):
-        name = f"{context.number} {number}"
-        yield from _phases(section, _Context(context.rate, point, name, context.depth + 1))
+        points = [None] * section.integer("repeat", 1, MAX_REPEATS)
+    phases = [
+        _read_phase(item, rate, f" {number}", point)
+        for number, point in enumerate(points, start=1)
+        for item in section.sections("motion")
+    ]
     section.finish()
+    return phases
 
 
 def _read_points(section: YamlSection) -> list[Point]:
@@ -218,7 +200,10 @@ def _read_points(section: YamlSection) -> list[Point]:
     return [(x, y) for x, y in section.number_rows("points", len(points), 2)]
 
 
-def _read_phase(section: YamlSection, context: _Context) -> description.Phase:
+def _read_phase(
+    section: YamlSection, rate: float, number: str = "", point: Point | None = None
+) -> description.Phase:
+    """number, point: of the group's round, where there is one."""
     name = section.text("name")
     kinds = [kind for kind in GOALS if kind in section]
     if len(kinds) != 1:
@@ -226,9 +211,9 @@ def _read_phase(section: YamlSection, context: _Context) -> description.Phase:
     return read_fields(
         section,
         description.Phase,
-        name=f"{name}{context.number}",
-        frames=_read_frames(section, context.rate),
-        goal=_read_goal(section, kinds[0], context.point),
+        name=f"{name}{number}",
+        frames=_read_frames(section, rate),
+        goal=_read_goal(section, kinds[0], point),
     )
 
 
@@ -294,21 +279,15 @@ def scene_mapping(scene: description.Scene) -> dict[str, Any]:
     """The mapping of scene.yaml: every key of the scene, its sensor description beside it."""
     return {
         "version": FORMAT_VERSION,
-        "name": scene.name,
-        "title": scene.title,
-        "source": scene.source,
-        **({"note": scene.note} if scene.note else {}),
+        **{
+            key: value
+            for key, value in _mapping(scene).items()
+            if key not in WRITTEN_APART and value != ""
+        },
         "sensor": SENSOR_FILE,
-        "pattern_type": scene.pattern_type,
-        "contact_nodes": scene.contact_nodes,
         "indenter": _indenter(scene.indenter),
-        "rate": scene.rate,
         "start": _start(scene.start),
         "motion": [_phase(phase) for phase in scene.motion],
-        "camera": asdict(scene.camera),
-        "print": asdict(scene.defects),
-        "samples": scene.samples,
-        "seed": scene.seed,
     }
 
 
@@ -342,14 +321,10 @@ def _phase(phase: description.Phase) -> dict[str, Any]:
 def _goal(goal: description.Goal) -> dict[str, Any]:
     if isinstance(goal, description.Hold):
         return {"hold": True}
-    if isinstance(goal, description.Release):
-        return _mapping(goal)
-    if isinstance(goal, description.Press):
-        return {"load": _mapping(goal.load)}
-    key = {description.MoveTo: "to", description.MoveBy: "by", description.Touch: "touch"}[
+    key = {description.MoveTo: "to", description.MoveBy: "by", description.Touch: "touch"}.get(
         type(goal)
-    ]
-    return {key: _mapping(goal)}
+    )
+    return {key: _mapping(goal)} if key else _mapping(goal)
 
 
 def _mapping(part: Any) -> dict[str, Any]:
@@ -357,11 +332,17 @@ def _mapping(part: Any) -> dict[str, Any]:
     values = {
         item.metadata.get("key") or item.name: getattr(part, item.name) for item in fields(part)
     }
-    return {key: _plain(value) for key, value in values.items() if value is not None}
+    return {
+        key: _plain(value) for key, value in values.items() if value is not None and value != ""
+    }
 
 
 def _plain(value: Any) -> Any:
-    """Tuples as lists, which is all that YAML knows."""
+    """As YAML knows it: lists for tuples, mappings for parameters and loads."""
+    if isinstance(value, (CameraSettings, PrintDefects, Load)):
+        value = asdict(value)
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
 
 

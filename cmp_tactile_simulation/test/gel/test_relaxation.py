@@ -10,7 +10,7 @@ import pytest
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.laws import ContactState, Pose
-from cmp_tactile_simulation.live.motion import LiveSettings, stay, step_towards
+from cmp_tactile_simulation.live.mechanics import LiveSettings, stay, step_towards
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SHARE, TIME = 0.3, 0.2

@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError
-from cmp_tactile_simulation.live.motion import (
+from cmp_tactile_simulation.live.mechanics import (
     LiveSettings,
     ScenePlayer,
     next_frame,

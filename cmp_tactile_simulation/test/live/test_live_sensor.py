@@ -25,9 +25,8 @@ from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SceneError
-from cmp_tactile_simulation.live.exchange import LiveMode, Reset, TruthWanted, check_command
-from cmp_tactile_simulation.live.motion import LiveSettings
-from cmp_tactile_simulation.live.sensor import LiveSensor
+from cmp_tactile_simulation.live.mechanics import LiveMode, LiveSettings, Reset, check_command
+from cmp_tactile_simulation.live.sensor import LiveSensor, TruthWanted
 from cmp_tactile_simulation.live.source import LiveProcess, SimulatedSource
 from cmp_tactile_simulation.scenes.description import Start
 from cmp_tactile_simulation.scenes.file import load_scene
@@ -199,7 +198,7 @@ def test_a_process_that_is_killed_is_reported_and_can_be_closed():
 
 ORPHAN = """
 import os, sys
-from cmp_tactile_simulation.live.motion import LiveSettings
+from cmp_tactile_simulation.live.mechanics import LiveSettings
 from cmp_tactile_simulation.live.source import LiveProcess
 from cmp_tactile_simulation.scenes.file import load_scene
 live = LiveProcess(load_scene(sys.argv[1]), LiveSettings(), 20.0)

@@ -26,7 +26,7 @@ from cmp_tactile_processing.ros.messages.reading import (
     surface_from_msg,
 )
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_simulation.live.exchange import TruthWanted
+from cmp_tactile_simulation.live.sensor import TruthWanted
 
 SCENE = Path(__file__).parents[1] / "data" / "live_press.yaml"
 GEL = "sample_rig_gel_frame"

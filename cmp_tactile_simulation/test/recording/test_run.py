@@ -177,20 +177,3 @@ def test_a_full_disk_is_reported_with_its_folder(scene, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert caught.value.filename == str(tmp_path / "out")
-
-
-def test_a_video_that_was_not_written_whole_is_reported(scene, tmp_path):
-    """The size that files may have stands for a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-
-    def fill_disk(what, _share):
-        if what == "drawing the video":
-            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
-
-    options = RunOptions(format="png", video=True)
-    try:
-        with pytest.raises(OutputError, match=r"video\.mp4: found \d frames written, expected 9"):
-            run_scene(scene, tmp_path / "out", options, progress=fill_disk)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert not list((tmp_path / "out").glob("*.mp4"))
