@@ -35,17 +35,10 @@ def test_one_marker_lost_in_one_frame_is_a_failure() -> None:
     assert endurance.half_lost_at is None
 
 
-def test_a_wrong_number_is_a_failure_though_every_marker_is_found() -> None:
+@pytest.mark.parametrize(("what", "value"), [("wrong", 1), ("referenced", False)])
+def test_a_wrong_number_or_no_reference_is_a_failure_though_every_marker_is_found(
+    what: str, value: float
+) -> None:
     arrays = dict(_arrays((0.0, 0.1), {"cmp": [100, 100]}))
-    wrong = arrays["cmp_wrong"].copy()
-    wrong[1, 0, 2] = 1
-    endurance = Endurance.from_arrays({**arrays, "cmp_wrong": wrong}, "cmp")
-    assert endurance.fails_at == 1
-
-
-def test_a_level_without_reference_is_a_failure() -> None:
-    arrays = dict(_arrays((0.0, 0.1), {"cmp": [100, 100]}))
-    arrays["cmp_referenced"] = np.array([[True, True], [True, False]])
-    endurance = Endurance.from_arrays(arrays, "cmp")
-    assert endurance.fails_at == 1
-    assert endurance.success == pytest.approx([1, 1 / 2])
+    arrays[f"cmp_{what}"][1, 0] = value
+    assert Endurance.from_arrays(arrays, "cmp").fails_at == 1

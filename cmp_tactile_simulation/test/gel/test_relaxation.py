@@ -123,12 +123,3 @@ def test_a_live_gel_that_is_held_relaxes_in_real_time(simulated):
     after = [1 - SHARE + SHARE * ramp * np.exp(-t / TIME) for t in (0.06, 0.06 + sum(elapsed))]
     found = held.resultant[2] / pressed.resultant[2]
     assert found == pytest.approx(after[1] / after[0], rel=RTOL_SOLVER)
-
-
-def test_a_scene_asks_for_it_in_its_sensor(small_scene):
-    """As docs/relaxation.md says, and the description that goes with the recording says it."""
-    scene = small_scene(
-        sensor={"base": "sample_rig", "elastomer": {"relaxation": {"share": 0.2, "time": 2.0}}}
-    )
-    assert scene.sensor.elastomer.relaxation == GelRelaxation(0.2, 2.0)
-    assert scene.sensor.elastomer.young == small_scene().sensor.elastomer.young

@@ -12,8 +12,6 @@ from cmp_tactile_simulation.errors import ContactError
 from cmp_tactile_simulation.live.mechanics import (
     LiveSettings,
     ScenePlayer,
-    next_frame,
-    phase_limits,
     step_towards,
 )
 from cmp_tactile_simulation.scenes.file import load_scene
@@ -26,18 +24,6 @@ FRAME_S = 1 / 50
 @pytest.fixture(scope="module")
 def simulation():
     return Simulation(load_scene(str(SCENE)))
-
-
-def test_phases_keep_their_first_and_last_frames():
-    assert phase_limits(load_scene(str(SCENE))) == (0, 9, 10, 14, 15, 19)
-
-
-@pytest.mark.parametrize(
-    ("last", "due", "expected"),
-    [(-1, 0, 0), (0, 1, 1), (0, 5, 5), (0, 12, 9), (9, 12, 10), (10, 10, 11), (15, 100, 19)],
-)
-def test_frames_are_passed_over_within_a_phase_only(last, due, expected):
-    assert next_frame(last, due, (0, 9, 10, 14, 15, 19)) == expected
 
 
 def test_the_scene_plays_in_its_own_time_and_begins_again(simulation):

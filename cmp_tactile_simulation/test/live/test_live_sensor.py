@@ -169,11 +169,8 @@ def test_a_scene_that_starts_in_the_gel_fails_with_its_reason():
         (Pose(np.array([0.02, 0, 0])), "position.x: found 0.02 m, expected -0.011 to 0.011 m"),
         (Pose(np.array([0, 0, -0.05])), "position.z: found -0.05 m, expected -0.006 to 0.1 m"),
         (Pose(np.array([0, np.nan, 0])), "not finite"),
-        (Pose(np.zeros(3), np.diag([1.0, 1.0, -1.0])), "not a rotation"),
         (Load(0.0), r"force.z: found -0 N, expected less than 0"),
-        (Load(-1.0), "force.z: found 1 N"),
         (Load(1.0, (np.inf, 0.0)), "expected finite numbers"),
-        (Load(1.0, torque=np.nan), "expected finite numbers"),
     ],
 )
 def test_a_command_that_is_none_is_refused(command, message):

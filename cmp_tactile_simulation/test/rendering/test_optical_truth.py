@@ -9,7 +9,6 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.stereo.triangulation import common_normal
 from cmp_tactile_simulation.rendering.renderer import true_grids, true_surface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
@@ -32,22 +31,6 @@ def test_grids_are_the_projection_of_the_surface(rigs, deformed, dent, name):
             (grid.col_lines, truth.col_position),
         ):
             np.testing.assert_allclose(found, view.project(points), atol=1e-9)
-
-
-def test_true_grids_triangulate_to_the_true_surface(sensor, deformed, dent):
-    surface = deformed(sensor, dent)
-    grids, truth = true_grids(sensor, surface), true_surface(sensor, surface)
-    views = build_views(sensor)
-    for points, pixels in (
-        (truth.position, "corners"),
-        (truth.row_position, "row_lines"),
-        (truth.col_position, "col_lines"),
-    ):
-        rays = [view.rays(getattr(grids[name], pixels)) for name, view in views.items()]
-        found, gap = common_normal(*rays[0], *rays[1])
-        # Rounding, at a baseline of a few mm.
-        np.testing.assert_allclose(found, points, atol=1e-12)
-        assert gap.max() < 1e-12
 
 
 def test_markers_outside_the_view_are_missing(rigs):

@@ -12,7 +12,6 @@ from cmp_tactile_simulation.rendering.ink import (
     HOUSING_GREY,
     LIGHT_GREY,
     Checkerboard,
-    Dots,
     PrintDefects,
 )
 from cmp_tactile_simulation.rendering.renderer import Renderer
@@ -138,20 +137,6 @@ def _edge_errors(image, view, at):
             along = np.linspace(col - 0.5, col + 0.5, 41)
             errors.append(seen - np.interp(along, q[:, 0], q[:, 1]).mean())
     return np.array(errors)
-
-
-@pytest.mark.parametrize("ink", [Checkerboard, Dots])
-def test_four_by_four_samples_are_as_good_as_sixteen_by_sixteen(rigs, deformed, dent, ink):
-    sensor = rigs["mirror_stereo"]
-    surface = deformed(sensor, dent)
-    coarse, fine = (
-        Renderer(sensor, ink(sensor.pattern), samples).render(surface).pixels for samples in (4, 16)
-    )
-    edge = (fine > HOUSING_GREY + 1) & (fine < LIGHT_GREY - 1) & (np.abs(fine - DARK_GREY) > 1)
-    off = (coarse - fine)[edge]
-    assert np.sqrt((off**2).mean()) < CONTRAST / 150
-    # The rim of a dot of 3 px is not quite straight within a sample of 1/4 px.
-    assert abs(off.mean()) < CONTRAST / 1000
 
 
 def test_a_ridge_hides_what_lies_behind_it(rigs, deformed):
