@@ -57,9 +57,6 @@ class ContactSimulation:
         indenter: Indenter,
         friction: float,
     ) -> None:
-        if not 0 <= friction < np.inf:
-            msg = f"friction: found {friction!r}, expected a finite number of at least 0"
-            raise ContactError(msg)
         self.elastomer, self.indenter, self.friction = elastomer, indenter, float(friction)
         self._step = ContactStep(elastomer, indenter, self.friction)
         self._lenient_step = ContactStep(elastomer, indenter, self.friction, LAST_RESORT)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.gel.linear import (
     NODES_RANGE,
     ContactProblem,
@@ -51,13 +50,8 @@ def elastomer_of(
 
     nodes: contact nodes along the longer side of the contact patch.
     cache_dir, progress: where the compliance is kept, and who hears how far it is built.
-    Raises MaterialError for an unknown model, and what the elastomer itself raises.
+    Raises what the elastomer itself raises.
     """
-    model = sensor.elastomer.model
-    if model not in _MODELS:
-        allowed = ", ".join(sorted(_MODELS))
-        msg = f"{sensor.name}: elastomer.model: found {model!r}, expected one of: {allowed}"
-        raise MaterialError(msg)
-    elastic = _MODELS[model](sensor, nodes, cache_dir, progress)
+    elastic = _MODELS[sensor.elastomer.model](sensor, nodes, cache_dir, progress)
     relaxation = sensor.elastomer.relaxation
     return elastic if relaxation is None else RelaxingElastomer(elastic, relaxation)

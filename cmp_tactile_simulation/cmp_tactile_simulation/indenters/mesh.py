@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -17,8 +16,6 @@ from cmp_tactile_simulation.errors import IndenterError
 
 Array = NDArray[np.float64]
 MAX_FACES = 2_000_000
-# As text, a mesh of that many faces is about as large.
-MAX_FILE_BYTES = 500_000_000
 # Between these, m, is what fits on or under a fingertip; elsewhere the unit is mistaken.
 MIN_EXTENT, MAX_EXTENT = 1e-4, 0.2
 # The default resolution: this many grid points over the longer side, but no finer than needed.
@@ -77,19 +74,18 @@ class MeshIndenter:
         with more than MAX_FACES faces, not watertight or without volume, and for a size out of
         range.
         """
-        path = Path(path).absolute()
-        turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
-        try:
-            state = path.stat()
-        except OSError as error:
-            msg = f"{path}: mesh file: {error.strerror}, expected a readable file"
-            raise IndenterError(msg) from None
-        return _loaded(
-            _File(path, state.st_size, state.st_mtime_ns),
-            scale,
-            edge_radius,
-            tuple(turn.ravel().tolist()),
-        )
+        turn = np.eye(3) if rotation is None else rotation
+        mesh = _read(path)
+        low, high = scale * np.asarray(mesh.bounds)
+        _check_size(path, high - low, scale)
+        triangles = scale * np.asarray(mesh.triangles, dtype=np.float64) - (low + high) / 2
+        triangles = triangles @ turn.T
+        extent = np.ptp(triangles.reshape(-1, 3), axis=0)[:2]
+        resolution, edge_radius = _fineness(path, extent, edge_radius)
+        # A ball as wide as the outline would not fit between the grid's points in it.
+        ball = min(edge_radius, max(float(extent.min()) / 2 - resolution, 0.0))
+        heights = HeightField.of_triangles(triangles, resolution, ball)
+        return cls(path.name, heights, edge_radius, float(np.linalg.norm(high - low)) / 2, turn)
 
     @property
     def feature(self) -> float:
@@ -106,46 +102,8 @@ class MeshIndenter:
         return gap, (normal / steepness[:, None]) @ self.rotation
 
 
-class _File(NamedTuple):
-    """A file as it was when looked at: path, size in bytes, time of change in ns."""
-
-    path: Path
-    size: int
-    changed_ns: int
-
-
-# A scene's reader makes the indenter to check it, and the simulation needs the same again.
-@lru_cache(maxsize=2)
-def _loaded(
-    file: _File,
-    scale: float,
-    edge_radius: float | None,
-    rotation: tuple[float, ...],
-) -> MeshIndenter:
-    """See MeshIndenter.load; rotation: by rows."""
-    path = file.path
-    mesh = _read(file)
-    low, high = scale * np.asarray(mesh.bounds)
-    _check_size(path, high - low, scale)
-    turn = np.array(rotation).reshape(3, 3)
-    triangles = scale * np.asarray(mesh.triangles, dtype=np.float64) - (low + high) / 2
-    triangles = triangles @ turn.T
-    extent = np.ptp(triangles.reshape(-1, 3), axis=0)[:2]
-    resolution, edge_radius = _fineness(path, extent, edge_radius)
-    # A ball as wide as the outline would not fit between the grid's points in it.
-    ball = min(edge_radius, max(float(extent.min()) / 2 - resolution, 0.0))
-    heights = HeightField.of_triangles(triangles, resolution, ball)
-    return MeshIndenter(
-        path.name, heights, edge_radius, float(np.linalg.norm(high - low)) / 2, turn
-    )
-
-
-def _read(file: _File) -> Any:
+def _read(path: Path) -> Any:
     """The mesh of a file, checked but for its size."""
-    path, size, _ = file
-    if size > MAX_FILE_BYTES:
-        msg = f"{path}: found {size} bytes, expected at most {MAX_FILE_BYTES}; use a coarser mesh"
-        raise IndenterError(msg)
     try:
         mesh = trimesh.load_mesh(path, process=False)
     except LOAD_ERRORS as error:
@@ -155,9 +113,6 @@ def _read(file: _File) -> Any:
     if not 0 < faces <= MAX_FACES:
         kind = "too fine" if faces else "no mesh"
         msg = f"{path}: {kind}: found {faces} faces, expected 1 to {MAX_FACES}"
-        raise IndenterError(msg)
-    if not np.isfinite(mesh.vertices).all():
-        msg = f"{path}: found vertices that are not finite numbers, expected finite ones"
         raise IndenterError(msg)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     _check_closed(path, mesh)

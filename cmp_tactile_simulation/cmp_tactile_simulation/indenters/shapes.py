@@ -26,9 +26,6 @@ class Sphere:
     radius: float
     name: ClassVar[str] = "sphere"
 
-    def __post_init__(self) -> None:
-        check_length("sphere.radius", self.radius)
-
     @property
     def feature(self) -> float:
         """The radius, m."""
@@ -58,10 +55,8 @@ class Cylinder:
     name: ClassVar[str] = "cylinder"
 
     def __post_init__(self) -> None:
-        check_length("cylinder.radius", self.radius)
-        check_length("cylinder.length", self.length)
         limit = min(self.radius, self.length / 2)
-        check_length("cylinder.edge_radius", self.edge_radius, MIN_SIZE, limit)
+        check_radius("cylinder.edge_radius", self.edge_radius, limit)
 
     @property
     def feature(self) -> float:
@@ -98,10 +93,8 @@ class FlatProbe:
     name: ClassVar[str] = "flat_probe"
 
     def __post_init__(self) -> None:
-        check_length("flat_probe.diameter", self.diameter)
-        check_length("flat_probe.length", self.length)
         limit = min(self.diameter, self.length) / 2
-        check_length("flat_probe.edge_radius", self.edge_radius, MIN_SIZE, limit)
+        check_radius("flat_probe.edge_radius", self.edge_radius, limit)
 
     @property
     def feature(self) -> float:
@@ -138,9 +131,7 @@ class Cuboid:
     name: ClassVar[str] = "cuboid"
 
     def __post_init__(self) -> None:
-        for axis, side in zip("xyz", self.size, strict=True):
-            check_length(f"cuboid.size, {axis}", side)
-        check_length("cuboid.edge_radius", self.edge_radius, MIN_SIZE, min(self.size) / 2)
+        check_radius("cuboid.edge_radius", self.edge_radius, min(self.size) / 2)
 
     @property
     def feature(self) -> float:
@@ -173,8 +164,7 @@ class Ring:
     name: ClassVar[str] = "ring"
 
     def __post_init__(self) -> None:
-        check_length("ring.radius", self.radius)
-        check_length("ring.tube_radius", self.tube_radius, MIN_SIZE, self.radius)
+        check_radius("ring.tube_radius", self.tube_radius, self.radius)
 
     @property
     def feature(self) -> float:
@@ -206,10 +196,8 @@ class HexagonalBar:
     name: ClassVar[str] = "hexagonal_bar"
 
     def __post_init__(self) -> None:
-        check_length("hexagonal_bar.across_flats", self.across_flats)
-        check_length("hexagonal_bar.length", self.length)
         limit = min(self.across_flats, self.length) / 2
-        check_length("hexagonal_bar.edge_radius", self.edge_radius, MIN_SIZE, limit)
+        check_radius("hexagonal_bar.edge_radius", self.edge_radius, limit)
 
     @property
     def feature(self) -> float:
@@ -242,7 +230,6 @@ class SphereGroup:
     name: ClassVar[str] = "sphere_group"
 
     def __post_init__(self) -> None:
-        check_length("sphere_group.radius", self.radius)
         centres = np.asarray(self.centres, dtype=np.float64)
         if centres.ndim != 2 or centres.shape[1:] != (3,) or not 0 < len(centres) <= MAX_SPHERES:
             msg = (
@@ -250,12 +237,6 @@ class SphereGroup:
                 f"{MAX_SPHERES} points of 3 numbers"
             )
             raise IndenterError(msg)
-        check_length(
-            "sphere_group.centres, distance of the farthest from the origin",
-            float(np.linalg.norm(centres, axis=1).max()),
-            0.0,
-            MAX_SIZE,
-        )
 
     @property
     def feature(self) -> float:
@@ -328,8 +309,8 @@ def _hexagon(points: Array, inner_radius: float) -> tuple[Array, Array]:
 
 # What the contact solver needs to know of a rigid indenter.
 
-# Lengths outside of this range, m, are taken for a mistake in the unit.
-MIN_SIZE, MAX_SIZE = 1e-6, 0.2
+# The least radius of an edge, m.
+MIN_SIZE = 1e-6
 
 
 class Indenter(Protocol):
@@ -361,8 +342,8 @@ class Indenter(Protocol):
         """
 
 
-def check_length(owner: str, value: float, low: float = MIN_SIZE, high: float = MAX_SIZE) -> None:
-    """Raise IndenterError for a length outside low..high, m; `owner` names shape and key."""
-    if not low <= value <= high:
-        msg = f"{owner}: found {value!r} m, expected {low:.6g} to {high:.6g} m"
+def check_radius(owner: str, value: float, high: float) -> None:
+    """Raise IndenterError for a radius outside MIN_SIZE..high, m; `owner` names shape and key."""
+    if not MIN_SIZE <= value <= high:
+        msg = f"{owner}: found {value!r} m, expected {MIN_SIZE:g} to {high:.6g} m"
         raise IndenterError(msg)

@@ -7,7 +7,6 @@ import threading
 import time
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SimulationError
 from cmp_tactile_simulation.scenes.description import Press, Scene, load_between
-from cmp_tactile_simulation.scenes.simulation import MechanicalState, Simulation, force_field
+from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 
 HIGHEST_M = 0.1
 
@@ -150,14 +149,10 @@ def stay(simulation: Simulation, now: ContactState, elapsed: float) -> ContactSt
 
 
 class ScenePlayer:
-    """Plays the motion of a scene again and again, in real time where the mechanics keep up.
-
-    Where they do not, frames within a phase are passed over, but never the first or last of one.
-    """
+    """Plays the motion of a scene again and again, in real time where the mechanics keep up."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._limits = phase_limits(simulation.scene)
         self._state = simulation.start()
         self._due = 0.0
 
@@ -186,41 +181,16 @@ class ScenePlayer:
             return self.start()
         # Frame k ends k + 1 frames' times after the beginning.
         due = math.floor(self._due + ROUNDING) - 1
-        if due <= self._state.frame:
-            return self._state.contact
-        frame = next_frame(self._state.frame, due, self._limits)
+        for frame in range(self._state.frame + 1, min(due + 1, self._simulation.scene.frame_count)):
+            self._play(frame)
+        return self._state.contact
+
+    def _play(self, frame: int) -> None:
         try:
-            self._state = self._solve(frame)
+            self._state = next(self._simulation.states(self._state))
         except SimulationError:
             self._state = replace(self._state, frame=frame)
             raise
-        # What could not be kept up with is not made good later.
-        self._due = min(self._due, frame + 2.0)
-        return self._state.contact
-
-    def _solve(self, frame: int) -> MechanicalState:
-        passed_over = frame - self._state.frame - 1
-        if passed_over > 0:
-            seconds = passed_over / self._simulation.scene.rate
-            self._simulation.elastomer.advance(self._state.contact.force, seconds)
-        return next(self._simulation.states(replace(self._state, frame=frame - 1)))
-
-
-def phase_limits(scene: Scene) -> tuple[int, ...]:
-    """The first and the last frame of each phase, in order."""
-    ends = accumulate(phase.frames for phase in scene.motion)
-    limits = {
-        frame
-        for phase, end in zip(scene.motion, ends, strict=True)
-        for frame in (end - phase.frames, end - 1)
-    }
-    return tuple(sorted(limits))
-
-
-def next_frame(last: int, due: int, limits: tuple[int, ...]) -> int:
-    """The frame to solve after `last` when `due` is due: that, or the limit before it."""
-    limit = next(frame for frame in limits if frame > last)
-    return max(last + 1, min(due, limit))
 
 
 def _share(possible: float, whole: float) -> float:

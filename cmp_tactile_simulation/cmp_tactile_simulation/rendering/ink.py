@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -179,14 +179,6 @@ DARK_GREY, LIGHT_GREY, HOUSING_GREY = 45.0, 205.0, 18.0
 PATTERN_TYPES = ("cmp", "dmp")
 
 
-class Ink(Protocol):
-    """A print on the skin."""
-
-    @property
-    def arrays(self) -> InkArrays:
-        """What the renderer's compiled code reads."""
-
-
 @dataclass(frozen=True)
 class Checkerboard:
     """Continuous marker pattern: (rows + 1) x (cols + 1) checkers with their inner corners.
@@ -215,18 +207,12 @@ class Dots:
     """Discrete marker pattern: a dark dot at each of the rows x cols places of the corners.
 
     diameter: of a dot, as a share of the pitch.  Print defects are set by the seed.
-    Raises ParameterError unless the diameter is positive and dots stay apart.
     """
 
     pattern: Pattern
     defects: PrintDefects = field(default_factory=PrintDefects)
     seed: int = 0
     diameter: float = 0.5
-
-    def __post_init__(self) -> None:
-        if not 0 < self.diameter < 1:
-            msg = f"dots.diameter: found {self.diameter}, expected more than 0 and less than 1"
-            raise ParameterError(msg)
 
     @cached_property
     def arrays(self) -> InkArrays:

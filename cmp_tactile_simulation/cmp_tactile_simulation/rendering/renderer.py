@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.elastic.mesh import BlockGeometry
-from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.rendering.ink import HOUSING_GREY, Ink, InkArrays
+from cmp_tactile_simulation.rendering.ink import HOUSING_GREY, Checkerboard, Dots, InkArrays
 from cmp_tactile_simulation.rendering.shading import Picture, shade, solve
 from cmp_tactile_simulation.rendering.surface import (
     DeformedSurface,
@@ -30,7 +29,6 @@ from cmp_tactile_simulation.rendering.surface import (
     surface_points,
 )
 
-MAX_SAMPLES = 32
 BANDS_PER_THREAD = 4
 
 
@@ -86,16 +84,16 @@ class Renderer:
     A pixel's rays go through the view's lens, mirror and refracting layers and meet the deformed
     surface exactly, so that the picture shows the pattern where ViewGeometry.project says.
     Not for use by several threads at once.  threads: default that of numba; the picture does not
-    depend on it.  Raises GeometryError for a sensor without a block and ParameterError for
-    samples outside 1..32.
+    depend on it.  Raises GeometryError for a sensor without a block.
     """
 
     def __init__(
-        self, sensor: SensorDescription, ink: Ink, samples: int = 4, threads: int | None = None
+        self,
+        sensor: SensorDescription,
+        ink: Checkerboard | Dots,
+        samples: int = 4,
+        threads: int | None = None,
     ) -> None:
-        if not 1 <= samples <= MAX_SAMPLES:
-            msg = f"samples: found {samples}, expected 1 to {MAX_SAMPLES}"
-            raise ParameterError(msg)
         self._sensor = sensor
         self._size = size = BlockGeometry.from_sensor(sensor).size[:2]
         plain, strays, blobs = ink.arrays
@@ -391,11 +389,6 @@ class OpticalTruth:
 def true_grids(sensor: SensorDescription, surface: DeformedSurface) -> dict[str, Grid]:
     """The grids of a single surface; OpticalTruth for many of one sensor."""
     return OpticalTruth(sensor).grids(surface)
-
-
-def true_surface(sensor: SensorDescription, surface: DeformedSurface) -> Surface:
-    """The markers of a single surface; OpticalTruth for many of one sensor."""
-    return OpticalTruth(sensor).surface(surface)
 
 
 def _marker_numbers(shape: GridShape) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:

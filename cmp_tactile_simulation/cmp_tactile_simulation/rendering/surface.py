@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
@@ -24,26 +23,11 @@ class DeformedSurface:
 
     displacement (rows, cols, 3) m of the material points that lie on the grid's points at rest.
     Between them it is a bicubic spline through all of them, beyond the grid it goes on linearly.
-    Raises GeometryError for another shape, fewer than 4 x 4 points or numbers that are not finite.
     """
 
     pattern: Pattern
     grid: SurfaceGrid
     displacement: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        expected = (self.grid.rows, self.grid.cols, 3)
-        found = np.shape(self.displacement)
-        if found != expected or min(expected[:2]) < LEAST_POINTS:
-            msg = (
-                f"displacement: found shape {found}, expected {expected} "
-                f"with at least {LEAST_POINTS} rows and columns"
-            )
-            raise GeometryError(msg)
-        lost = int(np.count_nonzero(~np.isfinite(self.displacement)))
-        if lost:
-            msg = f"displacement: found {lost} numbers that are not finite, expected none"
-            raise GeometryError(msg)
 
     @classmethod
     def rest(cls, pattern: Pattern) -> DeformedSurface:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.rendering.surface import DeformedSurface, surface_point
@@ -94,10 +93,3 @@ def test_derivatives_agree_with_differences_inside_and_beyond_the_grid():
         np.testing.assert_allclose(found[3:6], along / (2 * step), atol=1e-7)
         if abs(x) < 0.0075:
             np.testing.assert_allclose(found[6:9], across / (2 * step), atol=1e-7)
-
-
-def test_a_displacement_with_nan_is_refused():
-    displacement = np.zeros((5, 5, 3))
-    displacement[2, 2] = np.nan
-    with pytest.raises(GeometryError, match="found 3 numbers that are not finite"):
-        DeformedSurface(_pattern(SHAPES["plane"]), SurfaceGrid(5, 5, (0.01, 0.01)), displacement)

@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_simulation.rendering.renderer import true_grids, true_surface
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, true_grids
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 
@@ -17,7 +17,7 @@ from cmp_tactile_simulation.rendering.surface import DeformedSurface
 def test_grids_are_the_projection_of_the_surface(rigs, deformed, dent, name):
     sensor = rigs[name]
     surface = deformed(sensor, dent)
-    truth, grids = true_surface(sensor, surface), true_grids(sensor, surface)
+    truth, grids = OpticalTruth(sensor).surface(surface), true_grids(sensor, surface)
     for side, view in build_views(sensor).items():
         grid = grids[side]
         assert grid.shape == sensor.pattern.shape
