@@ -168,10 +168,6 @@ class McapFile:
         self.flush()
         os.fdatasync(self._file.fileno())
 
-    def move(self, path: Path) -> None:
-        """Let the file take the place of another one; writing goes on."""
-        self.path = self.path.replace(path)
-
     def close(self) -> None:
         """Write the index, and close.  A file without index can still be read from its start."""
         try:

@@ -9,7 +9,6 @@ while the load changes little, so that a new frame takes a step or two.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,25 +129,6 @@ class NewtonEquilibrium(_Block):
         self._tangent = self._tangent_at_rest = _Tangent(
             self.factor_at_rest, np.zeros_like(self.displacement), 0.0
         )
-
-    @property
-    def memory(self) -> dict[str, Array]:
-        """All of the past that the next displacement depends on, to its last digits."""
-        return {
-            "displacement": self.displacement,
-            "load": self.load,
-            "factored_at": self._tangent.displacement,
-            "support": np.array(self._tangent.support),
-        }
-
-    def recall(self, memory: Mapping[str, Array]) -> None:
-        """Go on as from where `memory` was taken."""
-        factored_at, support = memory["factored_at"], float(memory["support"])
-        tangent = self._tangent_at_rest
-        if factored_at.any():
-            stiffness = self._elements.tangent(factored_at) + support * self._stiffness_at_rest
-            tangent = _Tangent(self._dissection.factor(stiffness), factored_at, support)
-        self._take(memory["displacement"], memory["load"], tangent)
 
     def move_to(self, load: Array) -> Array:
         """Displacement (nodes, 3) m under dead loads (nodes, 3) N.
