@@ -32,4 +32,4 @@ class MaterialError(SimulationError):
 
 
 class OutputError(SimulationError):
-    """A recording that cannot be written or resumed."""
+    """A recording that cannot be written."""

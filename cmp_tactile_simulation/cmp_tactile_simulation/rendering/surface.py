@@ -127,8 +127,9 @@ def spline_coefficients(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     along_y = _interpolation_inverse(values.shape[0])
     along_x = _interpolation_inverse(values.shape[1])
-    half = np.tensordot(along_y, values, axes=(1, 0))
-    return np.ascontiguousarray(np.tensordot(half, along_x, axes=(1, 1)).swapaxes(1, 2))
+    # Without BLAS, whose last digits depend on how many threads it has at the moment.
+    half = np.einsum("iy,yxk->ixk", along_y, values)
+    return np.ascontiguousarray(np.einsum("jx,ixk->ijk", along_x, half))
 
 
 @lru_cache(maxsize=16)

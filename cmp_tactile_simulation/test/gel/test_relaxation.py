@@ -14,7 +14,7 @@ from cmp_tactile_simulation.live.mechanics import LiveSettings, stay, step_towar
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 SHARE, TIME = 0.3, 0.2
-# The contact's residual, step.DEFECT, to the press of 0.6 mm, with room.
+# The contact's residual, indentation.DEFECT, to the press of 0.6 mm, with room.
 RTOL_SOLVER = 3e-6
 # Steps of 1/200 of the time constant.
 RTOL_STEPS = 1e-5
