@@ -19,6 +19,8 @@ from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.gel import Elastomer
 from cmp_tactile_simulation.indenters.shapes import Indenter
 
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 LOGGER = logging.getLogger(__name__)
 
 # No step need be shorter than this share of the longest: sharper edges than that are met by
@@ -236,7 +238,7 @@ def _last_steps(first: float) -> list[float]:
     return [shortest / 2**n for n in range(shorter)] + [shortest * 2**n for n in range(1, longer)]
 
 
-def _between_nodes(elastomer: Elastomer) -> NDArray[np.float64]:
+def _between_nodes(elastomer: Elastomer) -> Array:
     """Points of the contact patch at rest, TOUCH_POINTS of them for each node and way, (n, 3) m."""
     grid = elastomer.nodes
     height = elastomer.node_position[:, 2].reshape(grid.rows, grid.cols)
@@ -329,7 +331,7 @@ def _followed(step: ContactStep, state: ContactState, goal: Load) -> Iterator[Co
         yield state
 
 
-def _numbers(load: Load) -> NDArray[np.float64]:
+def _numbers(load: Load) -> Array:
     """Force on the gel along x, y, z, N, and torque, N m."""
     return np.array([*load.tangential, -load.normal, load.torque])
 
@@ -340,9 +342,6 @@ def _text(load: Load) -> str:
         f"normal {load.normal:.4g} N, tangential ({x:.4g}, {y:.4g}) N, torque {load.torque:.4g} N m"
     )
 
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
 # Nodes nearer to the indenter than this many steps may come to touch in the next one.
 NEAR_STEPS = 1.5

@@ -25,6 +25,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.errors import SimulationError
 
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+LOGGER = logging.getLogger(__name__)
+
 # How far the patch reaches beyond the outer checkers of the pattern, m.
 PATCH_MARGIN = 1e-3
 
@@ -149,9 +153,6 @@ def _elements_across(nodes: SurfaceGrid) -> tuple[int, int]:
     return nodes.cols + nodes.cols % 2, nodes.rows + nodes.rows % 2
 
 
-LOGGER = logging.getLogger(__name__)
-
-
 class LinearElastomer:
     """The gel of a sensor under small strain, bonded at its base, loaded on its contact surface.
 
@@ -207,12 +208,12 @@ class LinearElastomer:
         return self._problem.markers
 
     @property
-    def node_position(self) -> NDArray[np.float64]:
+    def node_position(self) -> Array:
         """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
         return self._problem.geometry.contact_points(self.nodes.points)
 
     @property
-    def node_area(self) -> NDArray[np.float64]:
+    def node_area(self) -> Array:
         """Undeformed area of the contact surface that belongs to each node, (N,) m^2."""
         x, y = self.nodes.spacing
         return x * y * self._problem.geometry.surface_stretch(self.nodes.points)
@@ -223,7 +224,7 @@ class LinearElastomer:
         return on_rim(self.nodes)
 
     @property
-    def beyond(self) -> NDArray[np.float64]:
+    def beyond(self) -> Array:
         """Points of the contact surface at rest outside the patch, where nothing may touch.
 
         (M, 3) m, gel frame.
@@ -232,13 +233,13 @@ class LinearElastomer:
         outside = (np.abs(xy) > np.array(self.nodes.extent) / 2).any(axis=1)
         return self._problem.geometry.contact_points(xy[outside])
 
-    def advance(self, force: NDArray[np.float64], seconds: float) -> None:
+    def advance(self, force: Array, seconds: float) -> None:
         """Let time go on by `seconds`, from the state under `force` (N, 3) N, where it creeps."""
 
     def forget(self) -> None:
         """Be a gel that was never touched, where it creeps."""
 
-    def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
+    def compliance(self, active: Index) -> Array:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 
         Symmetric and positive definite; row and column 3 a + c is component c of active[a].
@@ -247,23 +248,21 @@ class LinearElastomer:
         compliance /= self._young
         return compliance
 
-    def displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def displacement(self, force: Array) -> Array:
         """Displacement of the contact nodes (N, 3) m under nodal forces (N, 3) N."""
         return self._response.of_nodes(self._unit(force))
 
-    def marker_displacement(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def marker_displacement(self, force: Array) -> Array:
         """Displacement of the marker surface at the observers, (rows, cols, 3) m."""
         moved = self._response.of_markers(self._unit(force))
         return moved.reshape(self.observers.rows, self.observers.cols, 3)
 
-    def _unit(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _unit(self, force: Array) -> Array:
         """The forces for a body of E = 1 Pa."""
         return np.asarray(force, dtype=np.float64) / self._young
 
 
-def _build(
-    problem: ContactProblem, name: str, progress: Progress | None
-) -> dict[str, NDArray[np.float64]]:
+def _build(problem: ContactProblem, name: str, progress: Progress | None) -> dict[str, Array]:
     LOGGER.info("building the elastomer of %s, about 20 s, cached afterwards", name)
     start = monotonic()
     responses = problem.responses(progress=progress)
@@ -286,30 +285,28 @@ class ParityResponse:
         self,
         nodes: SurfaceGrid,
         markers: SurfaceGrid,
-        of_nodes: NDArray[np.float64],
-        of_markers: NDArray[np.float64],
+        of_nodes: Array,
+        of_markers: Array,
     ) -> None:
         self._of_nodes, self._of_markers = of_nodes, of_markers
         self._nodes, self._markers = nodes, markers
         self._image, self._sign = _images(_extensions(nodes))
 
-    def compliance(self, active: NDArray[np.intp]) -> NDArray[np.float64]:
+    def compliance(self, active: Index) -> Array:
         """Displacement of the nodes `active` (k,) for unit forces on them, (3 k, 3 k) m/N."""
         rows = (3 * self._image[active][:, None] + np.arange(3)).ravel()
         signs = self._sign[:, active].reshape(len(PARITIES), -1)
         return np.asarray(_gather(self._of_nodes, rows, signs))
 
-    def of_nodes(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def of_nodes(self, force: Array) -> Array:
         """Displacement of the nodes (N, 3) m under forces (N, 3) N on them."""
         return self._apply(self._of_nodes, self._nodes, force)
 
-    def of_markers(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+    def of_markers(self, force: Array) -> Array:
         """Displacement of the markers (M, 3) m under forces (N, 3) N on the nodes."""
         return self._apply(self._of_markers, self._markers, force)
 
-    def _apply(
-        self, responses: NDArray[np.float64], target: SurfaceGrid, force: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _apply(self, responses: Array, target: SurfaceGrid, force: Array) -> Array:
         # Reading memory is what takes the time; threads only wait for one another on loaded cores.
         with one_thread():
             moved = mirrored_response(responses, self._nodes, target, force.ravel())
@@ -322,7 +319,7 @@ def _extensions(grid: SurfaceGrid) -> list[sparse.csr_array]:
 
 def _images(
     extensions: list[sparse.csr_array],
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+) -> tuple[Index, Array]:
     """Number in the quarter of each point's image (N,), and the signs there (4, N, 3).
 
     A sign is 0 where a point is its own image and the component odd.
@@ -334,9 +331,7 @@ def _images(
 
 
 @kernel
-def _gather(
-    response: NDArray[np.float64], row: NDArray[np.intp], sign: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _gather(response: Array, row: Index, sign: Array) -> Array:
     """Entry (i, j): sum over parities of sign[p, i] sign[p, j] response[p, row[i], row[j]]."""
     count = len(row)
     gathered = np.zeros((count, count))
@@ -347,9 +342,6 @@ def _gather(
             for j in range(count):
                 out[j] += signs[i] * signs[j] * one[row[j]]
     return gathered
-
-
-Array = NDArray[np.float64]
 
 
 class RelaxingElastomer:
@@ -393,7 +385,7 @@ class RelaxingElastomer:
         nothing = np.zeros_like(self._lag)
         self._lag, self._before, self._step_s = nothing, nothing, 0.0
 
-    def compliance(self, active: NDArray[np.intp]) -> Array:
+    def compliance(self, active: Index) -> Array:
         """Displacement of the active nodes for unit forces on them, (3 k, 3 k) m/N.
 
         What a force does that is there only at the end of the step: a gel that relaxes within a
