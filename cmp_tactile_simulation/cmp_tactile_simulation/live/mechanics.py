@@ -96,6 +96,8 @@ class LiveStatus:
 LEVER_M = 0.01
 # Of sums of intervals, in frames.
 ROUNDING = 1e-6
+# Frames of a scene that are solved in one step at most: a slow machine plays in slow motion.
+MOST_FRAMES = 4
 
 
 @dataclass(frozen=True)
@@ -180,9 +182,11 @@ class ScenePlayer:
         if self._state.frame + 1 >= self._simulation.scene.frame_count:
             return self.start()
         # Frame k ends k + 1 frames' times after the beginning.
-        due = math.floor(self._due + ROUNDING) - 1
-        for frame in range(self._state.frame + 1, min(due + 1, self._simulation.scene.frame_count)):
+        last, end = self._state.frame, self._simulation.scene.frame_count
+        due = min(math.floor(self._due + ROUNDING) - 1, last + MOST_FRAMES, end - 1)
+        for frame in range(last + 1, due + 1):
             self._play(frame)
+        self._due = min(self._due, self._state.frame + 2.0)
         return self._state.contact
 
     def _play(self, frame: int) -> None:
