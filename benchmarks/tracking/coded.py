@@ -27,7 +27,7 @@ from cmp_tactile_processing.printing.advice import checker_sides_px
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.sensor.parts import FEWEST_CODED
-from cmp_tactile_processing.tracking.dots.decoder import DotDecoder
+from cmp_tactile_processing.tracking.dots import DotDecoder
 from hard_frames.covers import COVERS, Cover, far_from_edge
 from hard_frames.grid_score import GridScore, join_scores
 from hard_frames.library import CASE_KINDS, COVER_GREYS, cases_of

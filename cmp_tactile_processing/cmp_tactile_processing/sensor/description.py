@@ -15,7 +15,6 @@ import numpy as np
 from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor import parameters, parts
-from cmp_tactile_processing.sensor.yaml_comments import Comment, lines_of, with_values
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
     field_values,
@@ -25,7 +24,14 @@ from cmp_tactile_processing.sensor.yaml_section import (
     read_yaml,
     text,
 )
-from cmp_tactile_processing.sensor.yaml_text import yaml_number, yaml_numbers, yaml_text
+from cmp_tactile_processing.sensor.yaml_text import (
+    Comment,
+    lines_of,
+    with_values,
+    yaml_number,
+    yaml_numbers,
+    yaml_text,
+)
 
 FORMAT_VERSION = 1
 # A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError, found_text, printable
-from cmp_tactile_processing.sensor.yaml_comments import Comment
-from cmp_tactile_processing.sensor.yaml_text import yaml_comments, yaml_content
+from cmp_tactile_processing.sensor.yaml_text import Comment, yaml_comments, yaml_content
 
 MAX_FILE_BYTES = 1_000_000
 # How alike a misspelt word is to the one that is meant.

@@ -27,8 +27,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_compressed, decode_image
-from cmp_tactile_processing.image.jpeg import decode_jpeg
+from cmp_tactile_processing.image.compressed import decode_compressed, decode_image, decode_jpeg
 
 # Beyond it a pixel is not that of the picture; JPEG of quality 90 changes noise by less.
 WRONG = 40

@@ -14,9 +14,9 @@ from cmp_tactile_processing.surface.dense import (
     DenseStatus,
     SurfaceInterpolator,
     grid_over,
+    height_map,
     interpolate,
 )
-from cmp_tactile_processing.surface.height_map import height_map
 
 EXTENT = 0.0131
 RADIUS = 0.027

@@ -15,8 +15,7 @@ from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.detector import Component, NominalAxes, NominalGrid
-from cmp_tactile_processing.tracking.dots.decoder import Decoding, DotDecoder
-from cmp_tactile_processing.tracking.dots.reading import DotReading, read_dots
+from cmp_tactile_processing.tracking.dots import Decoding, DotDecoder, DotReading, read_dots
 from cmp_tactile_processing.tracking.numbering.components import (
     drop_loose_corners,
     in_order,

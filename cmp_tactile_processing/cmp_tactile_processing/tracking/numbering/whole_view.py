@@ -26,15 +26,13 @@ from cmp_tactile_processing.tracking.numbering.component_placement import (
     FEWEST_CORNERS,
     Anchor,
     ComponentPlacement,
+    ConnectedCorners,
+    without_blurred,
 )
 from cmp_tactile_processing.tracking.numbering.components import (
     drop_loose_corners,
     in_order,
     joined,
-)
-from cmp_tactile_processing.tracking.numbering.connected_corners import (
-    ConnectedCorners,
-    without_blurred,
 )
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.sensor.dot_code import dot_map
-from cmp_tactile_processing.tracking.dots.decoder import (
+from cmp_tactile_processing.tracking.dots import (
     MISREAD,
     Decoding,
     DotDecoder,
