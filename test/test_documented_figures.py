@@ -10,13 +10,12 @@ and forces, too, in test_examples.py.
 from __future__ import annotations
 
 import re
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 import speed_tables
-from documents import assert_printed, shown_after
+from documents import assert_printed
 
 from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_bringup.report.evaluation import Evaluation, evaluate
@@ -24,10 +23,6 @@ from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFact
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_simulation.live.mechanics import LiveSettings
-from cmp_tactile_simulation.live.sensor import live_scene
-from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parent.parent
 NO_TIMES = np.array([])
@@ -91,16 +86,6 @@ def test_the_figures_of_the_demo(evaluation, name, count):
                 checked += 1
     assert checked == count
     assert evaluation.corners_misnumbered == 0
-
-
-def test_the_line_of_the_live_grasp():
-    """Of a frame while it closes; the live gel has a coarser mesh than the recorded one."""
-    document = ROOT / "docs" / "tutorials" / "first_look.md"
-    (shown,) = shown_after(document, "cmp_tactile live grasp")
-    pressed = float(re.findall(r"-\d\.\d+", shown)[0])
-    states = Simulation(live_scene(load_scene("grasp"), LiveSettings())).states()
-    forces = [state.contact.resultant[2] for state in islice(states, 20)]
-    assert min(abs(force - pressed) for force in forces) < 0.005
 
 
 @pytest.mark.parametrize(

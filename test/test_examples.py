@@ -6,44 +6,23 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from command_output import output_of, printed_by
 from documents import assert_printed, blocks, shown_after
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
 from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_processing.sensor.yaml_text import yaml_value
 from cmp_tactile_simulation.recording.truth import read_truth
-from cmp_tactile_simulation.scenes.file import packaged_scenes
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 TUTORIALS = EXAMPLES.parent / "tutorials"
-
-
-def test_the_pictures_of_the_tutorials_are_there():
-    for tutorial in TUTORIALS.glob("*.md"):
-        for picture in re.findall(r"\]\((\S+\.png)\)", tutorial.read_text(encoding="utf-8")):
-            assert (TUTORIALS / picture).is_file(), tutorial.name
-
-
-def test_the_tutorials_show_diagnostics_in_full():
-    """`ros2 topic echo` cuts texts at 128 characters: what to do stands behind that.
-
-    Report of the kind: ros2/ros2cli 31 (texts are cut by default, and an option shows them whole).
-    """
-    for document in EXAMPLES.parent.rglob("*.md"):
-        for line in document.read_text(encoding="utf-8").splitlines():
-            if "topic echo" in line and "/diagnostics" in line:
-                assert " -f " in line, document.name
 
 
 def rows_of(printed):
@@ -123,24 +102,6 @@ def test_two_mirrors_are_computed_from_angles_and_lengths(tmp_path):
     np.testing.assert_allclose(lengths, sensor.optics.T_camera_gel[:3, 3], atol=2e-5)
 
 
-def test_the_drawing_of_the_mirrors_is_made(tmp_path):
-    script = EXAMPLES.parent / "drawings" / "mirror_views.py"
-    picture = tmp_path / "mirror_views.png"
-    printed_by(script, picture)
-    drawn, kept = (
-        cv2.imread(str(path)) for path in (picture, EXAMPLES.parent / "images" / picture.name)
-    )
-    assert drawn.shape == kept.shape
-    # Another matplotlib may set its letters a little differently.
-    assert np.abs(drawn.astype(float) - kept).mean() < 2
-
-
-def test_every_example_is_run_by_a_test():
-    tests = "".join(path.read_text("utf-8") for path in Path(__file__).parent.glob("*.py"))
-    for example in EXAMPLES.glob("*.py"):
-        assert f'"{example.name}"' in tests, example.name
-
-
 def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     """All of its motion on the tutorial's mesh, in fewer samples, as the tutorial's commands do.
 
@@ -174,47 +135,6 @@ def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     assert_printed(shown, printed, rel=0.2, absolute=0.3)
 
 
-@pytest.fixture
-def one_view_bag(tmp_path):
-    """The short grasp, seen in the sample rig's left mirror alone."""
-    sample = load_sensor("sample_rig")
-    one = replace(
-        sample,
-        name="one_eyed",
-        optics=replace(sample.optics, type="monocular"),
-        views={"left": sample.views["left"]},
-    )
-    write_sensor_description(tmp_path / "one_eyed.yaml", one)
-    scene = packaged_scenes()["grasp"].read_text(encoding="utf-8")
-    scene = re.sub(r"(?m)^sensor: .*", "sensor: one_eyed.yaml", scene)
-    (tmp_path / "scene.yaml").write_text(scene, encoding="utf-8")
-    assert main(["simulate", str(tmp_path / "scene.yaml"), "--output", str(tmp_path / "bag")]) == 0
-    return tmp_path / "bag"
-
-
-@pytest.mark.usefixtures("short_scenes")
-def test_the_comparison_of_one_view_and_of_two(grasp_bag, one_view_bag):
-    """Of one view depth and its share of the force are not measured: the columns say so.
-
-    Reports of the kind, tried here:
-    freemocap/freemocap 408 (end to end tests skip what one camera alone runs): a recording of one
-    view is simulated and compared here; it ended in a traceback.
-    princeton-vl/DROID-SLAM 44 (nothing says whether the example is for one camera or two): for
-    both, by the sensor.yaml beside the recording.
-    """
-    both, one = (printed_by(EXAMPLES / "compare.py", bag) for bag in (grasp_bag, one_view_bag))
-    assert ("surface um" in both, "x, y um" in both) == (True, False)
-    assert ("surface um" in one, "x, y um" in one) == (False, True)
-    true = read_truth(grasp_bag).wrench
-    for rows, surface_um in ((rows_of(both), 5), (rows_of(one), 500)):
-        assert [row[0] for row in rows] == [0, 5, 10, 15]
-        for number, corners_px, off_um, found, true_z, *_ in rows:
-            assert corners_px < 0.05
-            assert off_um < surface_um
-            assert np.isfinite(found)
-            assert true_z == pytest.approx(true[int(number), 2], abs=0.001)
-
-
 @pytest.mark.parametrize("example", ["compare.py", "offline.py", "weigh.py"])
 def test_an_example_says_what_it_needs(example, tmp_path):
     """In one line: of a folder with a description, where there is no recording."""
@@ -230,17 +150,6 @@ def test_the_example_that_weighs_reads_what_is_true(weigh_bag):
     for _, weight, deviations, true in rows:
         # What the force stage reaches on another mesh than the simulator's.
         assert weight == pytest.approx(true, abs=0.03 * true + deviations + 2)
-
-
-def test_a_forgotten_scale_is_reported_as_the_tutorial_shows(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    folder = Path("docs/examples/washer")
-    shutil.copytree(EXAMPLES / "washer", folder)
-    scene = folder / "washer.yaml"
-    scene.write_text(scene.read_text(encoding="utf-8").replace(", scale: 0.001", ""))
-    assert main(["simulate", str(scene), "--output", "washer"]) == 1
-    printed = capsys.readouterr().err.replace(str(folder.resolve()), "...")
-    assert_printed(shown_after(TUTORIALS / "simulate.md", "With the `scale` left out:"), printed)
 
 
 @pytest.mark.ros

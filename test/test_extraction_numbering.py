@@ -162,13 +162,6 @@ def test_blur_that_exchanges_light_and_dark_is_named(sensor, deformed, detector,
         assert grid.fault in {GridFault.NO_CONTRAST, GridFault.NO_PATTERN, GridFault.AMBIGUOUS}
 
 
-def test_lack_of_focus_is_named(trackers, clean):
-    forget(trackers)
-    for view, image in views_of(clean):
-        grid = trackers[view].track(cv2.filter2D(image, -1, disc(20.0)))
-        assert (grid.fault, grid.reason[:12]) == (GridFault.NO_CONTRAST, "out of focus")
-
-
 def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(trackers, deformed):
     frame = deformed["slide"]
     forget(trackers)

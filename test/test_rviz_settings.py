@@ -4,7 +4,6 @@ RViz shows nothing of a topic that is not there, without a word.
 """
 
 import re
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ pytest.importorskip("rclpy")
 
 
 from markers import look_of, mounts, moved
-from rviz_view import View, picture_px, read_settings, text_box
 
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
@@ -40,9 +38,6 @@ TYPES = {
     "PointCloud2": "sensor_msgs/PointCloud2",
     "Image": "sensor_msgs/Image",
 }
-# Of lines of text, and of the picture that each gel covers where one or two are shown.
-LEAST_TEXT_PX = 12
-LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.04}}
 
 
 @pytest.fixture(params=FILES)
@@ -144,96 +139,6 @@ def _touch(x, y, state=SlipState.STICK, force=-4.0):
         centre_of_pressure=centre,
         outline=outline,
     )
-
-
-def _views(name):
-    """Each saved view with its picture's size and the sensors that it is to show."""
-    settings = read_settings(name)
-    width, height = picture_px(settings)
-    views = settings["Visualization Manager"]["Views"]
-    found = [(View.of(views["Current"], height), slice(None))]
-    origins = [origin for _, origin in mounts(load_graph("gripper"))]
-    for number, view in enumerate(views["Saved"]):
-        found.append((View.of(view, height, origins[number]), slice(number, number + 1)))
-    return np.array([width, height]), found
-
-
-def _texts(markers, namespace):
-    return [marker for marker in markers if marker.text and marker.namespace == namespace]
-
-
-def _in_order(markers):
-    """The lines that belong together, from the top to the bottom as they are to be read."""
-    contact, legend = _texts(markers, "contact_text"), _texts(markers, "legend")
-    zero, deep, *scales = legend
-    numbers = sorted({marker.number // 3 for marker in contact})
-    of_contacts = [[m for m in contact if m.number // 3 == number] for number in numbers]
-    return [*of_contacts, [deep, zero], scales]
-
-
-def _bar_ends(markers, view):
-    """Heights on the screen of the palest and the darkest end of the colour bar, px."""
-    (bar,) = (m for m in markers if m.namespace == "legend" and len(m.points))
-    heights = view.project(bar.points)[0][:, 1]
-    brightness = bar.colours[:, :3].sum(axis=1)
-    return heights[brightness.argmax()], heights[brightness.argmin()]
-
-
-@pytest.mark.parametrize(
-    "contacts",
-    [
-        [_touch(0.0, 0.0)],
-        [_touch(-5e-3, 4e-3), _touch(5e-3, -4e-3, SlipState.FULL)],
-        [_touch(x, y) for x, y in ((-1e-3, 3e-3), (1e-3, 3e-3), (0.0, -3e-3))],
-    ],
-    ids=["one contact", "two contacts", "three close together"],
-)
-def test_texts_can_be_read_in_each_view(name, contacts):
-    """Lines high enough, in order, none on another, the bar large at its top, for each finger.
-
-    ros2/rviz/1336, ros-visualization/rviz/345: RViz puts 5 mm between the lines of one text: here
-    each line is a text, and no line has a break.  ros2/rviz/1261: a space is half of scale.x wide.
-    """
-    sensors = _shown(name, *contacts)
-    _, views = _views(name)
-    for view, chosen in views:
-        boxes = []
-        for markers in sensors[chosen]:
-            for lines in _in_order(markers):
-                own = [text_box(line, view) for line in lines]
-                boxes += own
-                bottoms = [low[1] for low, _ in own]
-                assert bottoms == sorted(bottoms, reverse=True), [line.text for line in lines]
-                assert min(high[1] - low[1] for low, high in own) >= LEAST_TEXT_PX
-            assert not any("\n" in marker.text for marker in markers)
-            large, small = _bar_ends(markers, view)
-            assert large > small + 100
-        for one, other in combinations(boxes, 2):
-            assert (one[1] <= other[0]).any() or (other[1] <= one[0]).any()
-
-
-def test_gels_are_large_and_whole_in_each_view(name):
-    """With all texts of one contact, beside one another, and from 30 degrees off their planes."""
-    least = LEAST_SHARES[name]
-    sensors = _shown(name, _touch(0.0, 0.0))
-    size, views = _views(name)
-    for view, chosen in views:
-        gels = []
-        for markers in sensors[chosen]:
-            (mesh,) = (m for m in markers if m.namespace == "surface")
-            places = view.project(mesh.points)[0]
-            gels.append((places.min(axis=0), places.max(axis=0)))
-            faces = np.diff(mesh.points.reshape(-1, 3, 3), axis=1)
-            normal = np.cross(faces[:, 0], faces[:, 1]).mean(axis=0)
-            look = view.camera - mesh.points.mean(axis=0)
-            facing = abs(look @ normal) / np.linalg.norm(look) / np.linalg.norm(normal)
-            assert facing > np.sin(np.radians(30))
-            corners = [corner for m in markers if m.text for corner in text_box(m, view)]
-            assert (np.abs([*corners, *gels[-1]]) < size / 2).all()
-        share = min(np.prod(high - low) for low, high in gels) / np.prod(size)
-        assert share > least[len(gels)]
-        for one, other in combinations(gels, 2):
-            assert (one[1] <= other[0]).any() or (other[1] <= one[0]).any()
 
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):

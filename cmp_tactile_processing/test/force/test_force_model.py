@@ -122,19 +122,6 @@ def test_error_bars_are_honest(model, truth, newton):
     assert np.mean(squares, axis=0).max() < 5
 
 
-def test_a_press_points_into_the_gel(model, truth):
-    """Sign convention: force on the gel, z outwards; the wrench is about the gel's origin."""
-    field = model.reconstruct(truth["shear"].displacement, MEASURED)
-    assert truth["shear"].displacement[10, 10, 2] < 0
-    assert field.wrench[2] < 0
-    assert field.wrench[0] > 0
-    np.testing.assert_allclose(field.wrench[:3], field.force.sum(axis=0))
-    moved = model.elastic.node_displacement(field.force)
-    moment = np.cross(field.position + moved, field.force).sum(axis=0)
-    np.testing.assert_allclose(field.wrench[3:], moment, atol=1e-3)
-    np.testing.assert_array_equal(field.reference_point, np.zeros(3))
-
-
 def test_rest_shows_nothing(model):
     """Noise alone, 200 frames: no force at all, and the deviation given is what noise would do."""
     for seed in range(200):

@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.rectification import (
     Rectification,
-    camera_info_text,
     read_camera_info,
     write_camera_info,
 )
@@ -68,17 +66,6 @@ def test_written_model_reads_back_to_the_last_bit(tmp_path, sensor, name):
         assert getattr(found, key).shape == getattr(info, key).shape
         assert getattr(found, key).tobytes() == getattr(info, key).tobytes()
     assert [item.name for item in tmp_path.iterdir()] == ["left.yaml"]
-
-
-def test_keys_are_those_of_camera_calibration_parsers(sensor):
-    content = yaml.safe_load(camera_info_text("left", infos(sensor)["left"]))
-    foreign = yaml.safe_load(FOREIGN)
-    assert list(content) == list(foreign)[: len(content)]
-    for key, value in content.items():
-        if isinstance(value, dict):
-            assert list(value) == list(foreign[key])
-            assert (value["rows"], value["cols"]) == (foreign[key]["rows"], foreign[key]["cols"])
-            assert all(isinstance(item, float) for item in value["data"])
 
 
 def test_file_of_ros_is_read(tmp_path):

@@ -10,8 +10,7 @@ import pytest
 
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.geometry.rectification import Rectification, ViewCameraInfo
-from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import Optics, RefractingLayer, Roi, ViewDescription
 
@@ -50,27 +49,6 @@ def rectified(rectification, sensor, points):
     """Pixels (N, 2) of both rectified images for points in the gel frame."""
     views = build_views(sensor)
     return [rectification.rectify_points(n, views[n].project(points)) for n in VIEWS]
-
-
-def reprojection_matrix(left: ViewCameraInfo, right: ViewCameraInfo):
-    """Q as image_geometry::StereoCameraModel makes it of two camera_infos, with its asserts."""
-    assert left.P[0, 0] == right.P[0, 0]
-    assert left.P[1, 1] == right.P[1, 1]
-    assert left.P[1, 2] == right.P[1, 2]
-    fx, fy, cx, cy = left.P[[0, 1, 0, 1], [0, 1, 2, 2]]
-    tx = right.P[0, 3] / right.P[0, 0]
-    Q = np.zeros((4, 4))
-    Q[0, 0], Q[0, 3] = fy * tx, -fy * cx * tx
-    Q[1, 1], Q[1, 3] = fx * tx, -fx * cy * tx
-    Q[2, 3] = fx * fy * tx
-    Q[3, 2], Q[3, 3] = -fy, fy * (cx - right.P[0, 2])
-    return Q
-
-
-def stock_cloud(left: ViewCameraInfo, right: ViewCameraInfo, disparity):
-    """Point cloud (H, W, 3) as stereo_image_proc makes it; its disparity node adjusts first."""
-    adjusted = (disparity - (left.P[0, 2] - right.P[0, 2])).astype(np.float32)
-    return cv2.reprojectImageTo3D(adjusted, reprojection_matrix(left, right).astype(np.float32))
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -121,35 +99,6 @@ def test_both_cameras_have_one_matrix_and_show_the_pattern(name, layers):
     for q in rectified(rectification, sensor, corners(sensor)):
         assert (q > 10).all()
         assert (q < [left.width - 11, left.height - 11]).all()
-
-
-@pytest.mark.parametrize("name", ["rest", "press"])
-def test_stock_stereo_matching_gives_the_true_depth(sensor, stills, name):
-    """image_rect and camera_info through OpenCV's matcher, as stereo_image_proc runs it."""
-    rectification, views = Rectification(sensor), build_views(sensor)
-    images = [
-        rectification.rectify(v, split_frame(stills[name].frame, views[v].placement)) for v in views
-    ]
-    # Within one period of the checkers around the disparities of the surface at rest.
-    matcher = cv2.StereoSGBM_create(176, 32, 7, P1=8 * 49, P2=32 * 49, uniquenessRatio=5)
-    disparity = matcher.compute(*images).astype(np.float32) / 16
-    left, right = rectification.info("left"), rectification.info("right")
-    cloud = stock_cloud(left, right, disparity)
-    cloud[disparity <= 175] = np.nan
-    points = stills[name].truth["corners_m"].reshape(-1, 3)
-    T = rectification.pose("left")
-    truth = points @ T[:3, :3].T + T[:3, 3]
-    q = np.rint(rectified(rectification, sensor, points)[0]).astype(int)
-    found = cloud[q[:, 1], q[:, 0]]
-    matched = np.isfinite(found).all(axis=1)
-    assert matched.mean() > 0.95
-    off = (found - truth)[matched]
-    # The matcher's steps of 1/16 px are 10 um of depth, and blocks of 7 px flatten the surface:
-    # half of the corners are within 22 um.  Rounding a corner to a pixel is 13 um in plane.
-    assert np.median(np.abs(off[:, 2])) < 35e-6
-    assert np.median(np.abs(off[:, :2])) < 20e-6
-    # On the whole the cloud is where the gel is.
-    assert np.abs(np.median(off, axis=0)).max() < 15e-6
 
 
 LIMITS_M = {"none": 1e-9, "pressed": 40e-6, "along x": 13e-6, "along y": 9e-6}

@@ -11,7 +11,6 @@ from cmp_tactile_processing.sensor.dot_code import (
     LARGEST_SHEET,
     WINDOW,
     dot_map,
-    window_orbits,
     window_words,
 )
 
@@ -29,19 +28,6 @@ def test_windows_occur_once(seed: int, dark: bool) -> None:
         assert not seen & set(words)
         seen |= set(words)
     assert len(seen) == 8 * (LARGEST_SHEET - WINDOW + 1) ** 2
-
-
-def test_orbits_by_hand() -> None:
-    least, same = window_orbits()
-    assert bool(same[0])
-    # One dot beside a corner: its diagonal mirror images and turns are eight words, the least of
-    # which has the dot at the second place of a light-first window.
-    one = 1 << 1
-    assert least[one] == min(one, least[one])
-    assert not same[one]
-    assert np.count_nonzero(least == least[one]) == 8
-    # One dot on the diagonal: the mirror at the diagonal leaves it as it is.
-    assert bool(same[1 << 5])
 
 
 def test_small_sheets_are_corners_of_large_ones() -> None:

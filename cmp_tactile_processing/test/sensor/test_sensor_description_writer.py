@@ -203,14 +203,6 @@ def test_description_that_could_not_be_read_is_not_written(tmp_path, broken, exp
     assert [item.name for item in tmp_path.iterdir()] == ["rig.yaml"]
 
 
-def test_date_without_quotes_is_read(tmp_path):
-    """YAML 1.1 would make a date of it."""
-    path = tmp_path / "rig.yaml"
-    text = sensor_description_text(RIGS["calibrated"])
-    path.write_text(text.replace('"2026-07-01T12:00:00Z"', "2026-07-01T12:00:00Z"))
-    assert SensorDescription.load(path).calibration.date == "2026-07-01T12:00:00Z"
-
-
 COMMENTED = """\
 # A sensor of ours.
 # Its values are guesses.

@@ -99,25 +99,6 @@ def test_the_error_falls_with_the_fourth_power_of_the_pitch(n):
     assert found.max() < 0.1e-6
 
 
-def test_corners_and_virtual_markers_lie_on_it():
-    pattern = pattern_of(9, 12, 3, extent=0.011)
-    surface = surface_of(pattern)
-    # A node at each corner and virtual marker of both directions.
-    grid = SurfaceGrid(8 * 4 + 1, 11 * 4 + 1, (11 * pattern.pitch, 8 * pattern.pitch))
-    dense = SurfaceInterpolator(pattern.shape, pattern.pitch, grid).interpolate(surface)
-    assert (dense.status == DenseStatus.MEASURED).all()
-    np.testing.assert_allclose(dense.position[::4, ::4], surface.position, atol=1e-12)
-    for k in range(3):
-        # Of curves through corners at rest: the sphere is followed to 1 nm.
-        np.testing.assert_allclose(
-            dense.position[::4, k + 1 :: 4], surface.row_position[:, :, k], atol=2e-9
-        )
-        np.testing.assert_allclose(
-            dense.position[k + 1 :: 4, ::4], surface.col_position[:, :, k], atol=2e-9
-        )
-    np.testing.assert_allclose(dense.reference + dense.displacement, dense.position, atol=1e-15)
-
-
 def test_detail_between_the_corners_comes_from_the_virtual_markers():
     """A dent smaller than a checker, on a gridline between two corners: corners do not see it."""
     pattern = pattern_of(12, 12)

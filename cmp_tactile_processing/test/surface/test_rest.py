@@ -27,7 +27,6 @@ from cmp_tactile_processing.surface.stillness import (
     RestParameters,
     StillnessWatch,
     judge_frames,
-    rest_shape,
 )
 
 SHAPE = GridShape(20, 20, 1)
@@ -307,21 +306,6 @@ class TestKeeping:
             assert "zero" in keeper.warning()
         keeper.take(_frames(nominal, seed=9), 6)
         assert keeper.warning() == ""
-
-    def test_nothing_taken_by_itself_is_doubted(self, sensor, nominal):
-        """Presses at the limit of what counts as touched: the median of frames may be below it and
-        their mean above."""
-        limit = RestParameters().rest_tolerance
-        depth = 200 * UM * limit / rest_shape(nominal, nominal + _bump(nominal, 200 * UM)).bump
-        taken = 0
-        for seed in range(60):
-            keeper = _keeper(sensor)
-            press = depth * (0.96 + 0.001 * seed)
-            _feed(keeper, _frames(nominal + _bump(nominal, press), seed=seed))
-            taken += not keeper.waiting
-            assert "doubtful" not in keeper.warning()
-            assert keeper.waiting == ("no reference yet" in keeper.warning())
-        assert 0 < taken < 60
 
     def test_drift_is_followed_at_rest_and_reported(self, sensor, nominal):
         keeper = _keeper(sensor)

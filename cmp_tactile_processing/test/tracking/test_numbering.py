@@ -22,7 +22,6 @@ from cmp_tactile_processing.tracking.detector import (
     CornerGraph,
     NominalGrid,
 )
-from cmp_tactile_processing.tracking.numbering.faulty_view import OtherViews
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
@@ -142,16 +141,6 @@ def clear_of(mask, outline, distance_px):
     inside = (x >= 0) & (y >= 0) & (x < mask.shape[1]) & (y < mask.shape[0])
     limit = mask.shape[1] - 1, mask.shape[0] - 1
     return inside & (distance[y.clip(0, limit[1]), x.clip(0, limit[0])] > distance_px)
-
-
-def together(one, other):
-    moved = np.where(other.neighbour < 0, -1, other.neighbour + len(one.position))
-    pairs = zip(
-        (one.position, one.merged, one.even, one.neighbour),
-        (other.position, other.merged, other.even, moved),
-        strict=True,
-    )
-    return CornerGraph(*(np.concatenate(pair) for pair in pairs))
 
 
 @pytest.fixture(scope="module")
@@ -329,32 +318,3 @@ def test_a_mirrored_view_is_named(rig):
     # 21 checkers in a row: the first has its own colour from either end.
     reason = "views.<view>.mirror and views.<view>.roi"
     assert_refused(rig.number(mirrored), GridFault.MIRRORED, reason)
-
-
-def test_a_second_pattern_over_the_first_is_named(rig):
-    """A finer checkerboard is pasted over a quarter: none of its corners gets a number."""
-    outline = rig.outline()
-    i, j = np.mgrid[:11, :11] * 0.78
-    pasted = rig.geometry.project(rig.sensor.pattern.at(9.3 + i, 2.4 + j)) - rig.window.origin
-    image = rig.draw(outline)
-    rim = np.concatenate([pasted[0], pasted[:, -1], pasted[-1, ::-1], pasted[::-1, 0]])
-    mask = filled(rim, image.shape)
-    image = np.where(mask, rig.draw(pasted), image)
-    visible = rig.visible(mask, outline)
-    both = together(rig.graph(outline, visible), rig.graph(pasted))
-    found = rig.numbering.number(both, prepared(image))
-    assert rig.wrong(found, outline) == 0
-    np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), visible)
-    assert found.fault is GridFault.TWO_PATTERNS
-
-
-def test_what_fits_as_well_turned_is_numbered_by_the_last_frame_alone(rig):
-    """A gel so deformed that it lies half way between the view and the view turned."""
-    proper = rig.nominal.corners
-    turned = (2 * proper.mean(axis=(0, 1)) - proper)[::-1, ::-1]
-    half_way, number = (proper + turned).reshape(-1, 2) / 2, np.argwhere(np.ones(rig.size))
-    views = OtherViews(rig.nominal)
-    assert views.seen_in(half_way, number)[0] is GridFault.AMBIGUOUS
-    assert views.seen_in(half_way, number, half_way.reshape(proper.shape))[0] is GridFault.NONE
-    assert views.seen_in(proper.reshape(-1, 2), number)[0] is GridFault.NONE
-    assert views.seen_in(turned.reshape(-1, 2), number, turned)[0] is GridFault.TURNED
