@@ -39,30 +39,23 @@ for _name in (
     importlib.import_module(_name)
 
 _ROS_IS_THERE = importlib.util.find_spec("rclpy") is not None
-# As if installed: the scene `grasp` in a third of its frames, on a coarser mesh.
-_SHORT_SCENES = Path(__file__).parent / "test" / "data" / "short"
 _MADE_AHEAD = Path(__file__).parent / "test" / "plugins" / "made_ahead.py"
-
-
-def _with_short_scenes(patch: pytest.MonkeyPatch) -> None:
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
-    patch.setenv("AMENT_PREFIX_PATH", f"{_SHORT_SCENES}{os.pathsep}{prefixes}")
 
 
 @pytest.fixture
 def short_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     """The name `grasp` means a scene of 20 frames, here and in processes that the test starts."""
-    _with_short_scenes(monkeypatch)
+    from made_ahead import with_short_scenes
+
+    with_short_scenes(monkeypatch)
 
 
 @pytest.fixture(scope="session")
 def grasp_bag() -> Path:
     """The recording of that scene; simulated in the first run, then from the cache folder."""
-    from cmp_tactile_simulation.recording.run import recording_of
+    from made_ahead import short_recording
 
-    with pytest.MonkeyPatch.context() as patch:
-        _with_short_scenes(patch)
-        return recording_of("grasp")
+    return short_recording("grasp")
 
 
 @pytest.fixture(scope="session")
@@ -76,11 +69,9 @@ def packaged_grasp() -> Path:
 @pytest.fixture(scope="session")
 def weigh_bag() -> Path:
     """The recording of the short scene `weigh`; simulated in the first run, then from the cache."""
-    from cmp_tactile_simulation.recording.run import recording_of
+    from made_ahead import short_recording
 
-    with pytest.MonkeyPatch.context() as patch:
-        _with_short_scenes(patch)
-        return recording_of("weigh")
+    return short_recording("weigh")
 
 
 @pytest.fixture(scope="session")
@@ -122,21 +113,19 @@ def pytest_configure() -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Make what is not in the caches: every worker would do it for itself, at the same time."""
+    """Compile what is not in the caches: every worker would do it for itself, at the same time."""
     from parallel_run import gives_out_work
 
     if gives_out_work(session.config):
         session.config.get_terminal_writer().line("compiling ahead of the workers")
         from cmp_tactile_processing.python_command import python_command
 
-        trackers = python_command(
-            "cmp_tactile_processing.prepare", "sample_rig", "--only", "trackers", "stereo"
-        )
-        with pytest.MonkeyPatch.context() as patch:
-            _with_short_scenes(patch)
-            rest = subprocess.Popen([sys.executable, str(_MADE_AHEAD)])
-        subprocess.run(trackers, check=False)
-        rest.wait()
+        command = python_command("cmp_tactile_processing.prepare", "sample_rig", "--only")
+        parts = (["trackers", "stereo"], ["forces"])
+        for process in [subprocess.Popen([*command, *part]) for part in parts]:
+            process.wait()
+        recordings = subprocess.Popen([sys.executable, str(_MADE_AHEAD)])
+        session.config.add_cleanup(recordings.terminate)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,9 +14,8 @@ from hard_frames.grid_score import score_grid
 from hard_frames.library import bad_views, cases_of, sequence_of
 from hard_frames.studio import PatternCase, PatternStudio
 
-# Whole checkers along x and y, one and two in each direction: the shifted lattice looks like the
-# one before.
-SHIFTS = [(n * x, n * y) for n in (1, 2) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
+# Whole checkers along x and y: the shifted lattice looks like the one before.
+SHIFTS = [(1, 0), (-2, 0), (0, 2), (0, -1), (1, 1), (-1, 1), (2, -2), (-2, -2)]
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +172,7 @@ def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(trackers, d
     assert score_grid(grid, truth, visible, visible).complete == 1
 
 
-@pytest.mark.parametrize("angle", [45, 70, 90, 110, 165, 178, 180, 183, 200, 260, 270, 290])
+@pytest.mark.parametrize("angle", [45, 90, 110, 178, 180, 200, 270])
 def test_a_turned_frame_gets_no_numbers(trackers, clean, angle):
     """About its middle: by half a turn, each view takes the other one's place."""
     height, width = clean.image.shape

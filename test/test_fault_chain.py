@@ -174,7 +174,7 @@ def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
 
 @pytest.mark.parametrize(
     "names",
-    [("left_tracker",), ("view_splitter",), ("stereo_triangulator", "right_tracker")],
+    [("view_splitter",), ("stereo_triangulator", "right_tracker")],
     ids=" and ".join,
 )
 def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):

@@ -32,7 +32,6 @@ from hard_frames.studio import PatternCase, PatternStudio
 DOCUMENT = Path(__file__).parent.parent / "docs" / "sensor_description.md"
 # At rest, pressed and sheared: kind of deformation and seed.
 STATES = [("rest", 0), ("press", 1), ("slide", 0), ("slide", 1), ("drag", 1)]
-TURNS_DEG = [0, 1, 5, 45, 90]
 # A misnumbered corner is off by a checker of 8 to 22 px; the tracker is right to 0.1 px.
 RIGHT_PX = 1.0
 
@@ -91,8 +90,11 @@ def assert_whole(studio, sensor, camera):
             tracker.reset()
 
 
-@pytest.mark.parametrize("degrees", TURNS_DEG)
-@pytest.mark.parametrize("surface", ["cap", "flat"])
+# Gridlines nearly along the rows are what a tear looks like.
+@pytest.mark.parametrize(
+    ("surface", "degrees"),
+    [("cap", 0), ("cap", 1), ("cap", 45), ("flat", 1), ("flat", 5), ("flat", 90)],
+)
 def test_two_cameras_turned_about_their_axes(studio, documented, surface, degrees):
     sensor = documented["two_view"]
     sensor = turned(flat(sensor) if surface == "flat" else sensor, degrees)
@@ -111,10 +113,12 @@ def test_behind_something_in_pieces_nothing_is_said_of_the_description(studio, s
     views = build_views(sensor)
     frame = studio.photograph(PatternCase("rest", sensor))
     accused = {}
-    for seed in range(20):
-        for view, truth in frame.truth.items():
+    for view, truth in frame.truth.items():
+        tracker = GridTracker(sensor, view)
+        for seed in range(20):
             image = hidden(split_frame(frame.image, views[view].placement), truth, shape, seed)
-            grid = GridTracker(sensor, view).track(image)
+            tracker.reset()
+            grid = tracker.track(image)
             error = np.linalg.norm(grid.corners - truth.corners, axis=-1)
             assert not (error > RIGHT_PX * 5).any(), (seed, view)
             of_the_description = {GridFault.TURNED, GridFault.MIRRORED, GridFault.OTHER_SIZE}

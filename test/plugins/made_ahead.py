@@ -1,28 +1,35 @@
-"""Makes what all workers take from the caches, before they begin: a process of `pytest -n`.
+"""Recordings that many tests read, made beside the workers: a process of `pytest -n`.
 
-Else each of them would compile the same functions, or wait for the other's recording.  Beside it,
-another process compiles the trackers, which takes longest.
+Whoever needs one that is not done yet waits for it.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import os
+from pathlib import Path
 
-from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.sensor.description import load_sensor
+import pytest
+
 from cmp_tactile_simulation.recording.run import recording_of
-from cmp_tactile_simulation.recording.truth import read_truth
+
+# As if installed: the scene `grasp` in a third of its frames, on a coarser mesh.
+SHORT_SCENES = Path(__file__).parents[1] / "data" / "short"
 
 
-def main() -> None:
-    """The recordings of the short scenes, and forces of one."""
-    sensor = load_sensor("sample_rig")
-    for scene in ("weigh", "grasp"):
-        bag = recording_of(scene)
-    model, corners = ForceModel(sensor), read_truth(bag).corners_m
-    for frame in corners:
-        model.reconstruct(frame - corners[0], np.isfinite(frame).all(axis=-1).astype(np.uint8))
+def with_short_scenes(patch: pytest.MonkeyPatch) -> None:
+    """The names `grasp` and `weigh` mean short scenes, here and in processes started from here."""
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "")
+    patch.setenv("AMENT_PREFIX_PATH", f"{SHORT_SCENES}{os.pathsep}{prefixes}")
+
+
+def short_recording(scene: str) -> Path:
+    """The recording of a short scene; simulated in the first run, then from the cache folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        with_short_scenes(patch)
+        return recording_of(scene)
 
 
 if __name__ == "__main__":
-    main()
+    short_recording("weigh")
+    short_recording("grasp")
+    recording_of("grasp")

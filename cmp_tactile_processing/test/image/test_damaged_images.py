@@ -113,9 +113,8 @@ def _with_fill(content: bytes, fill: bytes, every: int = 1) -> bytes:
     return content[:begin] + re.sub(rb"\xff[\xd0-\xd7\xd9]", filled, content[begin:])
 
 
-@pytest.mark.parametrize("fill", [b"\xff\x00", b"\xff\x00" * 9, b"\xff", bytes(1), bytes(651)])
-@pytest.mark.parametrize("every", [1, 3])
-@pytest.mark.parametrize("interval", [0, 1, 7, 20])
+@pytest.mark.parametrize("fill", [b"\xff\x00" * 9, b"\xff", bytes(651)])
+@pytest.mark.parametrize(("interval", "every"), [(0, 1), (1, 3), (20, 1)])
 @pytest.mark.parametrize("kind", ["grey", "neutral", "colour", "noise"])
 def test_what_fills_up_before_a_marker_is_passed_over(picture, kind, interval, every, fill):
     """Also where pixels end as what fills up does: 0x00 of no colours, 0xff of much detail."""
