@@ -253,14 +253,6 @@ def test_nothing_that_touches(sample_rig, cache_dir):
     assert outcome.loads[0].reason
 
 
-def test_one_press_is_enough_and_is_said_to_be_little(sample_rig, cache_dir, described):
-    outcome = fit_material(sample_rig, described[:1], "weights", YOUNG_ALONE, cache_dir=cache_dir)
-    assert outcome.accepted
-    texts = " ".join(item.text for item in outcome.findings)
-    assert "only one load" in texts
-    assert "All loads are presses" in texts
-
-
 GOOD = LoadSample(np.zeros((20, 20, 3)), MEASURED, np.array([0, 0, -1.0]), np.full(3, 0.01))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.geometry.optics import build_views, view_geometry
+from cmp_tactile_processing.geometry.optics import view_geometry
 from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 
@@ -84,9 +84,3 @@ def test_grazing(lens, layers):
         air = into_plate.rays(view.project(points))[0] - view.centre
         assert np.degrees(np.arctan2(np.hypot(*air[:, :2].T), air[:, 2])).max() > 89
     _check(view, points)
-
-
-def test_a_mirrored_view(sensor):
-    for view in build_views(sensor).values():
-        assert view.placement.flipped
-        _check(view, sensor.pattern.corners())

@@ -192,19 +192,6 @@ def test_a_groove_that_neither_view_measures_shows_in_the_std(rig, blind):
     assert np.median(rows.std[:, middle]) > 10 * np.median(rows.std[:, : middle - 3])
 
 
-def test_a_row_on_the_epipolar_direction_is_interpolated(sensor):
-    """A flat pattern's rows run exactly along the baseline: both planes are one."""
-    flat = replace(sensor, pattern=replace(sensor.pattern, surface=PatternSurface()))
-    scene = make_scene(flat)
-    rows, cols = scene.triangulate()
-    assert (rows.status == Status.PREDICTED).all()
-    assert (cols.status == Status.MEASURED).all()
-    np.testing.assert_allclose(rows.position, scene.rows, atol=ATOL_REST_M, rtol=0)
-    # Its depth is as good as that of the corners, mixed with weights of 0.8 to 1 together.
-    assert (rows.std > 0.75 * CORNER_STD_M).all()
-    assert (rows.std < 1.1 * CORNER_STD_M).all()
-
-
 def test_errors_are_as_large_as_their_std_says(rig):
     """Noise in all pixels: errors over std are those of one to two normal numbers."""
     scene = make_scene(rig, smooth)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import GridFault, NumberingKind
+from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
@@ -62,14 +62,6 @@ def wrong(grid, whole, displacement):
     error = np.linalg.norm(grid.corners - truth, axis=-1)
     known = np.isfinite(error)
     return int((error[known] > 5 * DRAWN_PX).sum()), int(known.sum())
-
-
-def test_numbers_hold_over_a_slide_of_several_checkers(tracker, photograph, whole):
-    for checkers in np.arange(0, 3.3, 0.4):
-        moved = along(whole, rows=checkers, cols=-0.5 * checkers)
-        grid = tracker.track(photograph(moved))
-        assert grid.numbering is NumberingKind.RELATIVE
-        assert wrong(grid, whole, moved) == (0, NUMBERED**2), checkers
 
 
 def test_a_motion_that_speeds_up_beyond_half_a_checker_a_frame_is_expected(

@@ -9,56 +9,15 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.tracking.contour_stitching.quadrangles import (
-    CORNER_SIGNS,
-)
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
-    Checkers,
     ContourStitching,
     largest_set,
-    merge_corners,
 )
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.numbering.components import traverse
 
-SIDE = 20.0
 # Within this a corner is none of its neighbours, and a saddle-point fit finds it.
 CAPTURE = 0.3
-
-
-def checkers_around(rows, cols, dark=True, jitter=0.0):
-    """Quadrangles of one colour's checkers around rows x cols corners at (col, row) SIDE.
-
-    The dark ones hold corner (0, 0) at their (+, +) corner.
-    """
-    quads = np.array(
-        [
-            (SIDE * (np.array([r, c]) + (CORNER_SIGNS + 1) / 2 - 1))[:, ::-1]
-            for r in range(rows + 1)
-            for c in range(cols + 1)
-            if ((r + c) % 2 == 0) == dark
-        ]
-    )
-    quads = quads + np.random.default_rng(0).normal(0, jitter, quads.shape)
-    return Checkers(quads, np.full(len(quads), dark), np.ones(len(quads)))
-
-
-def chosen(checkers, which):
-    return Checkers(checkers.corners[which], checkers.dark[which], checkers.quality[which])
-
-
-@pytest.mark.parametrize(("rows", "cols"), [(4, 4), (5, 8), (20, 20)])
-@pytest.mark.parametrize("dark", [True, False])
-def test_numbers_follow_from_connectivity_alone(rows, cols, dark):
-    checkers = checkers_around(rows, cols, dark, jitter=1.0)
-    order = np.random.default_rng(1).permutation(len(checkers.corners))
-    (component,) = traverse(merge_corners(chosen(checkers, order)))
-    number = component.number - component.number.min(axis=0)
-    assert len(number) == rows * cols
-    # Jitter of 1 px, averaged over two outlines, stays within 5 px: four and more sigma.
-    np.testing.assert_allclose(component.position, SIDE * number[:, ::-1], atol=5)
-    # Whichever colour was outlined, `even` is that of the dark checkers.
-    np.testing.assert_array_equal(component.even, number.sum(axis=1) % 2 == 0)
 
 
 def rig_of(sensor, view):

@@ -90,15 +90,6 @@ def test_slides_of_any_size(checkers, tracker, photograph, nominal):
     _assert_right(grid, truth, expected)
 
 
-def test_a_knock_by_two_checkers_between_frames(tracker, photograph, nominal):
-    for checkers in (0.0, 2.0, -2.0, 6.0):
-        moved = nominal.side_px * np.array((checkers, 0.0))
-        grid = tracker.track(photograph(tuple(moved)))
-        expected = np.ones((20, 20), bool) if abs(checkers) <= 2 else np.zeros((20, 20), bool)
-        _assert_right(grid, nominal.corners + moved, expected)
-        assert np.isfinite(grid.corners).any()
-
-
 @pytest.mark.parametrize("pieces", ["cross", "frame", "strip"])
 def test_what_hides_the_border_and_cuts_the_grid_into_pieces(pieces, tracker, photograph, nominal):
     image = photograph()

@@ -132,17 +132,6 @@ def test_much_is_misread_of_a_large_piece() -> None:
     assert _decode(decoder, _misread(_bits(sheet), 0.5, rng), False).is_foreign
 
 
-def test_checkers_beside_the_sheet_say_nothing() -> None:
-    sheet = dot_map(21, 21)
-    bits = np.zeros((24, 23), np.int8)
-    bits[2:23, 1:22] = _bits(sheet)
-    bits[:2, 3] = 1
-    found = _decode(DotDecoder(sheet, True), bits, False)
-    assert found.is_certain
-    np.testing.assert_array_equal(found.shift, (-2, -1))
-    assert found.readable == 21 * 21
-
-
 def test_few_checkers_near_a_known_place() -> None:
     sheet = dot_map(21, 21)
     decoder = DotDecoder(sheet, True)
