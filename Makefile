@@ -47,6 +47,7 @@ check: build ## Check style, types and imports (docs/architecture.md)
 	@setup/run ruff format --check
 	@setup/run mypy
 	@setup/run lint-imports --no-cache
+	@setup/run python3 benchmarks/house.py
 
 lock: ## Renew setup/locked-*.txt, the versions to install (LOCK_ARGS=--upgrade for the newest)
 	@command -v "$(UV)" >/dev/null || { echo "lock: found no $(UV): run 'make build', or pip install uv" >&2; exit 1; }
