@@ -28,13 +28,14 @@ class _Import(Command):
 
     def write(self, imports: Sequence[tuple[MarkerRecording, SensorDescription]]) -> int:
         """Write the files of each recording of a sensor, and print what they are."""
-        from cmp_tactile_bringup.offline.imported import check_free, write_import
+        from cmp_tactile_bringup.offline.imported import SUFFIXES, write_import
+        from cmp_tactile_bringup.offline.outputs import check_free
         from cmp_tactile_bringup.terminal.output import output_console, print_line
 
         console, output = output_console(), self.output.expanduser()
         for recording, _ in imports:
             if not self.overwrite:
-                check_free(recording, output)
+                check_free(output, recording.name, SUFFIXES)
         output.mkdir(parents=True, exist_ok=True)
         for recording, sensor in imports:
             found = write_import(recording, sensor, output)

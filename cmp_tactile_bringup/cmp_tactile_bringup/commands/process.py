@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -24,8 +26,9 @@ from cmp_tactile_bringup.commands.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from cmp_tactile_bringup.offline.display import Display
     from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome, Task
+    from cmp_tactile_bringup.offline.workers import Result
+    from cmp_tactile_bringup.terminal.output import OnStage
 
 MOST_REFERENCE_FRAMES = 1000
 MOST_JOBS = 256
@@ -60,7 +63,7 @@ class Process(Command):
     """Process every frame of each recording and write NAME.mcap (grids, surface, force field and
     wrench as the nodes publish them) and NAME_wrench.csv (force and moment over time). No
     running ROS is needed. The same input gives the same bytes. To continue an interrupted run, give
-    the same command again: finished recordings are kept, the others begin again.
+    the same command again: existing results are kept, the other recordings begin again.
     """
 
     inputs: Annotated[
@@ -102,9 +105,7 @@ class Process(Command):
     ] = "both"
     parquet: Annotated[bool, _results("write NAME_wrench.parquet, too (needs pyarrow)")] = False
     arrays: Annotated[bool, _results("write NAME.npz, too")] = False
-    overwrite: Annotated[
-        bool, _results("replace existing results that were made with other input or options")
-    ] = False
+    overwrite: Annotated[bool, _results("replace existing results")] = False
     jobs: Annotated[
         int | None,
         _work(
@@ -155,8 +156,8 @@ def _options(arguments: Process) -> Options:
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
     from cmp_tactile_bringup.errors import TaskError
-    from cmp_tactile_bringup.offline.display import Display
     from cmp_tactile_bringup.offline.jobs import Task
+    from cmp_tactile_bringup.terminal.output import shown_stages
 
     options, tasks, complete = _options(arguments), list[Task](), list[bool]()
     for job in jobs:
@@ -165,14 +166,13 @@ def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool
             complete.append(_report(console, job, sensor))
         else:
             tasks.append(Task(replace(job, sensor=sensor), options, arguments.overwrite))
-
-    def report(number: int, result: Outcome | Exception) -> None:
-        if arguments.debug and isinstance(result, TaskError):
-            console.print(result.trace, markup=False, highlight=False)
-        complete.append(_report(console, tasks[number].job, result))
-
-    with Display([task.job.name for task in tasks], console, report) as display:
-        _run(tasks, arguments, display)
+    with shown_stages() as on_stage, closing(_run(tasks, arguments, on_stage)) as results:
+        for number, result in results:
+            if arguments.debug and isinstance(result, TaskError):
+                console.print(result.trace, markup=False, highlight=False)
+            complete.append(_report(console, tasks[number].job, result))
+            if len(jobs) > 1:
+                on_stage("all recordings", len(complete) / len(jobs))
     return complete
 
 
@@ -186,20 +186,15 @@ def _sensor_of(job: Job, given: str | None) -> str | Exception:
         return error
 
 
-def _run(tasks: list[Task], arguments: Process, display: Display) -> None:
+def _run(tasks: list[Task], arguments: Process, on_stage: OnStage) -> Generator[Result, None, None]:
+    from cmp_tactile_bringup.offline.workers import run_here, run_in_processes, run_on_cluster
+
     jobs = min(arguments.jobs or _default_jobs(), len(tasks))
     if tasks and arguments.scheduler:
-        from cmp_tactile_bringup.offline.cluster import run_on_cluster
-
-        run_on_cluster(tasks, display, arguments.scheduler)
-    elif jobs > 1:
-        from cmp_tactile_bringup.offline.workers import run_in_processes
-
-        run_in_processes(tasks, display, jobs)
-    else:
-        from cmp_tactile_bringup.offline.workers import run_here
-
-        run_here(tasks, display)
+        return run_on_cluster(tasks, arguments.scheduler)
+    if jobs > 1:
+        return run_in_processes(tasks, jobs)
+    return run_here(tasks, on_stage)
 
 
 def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
@@ -212,8 +207,7 @@ def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
         text = line if job.label in line else f"{job.label}: {line}"
         print_line(console, f"error: {text}", "red")
         return False
-    before = ", finished before" if result.finished_before else ""
-    print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}{before}")
+    print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}")
     print_line(console, f"{job.label}: sensor description: {job.sensor}")
     print_line(console, f"{job.label}: displacement is relative to: {result.reference}")
     for doubt in result.doubts:

@@ -1,6 +1,5 @@
 """Recordings through the pipeline into files, without a running ROS.
 
 In reading order: what is asked for (`jobs`), one recording (`processor`), what is written
-(`outputs`, `result_files`), from what (`identity`), and where the work is done (`workers`,
-`cluster`, `display`).
+(`outputs`), and where the work is done (`workers`).
 """

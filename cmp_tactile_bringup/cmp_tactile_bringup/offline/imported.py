@@ -11,13 +11,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline.identity import software_version
 from cmp_tactile_bringup.offline.outputs import (
     WRENCH_STAMPED,
     NamedMessage,
     ResultBag,
     csv_table,
+    software_version,
 )
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_driver.bags.reader import RecordedSurface
@@ -64,14 +63,6 @@ class Agreement:
     correlation: Array
     scale: float
     left: Array
-
-
-def check_free(recording: MarkerRecording, folder: Path) -> None:
-    """Raise OutputError where one of the files to be written is there already."""
-    for suffix in SUFFIXES:
-        path = folder / f"{recording.name}{suffix}"
-        if path.exists():
-            raise OutputError(f"{path}: exists already; --overwrite replaces it")
 
 
 def write_import(recording: MarkerRecording, sensor: SensorDescription, folder: Path) -> Imported:

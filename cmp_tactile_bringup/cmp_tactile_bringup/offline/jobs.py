@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
@@ -16,6 +15,8 @@ from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
+MAIN_SUFFIXES = (".mcap", "_wrench.csv")
+OPTIONAL_SUFFIXES = ("_wrench.parquet", ".npz")
 FIRST_FRAMES = re.compile(r"first-([1-9]\d{0,3})")
 
 
@@ -53,8 +54,8 @@ class Options:
     @property
     def suffixes(self) -> tuple[str, ...]:
         """Of the files that are written for a recording."""
-        more = (("_wrench.parquet", self.parquet), (".npz", self.arrays))
-        return (".mcap", "_wrench.csv", *(suffix for suffix, wanted in more if wanted))
+        wanted = zip(OPTIONAL_SUFFIXES, (self.parquet, self.arrays), strict=True)
+        return (*MAIN_SUFFIXES, *(suffix for suffix, is_wanted in wanted if is_wanted))
 
     def grids_of(self, views: Sequence[str]) -> tuple[str, ...]:
         """Those of a sensor's views of which grids are written."""
@@ -94,7 +95,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """frames: processed.  finished_before: the results were there, made from the same.
+    """frames: processed.
 
     problem: why frames of the recording could not be used, or empty.  doubts: why the results may
     not be trusted.  reference: what displacement counts from, in words.
@@ -104,13 +105,6 @@ class Outcome:
     problem: str = ""
     doubts: tuple[str, ...] = ()
     reference: str = ""
-    finished_before: bool = False
-
-    @classmethod
-    def from_record(cls, values: dict[str, Any]) -> Outcome:
-        """Of an earlier run, from `dataclasses.asdict`; KeyError or TypeError for anything else."""
-        known = values | {"doubts": tuple(map(str, values["doubts"])), "finished_before": True}
-        return cls(**known)
 
 
 def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:

@@ -7,6 +7,7 @@ types and units.
 from __future__ import annotations
 
 import csv
+import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -25,12 +26,13 @@ from rosbags.interfaces import (
 )
 
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline.identity import software_version
-from cmp_tactile_bringup.offline.jobs import Job, Options
+from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job, Options
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
+from cmp_tactile_bringup.terminal.output import installed_version
 from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.reader import Recorded
+from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
@@ -60,6 +62,48 @@ LATCHED = Qos(
 Row = Sequence[float | str]
 # Name below the sensor's namespace, type, message.
 NamedMessage = tuple[str, str, Any]
+
+
+def software_version() -> str:
+    """What results are computed with: the version, and a digest of the sources."""
+    return f"cmp_tactile {installed_version('cmp_tactile_processing')}, {compiled_digest()}"
+
+
+def check_free(folder: Path, name: str, suffixes: Iterable[str]) -> None:
+    """Raise OutputError where one of the files to be written is there already."""
+    for suffix in suffixes:
+        path = folder / f"{name}{suffix}"
+        if path.exists():
+            msg = f"{path}: exists already; --overwrite replaces it"
+            raise OutputError(msg)
+
+
+def partial_folder(job: Job) -> Path:
+    """The hidden folder in which the files of a job are written."""
+    return Path(job.folder) / f".{job.name}.partial"
+
+
+@contextmanager
+def whole_results(job: Job, options: Options, *, overwrite: bool) -> Iterator[Path]:
+    """A folder for the files of a job: they move to their places when all are written.
+
+    What an interrupted run left there is removed.  Raises OutputError where results are there and
+    overwrite does not allow to replace them.
+    """
+    if not overwrite:
+        check_free(Path(job.folder), job.name, options.suffixes)
+    partial = partial_folder(job)
+    if partial.exists():
+        shutil.rmtree(partial)
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        for suffix in OPTIONAL_SUFFIXES:
+            job.path(suffix).unlink(missing_ok=True)
+        for made in sorted(partial.iterdir()):
+            made.replace(Path(job.folder) / made.name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 class ResultBag:
@@ -180,16 +224,16 @@ class Outputs(ExitStack):
         # What is open already is closed where another cannot be opened.
         with ExitStack() as stack:
             grids = options.grids_of(tuple(sensor.views))
-            self._bag = stack.enter_context(ResultBag(folder / ".mcap", sensor, grids))
+            self._bag = stack.enter_context(ResultBag(folder / f"{job.name}.mcap", sensor, grids))
             facts = {"software": software_version(), "reference": options.reference}
             self._bag.describe(facts, Path(job.sensor).read_bytes())
             if options.parquet:
                 # Once the table is closed, unless that is after an error.
-                stack.push(partial(_add_parquet, folder))
-            self._append_row = stack.enter_context(csv_table(folder / "_wrench.csv"))
+                stack.push(partial(_add_parquet, folder / job.name))
+            self._append_row = stack.enter_context(csv_table(folder / f"{job.name}_wrench.csv"))
             self._arrays: results.ArrayLog | None = None
             if options.arrays:
-                self._arrays = stack.enter_context(results.ArrayLog(folder / ".npz"))
+                self._arrays = stack.enter_context(results.ArrayLog(folder / f"{job.name}.npz"))
             self.push(stack.pop_all())
 
     def append(self, frame: Recorded, result: PipelineResult, stamp_fault: str) -> None:
@@ -201,9 +245,10 @@ class Outputs(ExitStack):
             self._arrays.append(_arrays(frame.stamp_ns, result))
 
 
-def _add_parquet(folder: Path, error: object, *_: object) -> None:
+def _add_parquet(results: Path, error: object, *_: object) -> None:
     if error is None:
-        write_parquet(folder / "_wrench.csv", folder / "_wrench.parquet")
+        table = Path(f"{results}_wrench.csv")
+        write_parquet(table, table.with_suffix(".parquet"))
 
 
 def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:

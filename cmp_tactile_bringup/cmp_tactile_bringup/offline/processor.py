@@ -9,7 +9,6 @@ come after it.  So compiling is left to a process of its own.
 from __future__ import annotations
 
 import errno
-import math
 import os
 import subprocess
 import sys
@@ -17,19 +16,18 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import cmp_tactile_processing
 from cmp_tactile_bringup.errors import OutputError, TaskError
 from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome, Task
-from cmp_tactile_bringup.offline.outputs import Outputs
-from cmp_tactile_bringup.offline.result_files import ResultFiles
+from cmp_tactile_bringup.offline.outputs import Outputs, whole_results
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
-from cmp_tactile_bringup.terminal.output import error_line, processor_name
+from cmp_tactile_bringup.terminal.output import OnStage, error_line, processor_name
 from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
@@ -52,14 +50,17 @@ STAMP_FAULTS = {
     frame_watch.Stamp.ZERO: "were 0",
 }
 TOO_FEW = "too few frames to say whether the gel is still"
-Report = Callable[[str, Any], None]
-"""Takes what a task reports: "stage" with what is done before the first frame and its share,
-"total" with the number of frames that it expects (None: unknown), "frames" with how many are
-processed."""
+
+
+def _unreported(_what: str, _share: float) -> None:
+    """Takes what nobody looks at."""
+
 
 COMPILING = "compiling, once per version of the software"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FRAMES_BETWEEN_REPORTS = 10
+SHORTEST_S = 1e-3
+"""Length of a recording of one image."""
 
 
 class Processor:
@@ -75,16 +76,10 @@ class Processor:
         # Up to the first good frame, before any work is done for the others.
         next(_frames_of(self._recording), None)
 
-    @property
-    def expected_frames(self) -> int | None:
-        """How many frames there are to process; None where that is not known."""
-        whole = self._options.start == 0 and math.isinf(self._options.end)
-        return self._recording.stated_frames if whole else None
+    def run(self, folder: Path, on_share: Callable[[float], None]) -> Outcome:
+        """Process every frame and write the files into a folder.
 
-    def run(self, folder: Path, on_frames: Callable[[int], None]) -> Outcome:
-        """Process every frame and write the files into a folder, each named by its suffix.
-
-        on_frames: called now and then with how many frames are done, and at the end.
+        on_share: called now and then with the share of the time that is done, and at the end.
         Raises FrameSourceError where no frame can be used, ReferenceFramesError where the frames
         that should give the reference cannot.
         """
@@ -92,6 +87,8 @@ class Processor:
         self._take_reference(pipeline)
         watch, stamps = _Doubts(self._sensor, self._recording), _Stamps()
         count, is_surface = 0, False
+        begin_s = self._options.start
+        length_s = max(min(self._options.end, self._recording.duration) - begin_s, SHORTEST_S)
         with Outputs(folder, self._job, self._sensor, self._options) as files:
             for frame in self._frames():
                 stamp_fault = stamps.add(frame)
@@ -103,8 +100,8 @@ class Processor:
                 files.append(frame, result, stamp_fault)
                 count, is_surface = count + 1, isinstance(frame, RecordedSurface)
                 if not count % FRAMES_BETWEEN_REPORTS:
-                    on_frames(count)
-        on_frames(count)
+                    on_share((frame.time_s - begin_s) / length_s)
+        on_share(1.0)
         doubts = (*watch.doubts, *stamps.doubts, self._doubt_of_reference(pipeline))
         problems = (self._recording.health.summary, watch.problem)
         return Outcome(
@@ -218,29 +215,18 @@ def _frames_between(recording: Recording, start_s: float, end_s: float) -> Itera
         raise FrameSourceError(msg)
 
 
-def run_task(task: Task, report: Report) -> Outcome:
-    """Make the results of a job, or find that they are made.
+def run_task(task: Task, on_stage: OnStage) -> Outcome:
+    """Make the results of a job.
 
     Raises CmpTactileError or OSError where that is not possible; nothing new is then written.
     """
-
-    def stage(what: str, share: float) -> None:
-        report("stage", (what, share))
-
-    source = recorded_source(Path(task.job.source), stage)
+    source = recorded_source(Path(task.job.source), on_stage)
     job, options = replace(task.job, source=str(source)), task.options
-    with ResultFiles(job, options) as files:
-        finished = files.finished(overwrite=task.overwrite)
-        if finished is not None:
-            report("total", finished.frames)
-            return finished
+    with whole_results(job, options, overwrite=task.overwrite) as folder:
         processor = Processor(job, options)
-        compile_elsewhere(Path(job.sensor), stage)
-        report("total", processor.expected_frames)
-        folder = files.begin()
+        compile_elsewhere(Path(job.sensor), on_stage)
         try:
-            outcome = processor.run(folder, lambda count: report("frames", count))
-            files.complete(outcome)
+            return processor.run(folder, partial(on_stage, job.label))
         except OSError as error:
             if error.filename is not None:
                 raise
@@ -248,13 +234,12 @@ def run_task(task: Task, report: Report) -> Outcome:
             where = job.folder if error.errno in NO_ROOM else f"{job.label} or {job.folder}"
             msg = f"{where}: {error.strerror or error}"
             raise OutputError(msg) from error
-    return outcome
 
 
-def run_guarded(task: Task, report: Report) -> Outcome | TaskError:
+def run_guarded(task: Task, on_stage: OnStage = _unreported) -> Outcome | TaskError:
     """As `run_task`; no error of the task leaves this."""
     try:
-        return run_task(task, report)
+        return run_task(task, on_stage)
     except Exception as error:  # noqa: BLE001  the others are to be processed all the same
         line = error_line(error, "; --debug shows where").removeprefix("error: ")
         failure = TaskError(line)
@@ -262,7 +247,7 @@ def run_guarded(task: Task, report: Report) -> Outcome | TaskError:
         return failure
 
 
-def compile_elsewhere(sensor: Path, stage: Callable[[str, float], None]) -> None:
+def compile_elsewhere(sensor: Path, on_stage: OnStage) -> None:
     """Have all that the pipeline of a sensor runs compiled by another process, if it is not yet.
 
     Raises OutputError where that process fails.
@@ -280,7 +265,7 @@ def compile_elsewhere(sensor: Path, stage: Callable[[str, float], None]) -> None
         return
     with locked(done.with_suffix(".lock")):
         if not done.exists():
-            stage(COMPILING, 0.0)
+            on_stage(COMPILING, 0.0)
             command = python_command("cmp_tactile_processing.prepare", str(sensor))
             found = subprocess.run(command, capture_output=True, text=True, check=False)
             if found.returncode:

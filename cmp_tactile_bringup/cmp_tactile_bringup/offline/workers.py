@@ -1,145 +1,120 @@
-"""Tasks one after another in this process, or several at once in processes of this machine.
+"""Tasks one after another in this process, several at once in processes, or on a dask cluster.
 
-The processes are a pool of concurrent.futures with one thread of BLAS and numba each.  joblib's
-pool gives neither progress nor which of its tasks had begun when a process died.
+All of them give the number of each task with its result, in the order in which they end.
 """
 
 from __future__ import annotations
 
 import os
-import signal
-import sys
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+import shutil
+from collections.abc import Generator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from functools import partial
-from multiprocessing import active_children, get_context, parent_process
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from cmp_tactile_bringup.errors import TaskError
+import joblib
+
+from cmp_tactile_bringup.errors import ClusterError, TaskError
 from cmp_tactile_bringup.offline.jobs import Outcome, Task
+from cmp_tactile_bringup.offline.outputs import partial_folder
 from cmp_tactile_bringup.offline.processor import run_guarded
+from cmp_tactile_bringup.terminal.output import OnStage
 
-if TYPE_CHECKING:
-    from multiprocessing.queues import SimpleQueue
-
-    from cmp_tactile_bringup.offline.display import Display
-
-ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
-# Python looks for its first modules in the folder that a process begins in; beside a recording,
-# anybody's may lie.  multiprocessing then has the process go on in its parent's folder.
-FOLDER_WITHOUT_MODULES = "/"
-SECONDS_BETWEEN_REPORTS = 0.1
+Result = tuple[int, Outcome | TaskError]
+SECONDS_TO_CONNECT = 10
+SECONDS_FOR_WORKERS = 30
 
 
-def run_here(tasks: Sequence[Task], display: Display) -> None:
+def run_here(tasks: Sequence[Task], on_stage: OnStage) -> Generator[Result, None, None]:
     """Run the tasks in this process."""
     for number, task in enumerate(tasks):
-        display.end(number, run_guarded(task, partial(display.show, number)))
+        yield number, run_guarded(task, on_stage)
 
 
-def run_in_processes(tasks: Sequence[Task], display: Display, processes: int) -> None:
-    """Run the tasks in so many processes.
+def run_in_processes(tasks: Sequence[Task], processes: int) -> Generator[Result, None, None]:
+    """Run the tasks in so many processes, each with one thread of BLAS, numba and OpenCV.
 
-    Where one dies, its pool ends the others, too: what they had begun is done again, each task by
-    itself, so that only one whose process dies again is lost.
+    Where one of them dies, all end: the tasks that are not finished have failed.
     """
-    left = dict(enumerate(tasks))
-    while left:
-        begun = _run_pool(left, display, processes)
-        for number in begun:
-            alone = {number: left.pop(number)}
-            if _run_pool(alone, display, 1):
-                text = "its process ended early, twice; was there enough memory?"
-                display.end(number, TaskError(f"{alone[number].job.label}: {text}"))
-
-
-def _run_pool(left: dict[int, Task], display: Display, processes: int) -> list[int]:
-    """Run tasks, and take those that end out of `left`.
-
-    Returns what had begun when a process died, at least one task; nothing where none did.
-    """
-    begun: set[int] = set()
-    with _for_new_processes():
-        context = get_context("spawn")
-        reports: SimpleQueue[tuple[int, str, Any]] = context.SimpleQueue()
-        workers = min(processes, len(left))
-        pool = ProcessPoolExecutor(workers, context, _begin_process, (reports,))
-        futures = {pool.submit(_run_task, number, task): number for number, task in left.items()}
-    with pool:
-        try:
-            ends: set[Future[Outcome | TaskError]] = set()
-            while len(ends) < len(futures):
-                new, _ = wait(futures.keys() - ends, SECONDS_BETWEEN_REPORTS, FIRST_COMPLETED)
-                while not reports.empty():
-                    number, event, value = reports.get()
-                    begun.add(number)
-                    display.show(number, event, value)
-                ends |= new
-                for future in new:
-                    if not isinstance(future.exception(), BrokenProcessPool):
-                        display.end(futures[future], future.result())
-                        del left[futures[future]]
-        except BaseException:
-            for future in futures:
-                future.cancel()
-            for child in active_children():
-                child.terminate()
-            raise
-    return sorted(begun & left.keys()) or list(left)[:1]
-
-
-@contextmanager
-def _for_new_processes() -> Iterator[None]:
-    """Processes that begin here have ENVIRONMENT and run nothing of the current folder.
-
-    They never receive Ctrl-C or the end of the terminal: their parent ends them.
-    """
-    before, folder = dict(os.environ), os.open(".", os.O_PATH)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGHUP])
-    os.environ.update(ENVIRONMENT)
-    os.chdir(FOLDER_WITHOUT_MODULES)
+    # A worker would look for its modules in the current folder first; beside a recording,
+    # anybody's may lie.  Python 3.10 does not know the variable.
+    os.environ["PYTHONSAFEPATH"] = "1"
+    left = set(range(len(tasks)))
     try:
-        yield
+        with joblib.parallel_config("loky", n_jobs=processes, inner_max_num_threads=1):
+            results = joblib.Parallel(return_as="generator_unordered", batch_size=1)(
+                joblib.delayed(_run_numbered)(number, task) for number, task in enumerate(tasks)
+            )
+            for number, result in results:
+                left.remove(number)
+                yield number, result
+    except BrokenProcessPool:
+        reason = "a process ended early: was there enough memory? Try fewer --jobs"
+        for number in sorted(left):
+            yield number, TaskError(f"{tasks[number].job.label}: {reason}")
     finally:
-        os.chdir(folder)
-        os.close(folder)
-        for name in ENVIRONMENT:
-            del os.environ[name]
-        os.environ.update(before)
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        # A process that is killed leaves its own.
+        for task in tasks:
+            shutil.rmtree(partial_folder(task.job), ignore_errors=True)
 
 
-_reports: SimpleQueue[tuple[int, str, Any]]
-
-
-def _begin_process(reports: SimpleQueue[tuple[int, str, Any]]) -> None:
-    """In a new process.  SIGTERM, or the end of its parent, has it remove what is not finished."""
+def _run_numbered(number: int, task: Task) -> Result:
     import cv2
 
-    global _reports  # noqa: PLW0603  a queue is given to a process as it begins, and only then
-    _reports = reports
     cv2.setNumThreads(1)
-    signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    return number, run_guarded(task)
 
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-    os.kill(os.getpid(), signal.SIGTERM)
+def run_on_cluster(tasks: Sequence[Task], address: str) -> Generator[Result, None, None]:
+    """Run the tasks on the workers of the dask scheduler at an address.
+
+    Its workers need this software and, under the same paths, the recordings, the sensor
+    description and the folder of the results.  joblib's own backend for dask waits without end for
+    a task whose worker dies, so the tasks are given to dask itself.  Those that have begun go on
+    to their end after an interrupt.
+    Raises ClusterError without a scheduler or worker.
+    """
+    with _connected(address) as client:
+        from distributed import as_completed
+
+        for task in tasks:
+            Path(task.job.folder).mkdir(parents=True, exist_ok=True)
+        futures = {
+            client.submit(_run_on_worker, task, pure=False): number
+            for number, task in enumerate(tasks)
+        }
+        for future in as_completed(list(futures)):
+            number, error = futures[future], future.exception()
+            if error is None:
+                yield number, future.result()
+            else:
+                reason = f"on the cluster: {type(error).__name__}: {error}"
+                yield number, TaskError(f"{tasks[number].job.label}: {reason}")
 
 
-def _run_task(number: int, task: Task) -> Outcome | TaskError:
+def _connected(address: str) -> Any:
     try:
-        return run_guarded(task, lambda event, value: _reports.put((number, event, value)))
-    except SystemExit:
-        os._exit(1)  # the pool would go on with the next task
+        from distributed import Client
+
+        client = Client(address, timeout=SECONDS_TO_CONNECT)
+    except ImportError as error:
+        msg = f"--scheduler: found no dask ({error}), expected the package: pip install distributed"
+        raise ClusterError(msg) from None
+    except (OSError, ValueError) as error:
+        msg = f"{address}: found no dask scheduler, expected one such as tcp://host:8786: {error}"
+        raise ClusterError(msg) from None
+    try:
+        client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
+    except TimeoutError:
+        client.close()
+        msg = f"{address}: found no worker within {SECONDS_FOR_WORKERS} s, expected at least one"
+        raise ClusterError(msg) from None
+    return client
+
+
+def _run_on_worker(task: Task) -> Outcome | TaskError:
+    # It was made by who sent the task; results written elsewhere would never be found.
+    if not Path(task.job.folder).is_dir():
+        expected = "expected a file system that all machines share, with the same paths"
+        return TaskError(f"{task.job.folder}: found no such folder on a worker, {expected}")
+    return run_guarded(task)

@@ -120,7 +120,7 @@ def test_the_bag_says_what_it_was_made_with_and_plays_beside_the_recording(image
         assert attachment.data == find_sensor_description("sample_rig").read_bytes()
         (facts,) = reader.iter_metadata()
         assert facts.metadata["reference"] == "nominal"
-        assert "cmp_tactile_processing " in facts.metadata["software"]
+        assert "cmp_tactile " in facts.metadata["software"]
         latched = {
             c.topic
             for c in reader.get_summary().channels.values()
