@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 PERIOD_S = 0.2
 # Options that are parameters of the node.
-SAME_NAMES = ("output", "compression", "jpeg_quality", "split_size", "split_duration")
+SAME_NAMES = ("output", "compression", "jpeg_quality")
 _setting = partial(parameter_option, RecorderParameters)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Record(Command):
     """Record topics of a running sensor, on this or another machine, until Ctrl-C. The bag is a
-    folder of MCAP files with metadata.yaml and sensor.yaml, the sensor description. `cmp_tactile
+    folder with an MCAP file, metadata.yaml and sensor.yaml, the sensor description. `cmp_tactile
     replay`, `cmp_tactile process`, `ros2 bag` and others read it. To keep frames off the network,
     record in the sensor's own container: give record:=FOLDER to a launch file or to a command
     that starts nodes.
@@ -60,8 +60,6 @@ class Record(Command):
     duration: Annotated[float | None, option("end after this time", Number(0.1, 1e6, "s"))] = None
     compression: Annotated[str, _setting("compression")] = RecorderParameters.compression
     jpeg_quality: Annotated[int, _setting("jpeg_quality")] = RecorderParameters.jpeg_quality
-    split_size: Annotated[float, _setting("split_size")] = RecorderParameters.split_size
-    split_duration: Annotated[float, _setting("split_duration")] = RecorderParameters.split_duration
     use_sim_time: Annotated[bool, option("log the time of /clock, for example of a replay")] = False
 
     def run(self) -> int:

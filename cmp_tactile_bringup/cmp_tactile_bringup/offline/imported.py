@@ -16,7 +16,6 @@ from cmp_tactile_bringup.offline.outputs import (
     NamedMessage,
     ResultBag,
     csv_table,
-    software_version,
 )
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_driver.bags.reader import RecordedSurface
@@ -29,7 +28,6 @@ from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
-    sensor_description_text,
     write_sensor_description,
 )
 
@@ -71,11 +69,9 @@ def write_import(recording: MarkerRecording, sensor: SensorDescription, folder: 
     with TemporaryDirectory(prefix=".", dir=folder) as beside:
         with ExitStack() as stack:
             path = Path(beside) / f"{recording.name}.mcap"
-            bag = stack.enter_context(ResultBag(path, sensor, ()))
+            bag = stack.enter_context(ResultBag(path, sensor, (), REFERENCE))
             table = Path(beside) / f"{recording.name}_wrench.csv"
             append_row = stack.enter_context(csv_table(table))
-            facts = {"software": software_version(), "reference": REFERENCE}
-            bag.describe(facts, sensor_description_text(sensor).encode())
             for number, (frame, field) in enumerate(_frames(recording, sensor)):
                 own = _own_messages(recording, number, making.gel_frame(sensor))
                 bag.append(frame, PipelineResult(None, None, frame.content, field), own)

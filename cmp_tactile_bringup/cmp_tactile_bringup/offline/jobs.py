@@ -15,7 +15,7 @@ from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
-MAIN_SUFFIXES = (".mcap", "_wrench.csv")
+MAIN_SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 OPTIONAL_SUFFIXES = ("_wrench.parquet", ".npz")
 FIRST_FRAMES = re.compile(r"first-([1-9]\d{0,3})")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -30,8 +30,8 @@ from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job, Options
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_bringup.terminal.output import installed_version
-from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.reader import Recorded
+from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -114,24 +114,26 @@ class ResultBag:
     manager; the file is whole once that is left without an error.
     """
 
-    def __init__(self, path: Path, sensor: SensorDescription, grids: Sequence[str]) -> None:
-        """grids: the views of which grids are written."""
+    def __init__(
+        self, path: Path, sensor: SensorDescription, grids: Sequence[str], reference: str
+    ) -> None:
+        """grids: the views of which grids are written.  reference: of displacement, in words."""
         self._sensor, self._grids = sensor, tuple(grids)
         self._make = bag_messages()
         self._rectification = Rectification(sensor)
-        self._file = McapFile(path, compressed=True)
+        facts = {"software": software_version(), "reference": reference}
+        # A folder with the file and its metadata, of which only the file is wanted.
+        folder = path.with_name(path.name.removesuffix(".mcap"))
+        self._path, self._bag = path, BagWriter(folder, compressed=True, facts=facts)
         self._has_transforms = False
 
     def __enter__(self) -> ResultBag:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
-
-    def describe(self, facts: Mapping[str, str], description: bytes) -> None:
-        """Say what the results were made with; description: the file of the sensor."""
-        self._file.describe("cmp_tactile", facts)
-        self._file.attach("sensor.yaml", "application/yaml", description)
+        self._bag.close()
+        self._bag.path.replace(self._path)
+        shutil.rmtree(self._bag.folder)
 
     def append(
         self,
@@ -147,8 +149,6 @@ class ResultBag:
             self._has_transforms = True
         for name, kind, message in (*self._messages(frame.stamp_ns, result), *more):
             self._write(f"/{self._sensor.ros_name}/{name}", kind, message, frame)
-        if self._file.chunk_is_full:
-            self._file.flush()
 
     def _messages(self, stamp: int, result: PipelineResult) -> Iterator[NamedMessage]:
         make, sensor = self._make, self._sensor
@@ -168,10 +168,10 @@ class ResultBag:
 
     def _write(self, topic: str, kind: str, message: Any, frame: Recorded) -> None:
         latched = topic == "/tf_static" or topic.endswith("/camera_info")
-        definition = simulation_definition(kind).text
-        self._file.add_topic(topic, kind, definition, [LATCHED] if latched else [])
+        qos = [LATCHED] if latched else []
+        self._bag.add_topic(topic, kind, qos, simulation_definition(kind))
         data = bytes(simulation_typestore().serialize_cdr(message, kind))
-        self._file.write(topic, frame.time_ns, frame.stamp_ns, data)
+        self._bag.write(topic, frame.time_ns, data)
 
 
 @contextmanager
@@ -224,9 +224,10 @@ class Outputs(ExitStack):
         # What is open already is closed where another cannot be opened.
         with ExitStack() as stack:
             grids = options.grids_of(tuple(sensor.views))
-            self._bag = stack.enter_context(ResultBag(folder / f"{job.name}.mcap", sensor, grids))
-            facts = {"software": software_version(), "reference": options.reference}
-            self._bag.describe(facts, Path(job.sensor).read_bytes())
+            path = folder / f"{job.name}.mcap"
+            bag = ResultBag(path, sensor, grids, options.reference)
+            self._bag = stack.enter_context(bag)
+            shutil.copyfile(job.sensor, folder / f"{job.name}.yaml")
             if options.parquet:
                 # Once the table is closed, unless that is after an error.
                 stack.push(partial(_add_parquet, folder / job.name))

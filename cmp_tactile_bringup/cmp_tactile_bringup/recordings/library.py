@@ -5,9 +5,7 @@ The simulator is imported only for names without such a path.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Sequence
-from itertools import takewhile
 from pathlib import Path
 
 from cmp_tactile_driver.bags.recording import is_bag
@@ -25,8 +23,6 @@ SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
 """What is replayed and processed, beside packaged scenes."""
 
 SHOWN_NAMES = 6
-# Of a record at the beginning of a results file, such as the description.
-MOST_BYTES = 2**24
 
 MakingProgress = Callable[[str, float], None]
 """Called with what is done and its share, 0 to 1, while a recording is made."""
@@ -114,38 +110,19 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
 
 
 def sensor_of_recording(source: str) -> str:
-    """The file of the description in results, in a bag's folder, or beside a file; empty for none.
+    """The file of the description in a bag's folder, or beside a file; empty for none.
+
+    Beside NAME.mcap, as `process` writes it, NAME.yaml comes before sensor.yaml.
 
     The sensor of a packaged scene is known without simulating it.
     """
     if is_packaged(Path(source)):
         return sensor_of_scene(source)
     path = Path(source).expanduser()
-    attached = _attached_sensor(path) if path.is_file() and path.suffix == ".mcap" else ""
-    beside = (path.parent if path.is_file() else path) / SENSOR_FILE
-    return attached or (str(beside) if beside.is_file() else "")
-
-
-def _attached_sensor(path: Path) -> str:
-    """A file with the description that is attached to results, whole or cut; empty for none.
-
-    It comes before their messages.
-    """
-    from mcap.exceptions import McapError
-    from mcap.records import Attachment, Header, Metadata
-    from mcap.stream_reader import StreamReader
-
-    with path.open("rb") as file:
-        try:
-            records = StreamReader(file, emit_chunks=True, record_size_limit=MOST_BYTES).records
-            for record in takewhile(
-                lambda r: isinstance(r, Header | Metadata | Attachment), records
-            ):
-                if isinstance(record, Attachment) and record.name == SENSOR_FILE:
-                    return _kept(record.data.decode("utf-8", "replace"))
-        except (McapError, ValueError, struct.error):
-            pass
-    return ""
+    places = [(path.parent if path.is_file() else path) / SENSOR_FILE]
+    if path.suffix == ".mcap":
+        places.insert(0, path.with_suffix(".yaml"))
+    return next((str(place) for place in places if place.is_file()), "")
 
 
 def sensor_of_scene(name_or_path: str) -> str:

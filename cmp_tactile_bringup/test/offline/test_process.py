@@ -59,6 +59,7 @@ def test_process_writes_what_the_pipeline_gives(images, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "images.mcap",
         "images.npz",
+        "images.yaml",
         "images_wrench.csv",
     ]
 

@@ -12,7 +12,7 @@ from waiting import wait_until
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.processor import Processor
 
-FILES = [".mcap", "_wrench.csv"]
+FILES = [".mcap", ".yaml", "_wrench.csv"]
 
 
 def process(*arguments):
@@ -53,18 +53,16 @@ def test_nothing_half_is_there_and_the_rest_is_made(recording, images, tmp_path,
         [*command, *options], stderr=subprocess.DEVNULL, start_new_session=True
     ) as child:
         table = out / ".grasp.partial" / "grasp_wrench.csv"
-        is_made = (out / "0_wrench.csv").exists
-        wait_until(
-            lambda: (table.exists() and is_made()) or child.poll() is not None, "the second table"
-        )
+        wait_until(lambda: table.exists() or child.poll() is not None, "the second table")
         os.killpg(child.pid, number)
     assert child.returncode == code
     made = {path.name for path in out.iterdir() if not path.name.startswith(".")}
-    assert made == {f"0{suffix}" for suffix in FILES}
-    assert process(*sources, "--output", out, "--jobs", 1) == 1
+    # With two processes, the first may be at work as well.
+    assert made in (set(), {f"0{suffix}" for suffix in FILES})
+    assert process(*sources, "--output", out, "--jobs", 1) == int(bool(made))
     assert process(recording.bag, "--output", tmp_path / "whole") == 0
     found, whole = contents(out), contents(tmp_path / "whole")
-    assert found.keys() == made | whole.keys()
+    assert found.keys() == {f"0{suffix}" for suffix in FILES} | whole.keys()
     assert found.items() >= whole.items()
 
 
@@ -92,5 +90,5 @@ def test_no_room_is_reported_and_nothing_is_left(images, tmp_path, capsys):
         assert process(images, "--output", tmp_path / "out") == 1
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert f"error: {images}: {tmp_path / 'out'}: File too large" in capsys.readouterr().err
+    assert "images.mcap: cannot be written: File too large" in capsys.readouterr().err
     assert not list((tmp_path / "out").iterdir())

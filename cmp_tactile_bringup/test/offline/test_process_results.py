@@ -6,6 +6,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
@@ -41,7 +42,7 @@ def results(recording, tmp_path_factory):
     pipeline = Pipeline(sensor)
     frames = list(BagReader(recording.bag).frames())
     shown = [(frame, pipeline.process(frame.image, frame.stamp_ns)) for frame in frames[:8:7]]
-    with ResultBag(path, sensor, ("left", "right")) as bag:
+    with ResultBag(path, sensor, ("left", "right"), "nominal") as bag:
         for frame, result in shown:
             bag.append(frame, result)
     return path, shown
@@ -116,16 +117,17 @@ def test_the_bag_says_what_it_was_made_with_and_plays_beside_the_recording(image
     with (tmp_path / "images.mcap").open("rb") as file:
         reader = make_reader(file)
         assert reader.get_header().profile == "ros2"
-        (attachment,) = reader.iter_attachments()
-        assert attachment.data == find_sensor_description("sample_rig").read_bytes()
-        (facts,) = reader.iter_metadata()
-        assert facts.metadata["reference"] == "nominal"
-        assert "cmp_tactile " in facts.metadata["software"]
+        (metadata,) = reader.iter_metadata()
+        facts = yaml.safe_load(metadata.metadata["serialized_metadata"])["custom_data"]
+        assert facts["reference"] == "nominal"
+        assert "cmp_tactile " in facts["software"]
         latched = {
             c.topic
             for c in reader.get_summary().channels.values()
             if "transient" in c.metadata["offered_qos_profiles"]
         }
+    description = (tmp_path / "images.yaml").read_bytes()
+    assert description == find_sensor_description("sample_rig").read_bytes()
     infos = {f"/sample_rig/{view}/camera_info" for view in ("left", "right")}
     assert latched == {"/tf_static"} | infos
 

@@ -30,12 +30,11 @@ class RecorderState(Enum):
 
 @dataclass(frozen=True)
 class EncodedMessage:
-    """What goes to the bag: topic, type and CDR bytes; stamp_ns: of its header, if it has one."""
+    """What goes to the bag: topic, type and CDR bytes."""
 
     topic: str
     kind: str
     data: bytes
-    stamp_ns: int | None
 
 
 @dataclass
@@ -56,9 +55,9 @@ class Tap:
 class RecordingProgress:
     """How far a recording is.
 
-    messages: written, by topic as it is in the bag.  dropped: by topic, because the queue was full,
-    they could not be encoded or did not come.  problem: the last.  queued_bytes: what waits, and
-    queue_peak_bytes the most that ever did.
+    messages: on the disk, by topic as it is in the bag.  dropped: by topic, because the queue was
+    full, they could not be encoded or written or did not come.  problem: the last.  queued_bytes:
+    what waits, and queue_peak_bytes the most that ever did.
     """
 
     state: RecorderState
@@ -66,7 +65,6 @@ class RecordingProgress:
     dropped: dict[str, int]
     problem: str
     size: int
-    files: int
     duration_s: float
     queued_bytes: int
     queue_peak_bytes: int
@@ -92,13 +90,14 @@ class BagRecorder:
         self._limit_bytes = queue_bytes
         self._queued_bytes = self._peak_bytes = 0
         self._condition = threading.Condition()
-        self._stopping = self._split_wanted = False
+        self._stopping = False
         self._state = RecorderState.RECORDING
         self._messages: Counter[str] = Counter()
+        self._unsynced: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
         self._problem = ""
         self._first_ns = self._last_ns = 0
-        self._size, self._files = 0, 1
+        self._size = 0
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -112,7 +111,6 @@ class BagRecorder:
                 dict(self._dropped),
                 self._problem,
                 self._size,
-                self._files,
                 (self._last_ns - self._first_ns) * 1e-9,
                 self._queued_bytes,
                 self._peak_bytes,
@@ -137,12 +135,6 @@ class BagRecorder:
         with self._condition:
             self._drop(tap, count, "lost on the way to the recorder")
 
-    def split(self) -> None:
-        """Begin a new file before the next message."""
-        with self._condition:
-            self._split_wanted = True
-            self._condition.notify()
-
     def stop(self) -> None:
         """Write what waits, close the bag, and wait for that; may be called more than once."""
         with self._condition:
@@ -165,11 +157,9 @@ class BagRecorder:
                 traceback.print_exc()
                 problem = problem or f"{type(error).__name__}: {error}"
         with self._condition:
-            self._size, self._files = self._writer.size, self._writer.file_count
             # What was written last may have found no room on the disk.
-            lost = self._messages - self._writer.counts
-            self._dropped.update(lost)
-            self._messages -= lost
+            (self._dropped if problem else self._messages).update(self._unsynced)
+            self._size = self._writer.size
             self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
             self._problem = problem or self._problem
             self._dropped.update(tap.topic for tap, *_ in self._queue)
@@ -181,23 +171,26 @@ class BagRecorder:
         while True:
             with self._condition:
                 self._condition.wait_for(
-                    lambda: self._queue or self._stopping or self._split_wanted,
+                    lambda: self._queue or self._stopping,
                     max(0.0, sync_at - time.monotonic()),
                 )
-                split, self._split_wanted = self._split_wanted, False
                 item = self._queue.popleft() if self._queue else None
                 ends = self._stopping and item is None
-            if split:
-                self._writer.split()
             if ends:
                 return
             if item is not None:
                 self._write(*item)
             if time.monotonic() >= sync_at:
-                self._writer.sync()
+                self._sync()
                 sync_at = time.monotonic() + SYNC_PERIOD_S
-            with self._condition:
-                self._size, self._files = self._writer.size, self._writer.file_count
+
+    def _sync(self) -> None:
+        """Close the chunk, and count what is in it."""
+        self._writer.sync()
+        with self._condition:
+            self._size = self._writer.size
+            self._messages += self._unsynced
+            self._unsynced.clear()
 
     def _write(self, tap: Tap, log_ns: int, message: Any, size: int) -> None:
         try:
@@ -209,10 +202,8 @@ class BagRecorder:
                 self._queued_bytes -= size
             return
         tap.size = len(encoded.data)
-        with self._condition:
-            # Before it is written: in the end those that the bag does not hold are taken off.
-            self._messages[encoded.topic] += 1
-        self._writer.write(encoded.topic, log_ns, encoded.data, encoded.stamp_ns)
+        self._unsynced[encoded.topic] += 1
+        self._writer.write(encoded.topic, log_ns, encoded.data)
         with self._condition:
             self._queued_bytes -= size
             self._first_ns = self._first_ns or log_ns

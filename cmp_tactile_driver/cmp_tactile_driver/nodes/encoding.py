@@ -14,7 +14,7 @@ from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.bags.recorder import EncodedMessage
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.compressed import COMPRESSED
-from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
+from cmp_tactile_processing.ros.messages.reading import image_from_msg
 
 ENCODED = ("mono8", "bgr8", "rgb8")
 # Camera noise leaves PNG's dictionary nothing to find, and of its filters only the fixed ones are
@@ -33,7 +33,7 @@ def message_encoder(topic: str, kind: str) -> Callable[[Any], EncodedMessage]:
     """Encodes messages of a topic as they are."""
 
     def encode(message: Any) -> EncodedMessage:
-        return EncodedMessage(topic, kind, serialize_message(message), _stamp_ns(message))
+        return EncodedMessage(topic, kind, serialize_message(message))
 
     return encode
 
@@ -62,16 +62,6 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
             header=message.header, format=f"{message.encoding}; {codec} compressed {target}"
         )
         compressed.data = array.array("B", content.tobytes())
-        return EncodedMessage(
-            topic + COMPRESSED,
-            COMPRESSED_IMAGE,
-            serialize_message(compressed),
-            _stamp_ns(message),
-        )
+        return EncodedMessage(topic + COMPRESSED, COMPRESSED_IMAGE, serialize_message(compressed))
 
     return encode
-
-
-def _stamp_ns(message: Any) -> int | None:
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return None if stamp is None else stamp_ns(stamp)

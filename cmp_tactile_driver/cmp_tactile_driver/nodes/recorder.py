@@ -14,7 +14,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.type_support import check_for_type_support
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from cmp_tactile_driver.bags.reader import IMAGE
 from cmp_tactile_driver.bags.recorder import BagRecorder, RecorderState, RecordingProgress, Tap
@@ -41,7 +41,7 @@ EARLY_LIMIT = 1000
 class Recorder(ReportingNode):
     """Records topics into a bag that `replay`, `ros2 bag` and other readers of MCAP take.
 
-    Each message is stored with the time of its arrival and the stamp of its header.
+    Each message is stored with the time of its arrival.
     `compression` applies to frames.  With png and jpeg they are stored as `image_raw/compressed`;
     if only that topic is published, it is recorded in place of `image_raw`.  A topic is recorded
     reliably if its publishers are reliable when it is found.  The sensor description is stored
@@ -49,8 +49,7 @@ class Recorder(ReportingNode):
     If the bag cannot be written, the recording ends; what was written is kept and the diagnostics
     say why.
     `~/record` starts and stops: a second recording takes the folder with _2 after its name.
-    `~/split` begins a new file, which starts with the latched messages.  `~/status` (latched)
-    reports state and counts.
+    `~/status` (latched) reports state and counts.
     Raises CmpTactileError if the parameters or the folder cannot be used.
     """
 
@@ -96,7 +95,6 @@ class Recorder(ReportingNode):
         self._reported: RecorderState | None = None
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
         self.create_service(SetBool, "~/record", self._on_record)
-        self.create_service(Trigger, "~/split", self._on_split)
         if self._settings.autostart:
             self._start()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -113,12 +111,7 @@ class Recorder(ReportingNode):
         """Begin a recording; CmpTactileError where its folder cannot be made."""
         settings = self._settings
         folder = self._next_folder()
-        writer = BagWriter(
-            folder,
-            compressed=settings.compression == "zstd",
-            split_bytes=round(settings.split_size * MEGABYTE),
-            split_ns=round(settings.split_duration * 1e9),
-        )
+        writer = BagWriter(folder, compressed=settings.compression == "zstd")
         try:
             put_sensor_beside(folder, settings.sensor_description, settings.sensor_name)
         except BagWriteError:
@@ -224,13 +217,6 @@ class Recorder(ReportingNode):
         self.reporter.publish()
         return response
 
-    def _on_split(self, _request: Any, response: Any) -> Any:
-        response.success = self._is_recording()
-        if response.success and self._recorder is not None:
-            self._recorder.split()
-        response.message = self._state_text()
-        return response
-
     def _state_text(self) -> str:
         progress = self.progress
         return progress.state.value if progress is not None else "idle"
@@ -277,7 +263,6 @@ def _figures(progress: RecordingProgress) -> dict[str, object]:
         "messages": sum(progress.messages.values()),
         "dropped": sum(progress.dropped.values()),
         "size (MB)": f"{progress.size / MEGABYTE:.1f}",
-        "files": progress.files,
         "duration (s)": f"{progress.duration_s:.1f}",
         "queue (MB)": f"{progress.queued_bytes / MEGABYTE:.1f}",
         "largest queue (MB)": f"{progress.queue_peak_bytes / MEGABYTE:.1f}",

@@ -165,18 +165,6 @@ class RecorderParameters(Parameters):
         choices=COMPRESSIONS,
     )
     jpeg_quality: int = parameter(95, "quality of jpeg", within=(1, 100))
-    split_size: float = parameter(
-        0.0,
-        "size after which a new file of the bag begins; 0 for never",
-        unit="MB",
-        within=(0.0, None),
-    )
-    split_duration: float = parameter(
-        0.0,
-        "time after which a new file of the bag begins; 0 for never",
-        unit="s",
-        within=(0.0, None),
-    )
     queue_size: float = parameter(
         200.0,
         "size of the queue of messages for the disk; when it is full, messages are dropped",

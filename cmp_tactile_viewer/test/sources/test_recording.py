@@ -12,7 +12,6 @@ import pytest
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_driver.bags.mcap_writer import McapFile
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
@@ -96,13 +95,13 @@ def test_stored_results_are_shown_as_they_are(results, playing, snapshots):
 
 
 def test_surfaces_alone_are_processed(results, playing, snapshots, tmp_path):
-    surfaces = tmp_path / "surfaces.mcap"
+    surfaces = tmp_path / "surfaces"
     storage = open_storage(results)
     (topic,) = (name for name in storage.topics if name.endswith("/surface"))
-    with McapFile(surfaces, compressed=False) as file:
-        file.add_topic(topic, SURFACE, simulation_definition(SURFACE).text, [])
+    with BagWriter(surfaces) as bag:
+        bag.add_topic(topic, SURFACE, definition=simulation_definition(SURFACE))
         for stored in storage.messages([topic]):
-            file.write(topic, stored.time_ns, stored.time_ns, bytes(stored.data))
+            bag.write(topic, stored.time_ns, stored.data)
     source, looker = playing(surfaces)
     wait_until(lambda: source.playback.ended, "the end of the recording")
     assert len(looker.snapshots) == FRAMES
