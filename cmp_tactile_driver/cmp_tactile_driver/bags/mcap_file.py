@@ -6,7 +6,6 @@ Its records are gone through by their lengths: an index would only say where the
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -54,8 +53,8 @@ class _Where(NamedTuple):
 class McapBagFile:
     """One file.
 
-    topics: message type by topic.  stated: how many messages of a topic the file itself says it
-    holds.  damage: why some of its bytes cannot be read; empty where all can.
+    topics: message type by topic.  damage: why some of its bytes cannot be read; empty where all
+    can.
     """
 
     def __init__(self, path: Path) -> None:
@@ -64,7 +63,6 @@ class McapBagFile:
         self._kinds: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
         self.topics: dict[str, str] = {}
-        self.stated: dict[str, int] = {}
         self.damage = ""
         with path.open("rb") as file:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
@@ -181,14 +179,6 @@ class McapBagFile:
             self._add_schema(schema)
         for channel in summary.channels.values():
             self._add_channel(channel)
-        counts: Counter[str] = Counter()
-        for number, count in statistics.channel_message_counts.items():
-            if number in self._channels:
-                counts[self._channels[number].topic] += count
-        # A writer may count messages without counting those of each channel.
-        if counts.total() == statistics.message_count:
-            # A topic without messages may not be among the counts.
-            self.stated = {topic: counts[topic] for topic in self.topics}
         return True
 
     def _add_schema(self, schema: Schema) -> None:

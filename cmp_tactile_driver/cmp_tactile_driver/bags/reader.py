@@ -1,7 +1,7 @@
 """The camera frames or surfaces of a ROS 2 bag, in order of their stamps, without ROS.
 
 Frames are sensor_msgs Image and CompressedImage, with CameraInfo; surfaces stand in their place
-where a sensor has measured its markers itself.
+where a sensor has measured its markers itself.  Camera infos are compared with a description.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.calibration import calibration_mismatch
 from cmp_tactile_driver.bags.storage import StoredMessage, open_storage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.image.compressed import COMPRESSED, decode_compressed
 from cmp_tactile_processing.image.raw import BitDepth, decode_raw
 from cmp_tactile_processing.measured import GridShape, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
-from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE
+from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE, whole_frame_info
 from cmp_tactile_processing.ros.messages.reading import camera_info_from_msg, surface_from_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -157,11 +157,6 @@ class BagReader:
     def gaps(self) -> str:
         """Times that are skipped, in one line; empty for none."""
         return self._timeline.gaps
-
-    @property
-    def stated_frames(self) -> int | None:
-        """How many frames the bag says it has; None where it does not."""
-        return self._storage.count(self.image_topic)
 
     @cached_property
     def _timeline(self) -> Timeline:
@@ -327,3 +322,48 @@ def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:
     namespace = image_topic.removesuffix(COMPRESSED).rpartition("/")[0]
     name = f"{namespace}/camera_info"
     return name if topics.get(name) == CAMERA_INFO else None
+
+
+# What rounding in a description file may change; another camera differs by more.
+MATRIX_TOLERANCE_PX = 0.1
+DISTORTION_TOLERANCE = 1e-3
+
+
+def calibration_mismatch(origin: str, found: ViewCameraInfo, sensor: SensorDescription) -> str:
+    """The first difference in one line: origin, field, found, expected; empty where they agree.
+
+    Size, K and D are compared: sizes that are set, which are not 0; K and D only where the camera
+    is calibrated, with K other than 0, and the sensor has one camera for the whole frame.
+    """
+    difference = _size_difference(found, sensor) or _lens_difference(found, sensor)
+    if not difference:
+        return ""
+    return f"{origin}: {difference}: is {sensor.name} the description of this sensor?"
+
+
+def _size_difference(found: ViewCameraInfo, sensor: SensorDescription) -> str:
+    for field in ("width", "height"):
+        value, expected = getattr(found, field), getattr(sensor.image, field)
+        if value not in (0, expected):
+            return f"{field}: found {value}, expected {expected}"
+    return ""
+
+
+def _lens_difference(found: ViewCameraInfo, sensor: SensorDescription) -> str:
+    camera = sensor.camera
+    if camera is None or not found.K.any():
+        return ""
+    K = whole_frame_info(sensor).K
+    if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
+        return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
+    expected = np.array(camera.distortion)
+    length = max(found.D.size, expected.size)
+    # Coefficients that are left out are 0.
+    D, D_expected = (np.pad(D, (0, length - D.size)) for D in (found.D, expected))
+    if not np.allclose(D, D_expected, rtol=0, atol=DISTORTION_TOLERANCE):
+        return f"D: found {_numbers(found.D)}, expected {_numbers(expected)}"
+    return ""
+
+
+def _numbers(values: NDArray[np.float64]) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in values.ravel()) + "]"

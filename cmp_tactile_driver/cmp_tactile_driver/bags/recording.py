@@ -34,11 +34,6 @@ class ImageRecording:
         """Time of the last frame that is said to be there, s."""
         return max(self._source.declared_frames - 1, 0) / self.frame_rate
 
-    @property
-    def stated_frames(self) -> int | None:
-        """How many frames are said to be there; None where that is not known."""
-        return self._source.declared_frames or None
-
     def calibration_mismatch(self, _sensor: SensorDescription) -> str:
         """Nothing: images alone have no calibration."""
         return ""

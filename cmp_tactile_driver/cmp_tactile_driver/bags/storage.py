@@ -1,7 +1,7 @@
 """The messages of a ROS 2 bag, as whoever wrote it left them: whole, without index, or damaged.
 
 Files are taken as they are.  metadata.yaml only says which files belong to the bag, and how many
-messages they should hold where they do not say so themselves.
+messages they should hold.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from typing import Any
 import yaml
 import zstandard
 
-from cmp_tactile_driver.bags.files import DamageError, Place
+from cmp_tactile_driver.bags.files import DamageError, Place, SqliteBagFile
 from cmp_tactile_driver.bags.mcap_file import McapBagFile
-from cmp_tactile_driver.bags.sqlite_file import SqliteBagFile
 from cmp_tactile_driver.errors import BagError
 
 BagFile = McapBagFile | SqliteBagFile
@@ -107,30 +106,18 @@ class BagStorage:
         """The messages of some topics in the order in which they were received."""
         return self.read(self.places(topics))
 
-    def count(self, topic: str) -> int | None:
-        """How many messages of a topic the bag states; None where it does not."""
-        stated = [file.stated.get(topic) for file in self._files if topic in file.topics]
-        known = [count for count in stated if count is not None]
-        if known and len(known) == len(stated):
-            return sum(known)
-        return self._metadata.counts.get(topic)
-
     def _losses(self, topics: Collection[str], found: Counter[str]) -> Iterator[str]:
         yield from self._faults
         yield from self._missing
         reason = next((file.damage for file in self._files if file.damage), "")
-        stated_counts = {topic: self.count(topic) for topic in topics if topic in self.topics}
+        stated = {topic: n for topic, n in self._metadata.counts.items() if topic in topics}
         if reason:
-            counts = [count for count in stated_counts.values() if count is not None]
-            known = sum(counts) if len(counts) == len(stated_counts) else None
-            yield _damage(self._path, reason, found.total(), known)
+            yield _damage(self._path, reason, found.total(), sum(stated.values()))
             return
-        for topic, stated in stated_counts.items():
-            if stated is not None and stated != found[topic]:
-                found_count = (
-                    f"found {found[topic]} messages, expected {stated} as metadata.yaml states"
-                )
-                yield f"{self._path}: {topic}: {found_count}"
+        for topic, count in stated.items():
+            if found[topic] < count:
+                counts = f"found {found[topic]} messages, expected {count} as metadata.yaml states"
+                yield f"{self._path}: {topic}: {counts}"
 
     def _listed_files(self) -> tuple[list[Path], list[str]]:
         """The files of the bag, and a line for each that metadata.yaml lists in vain."""
@@ -219,9 +206,7 @@ def _read_metadata(path: Path) -> _Metadata:
     return _Metadata(names, counts)
 
 
-def _damage(path: Path, reason: object, count: int, expected: int | None) -> str:
-    if expected is None:
-        left = f"{count} messages can be read; any later ones are lost"
-    else:
-        left = f"{count} of {expected} messages can be read; the others are lost"
-    return f"{path}: damaged ({reason}); {left}"
+def _damage(path: Path, reason: object, count: int, expected: int) -> str:
+    """expected: how many messages the bag states; 0 where it does not."""
+    stated = f" of {expected}" if expected else ""
+    return f"{path}: damaged ({reason}); {count}{stated} messages can be read; others are lost"

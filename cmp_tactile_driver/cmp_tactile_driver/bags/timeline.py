@@ -18,7 +18,7 @@ NS_PER_S = 10**9
 LONGEST_GAP_S = 60.0
 """A longer time between two messages is a jump of the clock or a pause: nobody waits for it."""
 # A clock that was set back stays so; a message that came late is one of a few.
-FEW = 6
+FEW = 4
 SURELY_SET_BACK_S = 1.0
 DEFAULT_STEP_S = 1 / 30
 
@@ -69,7 +69,7 @@ def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
     stamps = _filled_stamps(places)
     ordered: list[int] = []
     begins = []
-    for part in _between_restarts(places, stamps):
+    for part in _between_restarts(stamps):
         begins.append(len(ordered))
         ordered += sorted(part, key=lambda number: stamps[number])
     # In ns: a sum of seconds misses a frame at 0.2 s by its last digit.
@@ -114,34 +114,22 @@ def _filled_stamps(places: Sequence[Place]) -> list[int]:
     return stamps
 
 
-def _between_restarts(places: Sequence[Place], stamps: Sequence[int]) -> list[range]:
+def _between_restarts(stamps: Sequence[int]) -> list[range]:
     """Parts in which the clock of the stamps runs on; it was set back between them.
 
-    Where it was, stamps stay behind the receipts by as much.  A message that came late is alone
-    behind, and belongs before those that came sooner.
+    There, the stamps that follow are all behind.  A message that came late is alone behind, and
+    belongs before those that came sooner.
     """
-    delays = [place.time_ns - stamp for place, stamp in zip(places, stamps, strict=True)]
-    least_after = _least_until_jump(delays)
     parts = []
     begin, newest = 0, stamps[0]
     for number, stamp in enumerate(stamps):
-        fall = newest - stamp
-        if fall > 0 and (len(stamps) - number >= FEW or fall >= SURELY_SET_BACK_S * NS_PER_S):
-            before = median(delays[max(begin, number - FEW) : number])
-            if least_after[number] >= before + fall / 2:
-                parts.append(range(begin, number))
-                begin, newest = number, stamp
+        following = stamps[number : number + FEW]
+        surely = len(following) == FEW or newest - stamp >= SURELY_SET_BACK_S * NS_PER_S
+        if surely and max(following) < newest:
+            parts.append(range(begin, number))
+            begin, newest = number, stamp
         newest = max(newest, stamp)
     return [*parts, range(begin, len(stamps))]
-
-
-def _least_until_jump(delays: Sequence[int]) -> list[int]:
-    """The least of each delay and those after it, up to where the clock was set forward."""
-    least = list(delays)
-    for number in range(len(delays) - 2, -1, -1):
-        if delays[number] - delays[number + 1] <= LONGEST_GAP_S * NS_PER_S:
-            least[number] = min(least[number], least[number + 1])
-    return least
 
 
 def _gaps_text(gaps: Sequence[float], places: Sequence[Place]) -> str:

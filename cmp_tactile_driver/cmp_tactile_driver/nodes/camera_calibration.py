@@ -13,7 +13,7 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
 
-from cmp_tactile_driver.bags.calibration import calibration_mismatch
+from cmp_tactile_driver.bags.reader import calibration_mismatch
 from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.rectification import (
     ROS_MODEL,

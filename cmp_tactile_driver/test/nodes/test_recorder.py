@@ -359,7 +359,7 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     # What did not fit is not reported as recorded.
     reader = BagReader(output)
     assert len(list(reader.frames())) >= max(12, int(values(statuses)["messages"]))
-    assert "messages can be read; any later ones are lost" in reader.loss
+    assert "messages can be read; others are lost" in reader.loss
 
 
 def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
