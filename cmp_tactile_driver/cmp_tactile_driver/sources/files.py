@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -45,17 +46,22 @@ def _next_shape(content: NDArray[np.uint8]) -> tuple[int, ...]:
     return images[0].shape if images else ()
 
 
+WEBP_HEAD_BYTES = 21
+_PNG_CHUNK = struct.Struct(">I4sI")
+
+
 def _is_animation(content: NDArray[np.uint8]) -> bool:
     """Whether it is a PNG or WebP of several images, which each says before its first."""
-    data = content.tobytes()
-    if not data.startswith(b"\x89PNG"):
-        return data[8:16] == b"WEBPVP8X" and bool(data[20] & 2)
+    head = content[:WEBP_HEAD_BYTES].tobytes()
+    if not head.startswith(b"\x89PNG"):
+        return head[8:16] == b"WEBPVP8X" and bool(head[-1] & 2)
     chunk = 8
-    while (kind := data[chunk + 4 : chunk + 8]) not in (b"IDAT", b""):
-        if kind == b"acTL":
-            return int.from_bytes(data[chunk + 8 : chunk + 12], "big") > 1
-        chunk += 12 + int.from_bytes(data[chunk : chunk + 4], "big")
-    return False
+    while True:
+        # Length, name and first number of a chunk; its content may be long.
+        length, kind, images = _PNG_CHUNK.unpack(content[chunk : chunk + _PNG_CHUNK.size].tobytes())
+        if kind in (b"acTL", b"IDAT"):
+            return kind == b"acTL" and images > 1
+        chunk += length + 12
 
 
 DEFAULT_FRAME_RATE = 30.0

@@ -41,7 +41,7 @@ def test_a_camera_is_found_by_serial_link_and_path(open_source, plug, picture, d
 
 
 def test_a_camera_that_repeats_one_image_is_reported(open_source, plug, picture):
-    """Its force would be held for ever; tried: no word of it.
+    """The force would not change any more; tried: no word of it.
 
     Reports: bluecherrydvr/unity 124, roleoroleo/yi-hack-Allwinner-v2 61.
     """
