@@ -1,4 +1,7 @@
-"""What files of bags have in common, and files of rosbag2's SQLite format."""
+"""Files of bags, MCAP and rosbag2's SQLite format, whole, without index or end, or damaged.
+
+MCAP records are gone through by their lengths: an index would only say where they are.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,19 @@ import sqlite3
 import struct
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NamedTuple
 
 import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, Schema
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 HEAD_BYTES = 12
@@ -66,6 +77,239 @@ def full_kind(name: str, encoding: str = "cdr") -> str:
     package, _, short = name.replace("::", "/").partition("/")
     kind = f"{package}/msg/{short}" if short and "/" not in short else f"{package}/{short}"
     return kind if encoding == "cdr" else f"{kind} in {encoding or 'unknown encoding'}"
+
+
+RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+CHUNK_HEAD = struct.Struct("<QQQI")
+TEXT_HEAD = struct.Struct("<I")
+LENGTH = struct.Struct("<Q")
+# One in use, and those that others overlap in time.
+KEPT_CHUNKS = 4
+MOST_SUMMARY_BYTES = 2**30
+
+
+class _Where(NamedTuple):
+    """A message's bytes, in the file or in a chunk that begins at `chunk`."""
+
+    chunk: int
+    begin: int
+    length: int
+
+
+class McapBagFile:
+    """One file.
+
+    topics: message type by topic.  damage: why some of its bytes cannot be read; empty where all
+    can.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises DamageError where nothing of it can be read."""
+        self._path = path
+        self._kinds: dict[int, str] = {}
+        self._channels: dict[int, Channel] = {}
+        self.topics: dict[str, str] = {}
+        self.damage = ""
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                size = path.stat().st_size
+                raise DamageError("found no MCAP in it" if size else "the file is empty")
+        if not self._take_summary():
+            self.places(())
+            if self.damage and not self._channels:
+                raise DamageError(self.damage)
+
+    def places(self, topics: Collection[str]) -> list[Place]:
+        """Where the messages of some topics lie, in the order in which they were written.
+
+        What is damaged is passed over where its length is known.
+        """
+        self.damage = ""
+        found: list[Place] = []
+        with self._path.open("rb") as file:
+            try:
+                for opcode, begin, length in self._top_records(file):
+                    if opcode == Opcode.CHUNK:
+                        found += self._places_in_chunk(file, begin, length, topics)
+                    else:
+                        found += self._take(file, (opcode, begin, length), topics)
+            except DamageError as error:
+                self.damage = str(error)
+        return found
+
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[_Where], bytes]]:
+        """Reads the CDR bytes at a place's `where`; DamageError where they are damaged."""
+        with self._path.open("rb") as file:
+            chunk = lru_cache(KEPT_CHUNKS)(lambda begin: _chunk_records(file, begin))
+
+            def read(where: _Where) -> bytes:
+                if where.chunk:
+                    return unpacked(chunk(where.chunk)[where.begin : where.begin + where.length])
+                file.seek(where.begin)
+                return unpacked(file.read(where.length))
+
+            yield read
+
+    def _top_records(self, file: IO[bytes]) -> Iterator[tuple[int, int, int]]:
+        """Up to the end of the data."""
+        size = self._path.stat().st_size
+        for record in _records(file, len(MCAP0_MAGIC), size):
+            if record[0] in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            yield record
+        raise DamageError("the file has no end; its recorder did not close it")
+
+    def _places_in_chunk(
+        self, file: IO[bytes], begin: int, length: int, topics: Collection[str]
+    ) -> Iterator[Place]:
+        """Of a chunk's records, which are unpacked here only where they are compressed."""
+        try:
+            is_packed, first = _chunk_layout(file, begin)
+            stream: IO[bytes] = file
+            last = begin + length
+            if is_packed:
+                data = _chunk_records(file, begin)
+                stream, first, last = BytesIO(data), 0, len(data)
+            for opcode, at, size in _records(stream, first, last):
+                for place in self._take(stream, (opcode, at, size), topics):
+                    where = _Where(begin, place.where.begin - first, place.where.length)
+                    yield replace(place, where=where)
+        except DamageError as error:
+            self.damage = str(error)
+
+    def _take(
+        self, stream: IO[bytes], record: tuple[int, int, int], topics: Collection[str]
+    ) -> Iterator[Place]:
+        """Learn a schema or channel; give the place of a message of a topic that is wanted."""
+        opcode, begin, length = record
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            content = ReadDataStream(BytesIO(stream.read(length)))
+            try:
+                if opcode == Opcode.SCHEMA:
+                    self._add_schema(Schema.read(content))
+                else:
+                    self._add_channel(Channel.read(content))
+            except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+                msg = f"the record at byte {begin} is not a schema or channel: {error}"
+                raise DamageError(msg) from None
+        if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
+            return
+        head = stream.read(min(length, MESSAGE_HEAD.size + HEAD_BYTES))
+        number, _, received_ns, _ = MESSAGE_HEAD.unpack_from(head)
+        channel = self._channels.get(number)
+        if channel is None or channel.topic not in topics:
+            return
+        start = head[MESSAGE_HEAD.size :]
+        if start.startswith(ZSTD_MAGIC):
+            stream.seek(begin + MESSAGE_HEAD.size)
+            start = unpacked(stream.read(length - MESSAGE_HEAD.size))[:HEAD_BYTES]
+        where = _Where(0, begin + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size)
+        kind = self._kind(channel)
+        yield Place(channel.topic, kind, received_ns, head_stamp_ns(start), where)
+
+    def _take_summary(self) -> bool:
+        """Whether the file ends with a summary that names all channels."""
+        with self._path.open("rb") as file:
+            try:
+                limited = SeekingReader(file, record_size_limit=MOST_SUMMARY_BYTES)
+                summary = limited.get_summary()
+            except Exception:  # noqa: BLE001  damaged bytes raise anything
+                return False
+        statistics = summary.statistics if summary else None
+        if summary is None or statistics is None:
+            return False
+        if len(summary.channels) < statistics.channel_count:
+            return False
+        for schema in summary.schemas.values():
+            self._add_schema(schema)
+        for channel in summary.channels.values():
+            self._add_channel(channel)
+        return True
+
+    def _add_schema(self, schema: Schema) -> None:
+        self._kinds[schema.id] = schema.name
+
+    def _add_channel(self, channel: Channel) -> None:
+        self._channels[channel.id] = channel
+        self.topics.setdefault(channel.topic, self._kind(channel))
+
+    def _kind(self, channel: Channel) -> str:
+        return full_kind(self._kinds.get(channel.schema_id, ""), channel.message_encoding)
+
+
+def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, begin and length of the records between two places; DamageError where one is cut.
+
+    A chunk that is cut comes before that, with the length that is left.  The stream stands where
+    the record begins.
+    """
+    while begin < end:
+        stream.seek(begin)
+        head = stream.read(RECORD_HEAD.size)
+        if len(head) < RECORD_HEAD.size:
+            msg = f"a record is incomplete at byte {begin}"
+            raise DamageError(msg)
+        opcode, length = RECORD_HEAD.unpack(head)
+        if not opcode:
+            msg = f"found no record at byte {begin}"
+            raise DamageError(msg)
+        begin += RECORD_HEAD.size
+        if begin + length > end:
+            if opcode == Opcode.CHUNK:
+                yield opcode, begin, end - begin
+            msg = f"a record of {length} bytes at byte {begin} is incomplete"
+            raise DamageError(msg)
+        yield opcode, begin, length
+        begin += length
+
+
+def _chunk_layout(file: IO[bytes], begin: int) -> tuple[bool, int]:
+    """Whether a chunk is compressed, and where its records begin."""
+    at = begin + CHUNK_HEAD.size
+    file.seek(at)
+    head = file.read(TEXT_HEAD.size)
+    if len(head) < TEXT_HEAD.size:
+        msg = f"the chunk at byte {begin} is incomplete"
+        raise DamageError(msg)
+    name_length = TEXT_HEAD.unpack(head)[0]
+    return name_length > 0, at + TEXT_HEAD.size + name_length + LENGTH.size
+
+
+def _chunk_records(file: IO[bytes], begin: int) -> bytes:
+    """The records of a chunk, unpacked; of one that is cut, what is there of them.
+
+    DamageError where they are not what its checksum says.
+    """
+    _, first = _chunk_layout(file, begin)
+    try:
+        file.seek(first - LENGTH.size)
+        (length,) = LENGTH.unpack(file.read(LENGTH.size))
+        file.seek(begin)
+        chunk = Chunk.read(ReadDataStream(file))
+        if len(chunk.data) < length:
+            return _begin_of_records(chunk)
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        data = stream.read(size)
+    except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+        msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
+        raise DamageError(msg) from None
+    if len(data) != chunk.uncompressed_size:
+        sizes = f"found {len(data)} bytes, expected {chunk.uncompressed_size} as the chunk states"
+        msg = f"the chunk at byte {begin}: {sizes}"
+        raise DamageError(msg)
+    return data
+
+
+def _begin_of_records(cut: Chunk) -> bytes:
+    """As much as can be unpacked; a checksum is only over all of them."""
+    if cut.compression == "zstd":
+        return zstandard.ZstdDecompressor().decompressobj().decompress(cut.data)
+    if cut.compression:
+        msg = f"is incomplete; with {cut.compression} its first part cannot be unpacked"
+        raise DamageError(msg)
+    return cut.data
 
 
 LOG_SUFFIX = "-wal"

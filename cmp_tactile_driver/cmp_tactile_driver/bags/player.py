@@ -19,8 +19,7 @@ from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import ReplayParameters
-from cmp_tactile_driver.sources.timing import Pacer
-from cmp_tactile_driver.sources.worker import Worker
+from cmp_tactile_driver.sources.timing import Pacer, Worker
 
 T = TypeVar("T")
 

@@ -17,8 +17,7 @@ from typing import Any
 import yaml
 import zstandard
 
-from cmp_tactile_driver.bags.files import DamageError, Place, SqliteBagFile
-from cmp_tactile_driver.bags.mcap_file import McapBagFile
+from cmp_tactile_driver.bags.files import DamageError, McapBagFile, Place, SqliteBagFile
 from cmp_tactile_driver.errors import BagError
 
 BagFile = McapBagFile | SqliteBagFile

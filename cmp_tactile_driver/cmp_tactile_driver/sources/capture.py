@@ -6,8 +6,7 @@ from collections.abc import Callable
 from enum import Enum
 
 from cmp_tactile_driver.sources.frames import Frame, FrameSource, SelfPacedSource
-from cmp_tactile_driver.sources.timing import Pacer
-from cmp_tactile_driver.sources.worker import Worker
+from cmp_tactile_driver.sources.timing import Pacer, Worker
 
 POLL_S = 0.1
 """After how long without a frame it looks whether it is to stop."""
