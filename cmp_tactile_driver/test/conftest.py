@@ -206,7 +206,7 @@ def open_source(small_sensor: SensorDescription) -> Iterator[Any]:
     opened = []
 
     def make(device: str = "CAM1", frame_rate: float = 0.0, **camera: Any) -> V4L2Source:
-        times = {"frame_timeout": 0.15, "reconnect_delay": 0.02, "reconnect_delay_max": 0.08}
+        times = {"frame_timeout": 0.15, "reconnect_delay": 0.02}
         settings = CameraParameters(**{"device": device, **times, **camera})
         opened.append(V4L2Source(SourceOptions("", small_sensor, frame_rate, camera=settings)))
         return opened[-1]

@@ -57,7 +57,7 @@ class RecordingProgress:
 
     messages: on the disk, by topic as it is in the bag.  dropped: by topic, because the queue was
     full, they could not be encoded or written or did not come.  problem: the last.  queued_bytes:
-    what waits, and queue_peak_bytes the most that ever did.
+    what waits.
     """
 
     state: RecorderState
@@ -67,7 +67,6 @@ class RecordingProgress:
     size: int
     duration_s: float
     queued_bytes: int
-    queue_peak_bytes: int
 
     @property
     def is_over(self) -> bool:
@@ -88,7 +87,7 @@ class BagRecorder:
         self._writer = writer
         self._queue: deque[tuple[Tap, int, Any, int]] = deque()
         self._limit_bytes = queue_bytes
-        self._queued_bytes = self._peak_bytes = 0
+        self._queued_bytes = 0
         self._condition = threading.Condition()
         self._stopping = False
         self._state = RecorderState.RECORDING
@@ -113,7 +112,6 @@ class BagRecorder:
                 self._size,
                 (self._last_ns - self._first_ns) * 1e-9,
                 self._queued_bytes,
-                self._peak_bytes,
             )
 
     def put(self, tap: Tap, log_ns: int, message: Any) -> None:
@@ -127,7 +125,7 @@ class BagRecorder:
                 self._drop(tap, 1, "dropped, because writing is too slow")
                 return
             self._queue.append((tap, log_ns, message, size))
-            self._queued_bytes, self._peak_bytes = queued, max(self._peak_bytes, queued)
+            self._queued_bytes = queued
             self._condition.notify()
 
     def lost(self, tap: Tap, count: int) -> None:

@@ -155,7 +155,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         )
         self.start_reporting()
         times = self._camera_settings
-        back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
+        back_off = BackOff(times.reconnect_delay)
         self._attempts = StartAttempts(self, self._attempt_start, back_off)
         if self._settings.autostart:
             self._attempts.begin()

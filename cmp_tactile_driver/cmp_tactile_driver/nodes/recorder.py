@@ -265,7 +265,6 @@ def _figures(progress: RecordingProgress) -> dict[str, object]:
         "size (MB)": f"{progress.size / MEGABYTE:.1f}",
         "duration (s)": f"{progress.duration_s:.1f}",
         "queue (MB)": f"{progress.queued_bytes / MEGABYTE:.1f}",
-        "largest queue (MB)": f"{progress.queue_peak_bytes / MEGABYTE:.1f}",
         **{f"messages {topic}": count for topic, count in progress.messages.items()},
         **{f"dropped {topic}": count for topic, count in progress.dropped.items()},
         "problem": progress.problem,

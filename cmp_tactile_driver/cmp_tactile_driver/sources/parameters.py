@@ -58,7 +58,6 @@ class CameraParameters(Parameters):
     colour: bool = parameter(
         False, "publish colours (bgr8) if the camera has them; else grey values (mono8)"
     )
-    buffers: int = parameter(4, "number of buffers for frames in the kernel", within=(2, 32))
     frame_timeout: float = parameter(
         2.0,
         "time without a frame after which the camera is opened again",
@@ -67,12 +66,10 @@ class CameraParameters(Parameters):
     )
     reconnect_delay: float = parameter(
         0.5,
-        "time before the first attempt to find the camera again; doubled after each attempt",
+        "time before the first attempt to find the camera again; doubled after each attempt, up "
+        "to ten times",
         unit="s",
         within=(0.01, 60.0),
-    )
-    reconnect_delay_max: float = parameter(
-        5.0, "longest time between two attempts", unit="s", within=(0.01, 600.0)
     )
     stamp_offset: float = parameter(
         0.0,

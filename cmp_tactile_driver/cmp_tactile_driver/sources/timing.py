@@ -11,16 +11,15 @@ from cmp_tactile_processing.errors import CmpTactileError
 
 
 class BackOff:
-    """delay: time before the next attempt, s; `first` to begin with, doubled up to `longest`."""
+    """delay: time before the next attempt, s; `first`, doubled after each up to ten times that."""
 
-    def __init__(self, first: float, longest: float) -> None:
+    def __init__(self, first: float) -> None:
         self._first = first
-        self._longest = max(first, longest)
         self.delay = first
 
     def wait_longer(self) -> None:
         """An attempt failed."""
-        self.delay = min(2 * self.delay, self._longest)
+        self.delay = min(2 * self.delay, 10 * self._first)
 
     def reset(self) -> None:
         """An attempt worked."""

@@ -20,6 +20,8 @@ PREFERENCE = ("GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
 """Pixel formats that are read, by their four characters; the first are those without loss."""
 # Cameras say 30 Hz and mean 29.97 Hz.
 RATE_TOLERANCE = 0.01
+BUFFERS = 4
+"""Frames that the kernel keeps until they are read."""
 
 
 @dataclass(frozen=True)
@@ -172,11 +174,11 @@ class Buffer:
 class V4L2Camera:
     """An open camera; gives buffers between `start` and `stop`."""
 
-    def __init__(self, found: VideoDevice, request: Mode, buffers: int) -> None:
+    def __init__(self, found: VideoDevice, request: Mode) -> None:
         """Raises FrameSourceError where the device cannot be opened or cannot do what is asked."""
         self.found = found
         self._device = v4l2.Device(found.path)
-        self._capture = v4l2.VideoCapture(self._device, size=buffers)
+        self._capture = v4l2.VideoCapture(self._device, size=BUFFERS)
         self._streaming = False
         try:
             self._open()

@@ -95,7 +95,7 @@ class V4L2Source:
         self._sequence: int | None = None
         self._last_data, self._equal = b"", 1
         times = options.camera
-        self._back_off = BackOff(times.reconnect_delay, times.reconnect_delay_max)
+        self._back_off = BackOff(times.reconnect_delay)
         self._next_attempt = self._last_frame = 0.0
         self._stamp_kind = "unknown"
         self._camera = self._open(devices.find_device(options.camera.device))
@@ -240,7 +240,7 @@ class V4L2Source:
         self.when_settled()
 
     def _open(self, found: devices.VideoDevice) -> V4L2Camera:
-        return V4L2Camera(found, self._request, self._options.camera.buffers)
+        return V4L2Camera(found, self._request)
 
     def _check_silence(self) -> None:
         limit = self._options.camera.frame_timeout

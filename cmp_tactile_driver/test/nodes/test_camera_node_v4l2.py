@@ -53,7 +53,7 @@ class _Driver:
     def __init__(self, ros, **parameters):
         self._ros = ros
         self._reports = ros.reports("camera_driver")
-        times = {"frame_timeout": 0.2, "reconnect_delay": 0.02, "reconnect_delay_max": 0.1}
+        times = {"frame_timeout": 0.2, "reconnect_delay": 0.02}
         given = {"source": "v4l2", "device": "CAM1", **times, **parameters}
         self.node = ros.start(CameraDriver, **given)
 

@@ -121,7 +121,7 @@ def test_a_capture_can_be_stopped_while_the_camera_is_away_and_goes_on_later(
     open_source, plug, kernel, picture
 ):
     camera = plug()
-    source = open_source(reconnect_delay=30.0, reconnect_delay_max=60.0)
+    source = open_source(reconnect_delay=30.0)
     frames = []
     capture = Capture(source, frames.append)
     capture.start()
