@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import tempfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import ContainerServices
-from cmp_tactile_processing.ros.diagnostics.thresholds import SECTION, DiagnosticsParameters
-from cmp_tactile_processing.ros.parameters import allowed, describe
+from cmp_tactile_processing.ros.parameters import allowed
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR
 from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section
 
@@ -61,13 +60,7 @@ COMMON_PARAMETERS = (
     "use_sim_time",
     "start_type_description_service",
     "qos_overrides.",
-    f"{SECTION}.",
 )
-THRESHOLDS = """## Every node but component_container
-
-Thresholds of the diagnostics ([diagnostics.md](diagnostics.md)); shares are of one second's frames.
-Every node has the thresholds of rate, late and dropped frames, and those of its other figures.
-"""
 CONTAINER = """Loads, unloads and lists components, as ComposableNodeContainer of launch_ros and
 `ros2 component` ask for it."""
 
@@ -240,7 +233,7 @@ def _qos(profile: Any) -> str:
 def as_markdown(interfaces: list[NodeInterface]) -> str:
     """The tables, one section a node."""
     sections = [line for interface in interfaces for line in _section(interface)]
-    return "\n".join([*sections, THRESHOLDS, *_parameter_rows(_thresholds()), ""])
+    return "\n".join(sections)
 
 
 def _section(node: NodeInterface) -> Iterator[str]:
@@ -267,13 +260,6 @@ def _parameter_rows(parameters: Iterable[tuple[Any, Any]]) -> Iterator[str]:
             f"| `{descriptor.name}` | {_default(value)} | {allowed(descriptor)} | {change} "
             f"| {descriptor.description} |"
         )
-
-
-def _thresholds() -> Iterator[tuple[Any, Any]]:
-    for item in fields(DiagnosticsParameters):
-        descriptor = describe(item, read_only=False)
-        descriptor.name = f"{SECTION}.{item.name}"
-        yield descriptor, item.default
 
 
 def _default(value: Any) -> str:

@@ -19,7 +19,6 @@ from rclpy.utilities import get_default_context
 from cmp_tactile_bringup.container.spinning import ComponentClass, LoadedComponent, Spinner
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
-from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
 from cmp_tactile_processing.ros.process import spare_the_collector
 from cmp_tactile_processing.ros.wiring import WiredNode
 
@@ -88,11 +87,8 @@ class ComponentContainer:
 
     All methods may be called from any thread.  The ROS context must be valid until `shutdown`
     returned; the container does not end it.
-    context: that of all components.  namesakes: where given, no component is loaded under the name
-    of a node of another process.  threads_before: those that ran before the container.
+    context: that of all components.  threads_before: those that ran before the container.
     """
-
-    namesakes: Namesakes | None = None
 
     def __init__(
         self, context: Context | None = None, lookup: ComponentLookup = find_component
@@ -189,23 +185,10 @@ class ComponentContainer:
             get_logger("component_container").warning(message)
 
     def _find(self, component: Component) -> ComponentClass:
-        """The class of a component, unless another process has one of that name.
-
-        Looked up first: meanwhile the nodes of other processes become known.
-        """
+        """The class of a component."""
         found = self._lookup(component.package, component.plugin)
-        name = component.full_name
-        is_own = any(item.full_name == name for item in self.list())
-        if name and not is_own and self.namesakes is not None:
-            process = self.namesakes.awaited_process_of(name, lambda: self._closed)
-            if process:
-                msg = (
-                    f"{name} runs already, in process {process}: end that process, or use another "
-                    "namespace (namespace:=NAME)"
-                )
-                raise ComponentLoadError(msg)
         if self._closed:
-            # Stopped while it waited: what would be built now would hold up the end.
+            # Stopped meanwhile: what would be built now would hold up the end.
             raise ComponentLoadError(ENDING)
         return found
 

@@ -26,7 +26,6 @@ from cmp_tactile_bringup.container.spinning import LoadedComponent
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
-from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes
 from cmp_tactile_processing.ros.diagnostics.status import ERROR, OK, status_message, status_name
 from cmp_tactile_processing.ros.process import JoinError, joining_ros, leave_at_once
 
@@ -99,7 +98,6 @@ class ContainerServices:
         self._container = container
         self._refused: dict[str, str] = {}
         self.node = Node(name, namespace=namespace, context=container.context)
-        container.namesakes = Namesakes(self.node)
         group = ReentrantCallbackGroup()
         for kind, topic, callback in (
             (LoadNode, "load_node", self._on_load),

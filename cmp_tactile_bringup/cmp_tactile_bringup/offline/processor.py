@@ -37,7 +37,6 @@ from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.python_command import python_command
 from cmp_tactile_processing.ros.diagnostics import frame_watch
-from cmp_tactile_processing.ros.diagnostics.thresholds import DiagnosticsParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
@@ -49,6 +48,8 @@ STAMP_FAULTS = {
     frame_watch.Stamp.REPEATED: "came twice",
     frame_watch.Stamp.ZERO: "were 0",
 }
+# Of all frames, what may be missing without a word.
+MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
 
 
@@ -187,7 +188,7 @@ class _Stamps:
             if self._watch.stamps[kind]:
                 yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"
         missing = self._watch.missing
-        if missing > DiagnosticsParameters().missing_warn * (self._frames + missing):
+        if missing > MISSING_SHARE * (self._frames + missing):
             yield (
                 f"{missing} of {self._frames + missing} frames are missing in gaps between "
                 f"stamps; the longest gap is {self._longest_ns / NS_PER_S:.6g} s"

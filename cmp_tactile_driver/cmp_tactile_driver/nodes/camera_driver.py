@@ -26,7 +26,7 @@ from cmp_tactile_driver.sources.timing import BackOff, on_clock
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
+from cmp_tactile_processing.ros.diagnostics.frame_watch import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
 from cmp_tactile_processing.ros.messages.making import camera_frame
@@ -270,7 +270,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         if self._info_publisher.get_subscription_count():
             self._info_publisher.publish(self._calibration.message(header))
         age = (self.get_clock().now() - stamp).nanoseconds * 1e-9
-        self._sent.sent(age, self.thresholds.late_after)
+        self._sent.sent(age)
         if self._extension is not None:
             self._extension.frame_sent(frame, header)
 
@@ -299,22 +299,17 @@ class CameraDriver(ReportingNode, LifecycleNode):
         health = self._source.health if self._source is not None else frames.SourceHealth()
         self._log_silence(health)
         capture, calibration = self._capture, self._calibration.problem
-        runs = capture is not None and capture.state is CaptureState.RUNNING
-        period = self._sent.close_period(
-            self.thresholds, health.dropped_frames, working=runs and not health.silent
-        )
         findings = [
             _state_finding(self._problem_text, capture, health, self._opened),
-            self.name_finding(),
             Finding(DiagnosticStatus.WARN, calibration),
-            *period.findings,
         ]
         values: dict[str, object] = {
             "state": self._state_machine.current_state[1],
             "source": self._source.name if self._source is not None else self._opened,
             "frames out": capture.frames if capture is not None else 0,
             "bad frames": health.bad_frames,
-            **period.values,
+            "dropped frames": health.dropped_frames,
+            **self._sent.close_period(),
             "problem": health.problem,
             "calibration": calibration or "as described",
             **({} if self._extension is None else self._extension.diagnostics),

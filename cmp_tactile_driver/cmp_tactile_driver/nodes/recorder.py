@@ -25,8 +25,7 @@ from cmp_tactile_driver.nodes.encoding import frame_encoder, message_encoder
 from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.connections import other_transport
-from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
+from cmp_tactile_processing.ros.diagnostics.frame_watch import LossWatch, SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import message_class
 from cmp_tactile_processing.ros.parameters import declare_parameters
@@ -67,11 +66,8 @@ class Recorder(ReportingNode):
 
     @property
     def missing_topics(self) -> list[str]:
-        """Topics that are to be recorded and that nobody has published yet.
-
-        Each with the topic of the same image in another transport, where that is published.
-        """
-        return [topic + other_transport(self, topic) for topic in self._watch.missing]
+        """Topics that are to be recorded and that nobody has published yet."""
+        return self._watch.missing
 
     def destroy_node(self) -> None:
         """Close the bag, then destroy the node."""
@@ -89,8 +85,8 @@ class Recorder(ReportingNode):
         self._watch = TopicWatch(self, topics)
         # Of the recording.
         self.bag: Path | None = None
-        self._taps: list[tuple[Tap, Input]] = []
-        self._pushed_out: Counter[str] = Counter()
+        self._taps: list[tuple[Tap, LossWatch]] = []
+        self._lost: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._reported: RecorderState | None = None
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
@@ -101,7 +97,7 @@ class Recorder(ReportingNode):
         self.create_timer(SEARCH_PERIOD_S, self._look_for_topics, clock=steady)
         self.start_reporting(also_to=[self._status_publisher])
         self.warn_of_unknown_parameters()
-        self.reporter.publish()
+        self.report()
 
     def _is_recording(self) -> bool:
         progress = self.progress
@@ -125,11 +121,11 @@ class Recorder(ReportingNode):
 
     def stop(self) -> None:
         """End the recording: what waits is written, and the bag is closed."""
-        self._count_pushed_out()
-        for _, end in self._taps:
-            self.disconnect_input(end)
+        self._count_losses()
+        for _, watch in self._taps:
+            self.disconnect_input(watch.end)
         self._taps.clear()
-        self._pushed_out.clear()
+        self._lost.clear()
         self._early.clear()
         if self._recorder is not None:
             self._recorder.stop()
@@ -148,12 +144,11 @@ class Recorder(ReportingNode):
         return folder
 
     def _look_for_topics(self) -> None:
-        recorder = self._recorder
-        if recorder is not None and self._is_recording() and not self._watch.is_over:
+        if self._is_recording() and not self._watch.is_over:
             for topic in self._watch.new_topics():
-                self._subscribe(topic, recorder)
+                self._subscribe(topic)
 
-    def _subscribe(self, topic: FoundTopic, recorder: BagRecorder) -> None:
+    def _subscribe(self, topic: FoundTopic) -> None:
         try:
             kind = message_class(topic.kind)
             check_for_type_support(kind)
@@ -165,9 +160,10 @@ class Recorder(ReportingNode):
             text = f"not published; {topic.name} is recorded instead"
             self.get_logger().warning(f"{topic.instead_of}: {text}")
         tap = self._tap(topic)
-        end = Input(lambda given: partial(self._on_message, tap, given))
-        self.connect_counting(end, kind, tap.topic, topic.qos, partial(recorder.lost, tap))
-        self._taps.append((tap, end))
+        end = Input(lambda given: partial(self._on_message, tap, watch, given))
+        watch = LossWatch(end)
+        self.connect_input(end, kind, tap.topic, topic.qos)
+        self._taps.append((tap, watch))
 
     def _tap(self, topic: FoundTopic) -> Tap:
         codec = self._settings.compression
@@ -177,16 +173,16 @@ class Recorder(ReportingNode):
             encode = message_encoder(topic.name, topic.kind)
         return Tap(topic.name, encode, topic.offered)
 
-    def _count_pushed_out(self) -> None:
-        """Of frames of the same container the middleware knows no losses."""
-        for tap, end in self._taps:
-            new = end.dropped - self._pushed_out[tap.topic]
+    def _count_losses(self) -> None:
+        for tap, watch in self._taps:
+            new = watch.lost - self._lost[tap.topic]
             if new and self._recorder is not None:
-                self._pushed_out[tap.topic] += new
+                self._lost[tap.topic] += new
                 self._recorder.lost(tap, new)
 
-    def _on_message(self, tap: Tap, given: Given) -> None:
+    def _on_message(self, tap: Tap, watch: LossWatch, given: Given) -> None:
         message = given.message
+        watch.take(given.info)
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds
         if recorder is None:
             return
@@ -214,7 +210,7 @@ class Recorder(ReportingNode):
             response.message = str(error)
             return response
         response.message = f"{self._state_text()}: {self.bag}"
-        self.reporter.publish()
+        self.report()
         return response
 
     def _state_text(self) -> str:
@@ -222,7 +218,7 @@ class Recorder(ReportingNode):
         return progress.state.value if progress is not None else "idle"
 
     def _status(self) -> DiagnosticStatus:
-        self._count_pushed_out()
+        self._count_losses()
         progress = self.progress
         self._report_change(progress)
         records = self._is_recording()
@@ -234,10 +230,8 @@ class Recorder(ReportingNode):
             values |= _figures(progress)
             values |= {"bag": self.bag, "not published yet": " ".join(missing)}
             finding = _finding(progress, dropped)
-        period = self._taken.close_period(self.thresholds, dropped, working=records)
-        values["rate (Hz)"] = period.values["rate (Hz)"]
-        findings = [finding, *period.findings]
-        return self.status_of(self._sensor.ros_name, values, findings, self._state_text())
+        values["rate (Hz)"] = self._taken.close_period()["rate (Hz)"]
+        return self.status_of(self._sensor.ros_name, values, [finding], self._state_text())
 
     def _report_change(self, progress: RecordingProgress | None) -> None:
         state = progress.state if progress is not None else None

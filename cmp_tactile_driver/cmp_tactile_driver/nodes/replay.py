@@ -31,7 +31,7 @@ from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qo
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.stage import SentFrames
+from cmp_tactile_processing.ros.diagnostics.frame_watch import SentFrames
 from cmp_tactile_processing.ros.diagnostics.status import Finding
 from cmp_tactile_processing.ros.messages.conversions import (
     frame_to_msg,
@@ -321,7 +321,7 @@ class Replay(ReportingNode):
     def _report_change(self) -> None:
         progress = self._require_player().progress
         if self._reported is None or progress.state is not self._reported[0]:
-            self.reporter.publish()
+            self.report()
             text = f"{progress.state.value}: {self._names}, {progress.frames} frames sent"
             bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
             if progress.state is PlayerState.FAILED:
@@ -336,23 +336,21 @@ class Replay(ReportingNode):
     def _status(self) -> DiagnosticStatus:
         progress = self._require_player().progress
         self._reported = (progress.state, progress.frames)
-        plays = progress.state is PlayerState.PLAYING
-        period = self._sent.close_period(self.thresholds, working=plays)
         failed = progress.state is PlayerState.FAILED
         level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
-        findings = [Finding(level, progress.problem), self.name_finding(), *period.findings]
         values: dict[str, object] = {
             "state": progress.state.name.lower(),
             "frames out": progress.frames,
             "bad frames": progress.bad_frames,
-            "rate (Hz)": period.values["rate (Hz)"],
+            "rate (Hz)": self._sent.close_period()["rate (Hz)"],
             "passes": progress.passes,
             "position (s)": f"{progress.position:.3f}",
             "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
             "problem": progress.problem,
             "recording": self._names,
         }
-        return self.status_of(self._sensor.ros_name, values, findings, progress.state.value)
+        finding = Finding(level, progress.problem)
+        return self.status_of(self._sensor.ros_name, values, [finding], progress.state.value)
 
 
 def main() -> int:

@@ -67,7 +67,7 @@ class Tac3dSource(StageNode):
         with self._at_work:
             if self._ended or self._options.serial not in ("", frame.get("SN")):
                 return
-            self.diagnostics.frame_in()
+            self.diagnostics.frames_in += 1
             self._run_guarded("PyTac3D", self._publish, frame)
 
     def _publish(self, frame: Mapping[str, Any]) -> None:

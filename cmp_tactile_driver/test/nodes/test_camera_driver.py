@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import importlib
-import os
 import sys
 
 import cv2
@@ -15,8 +14,7 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import CameraInfo, Image
@@ -211,27 +209,3 @@ def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeyp
     ros.wait(lambda: "RuntimeError: of a library" in reports.last.message, "the report")
     assert reports.last.level == DiagnosticStatus.ERROR
     assert "Traceback" in capfd.readouterr().err
-
-
-def test_two_sensors_of_one_name_name_one_another(ros, sensor_folder, capfd):
-    reports = ros.reports("camera_driver")
-    _start(ros, sensor_folder[0])
-    ros.wait(lambda: reports.values.get("process", "").startswith(f"{os.getpid()} on "), "it")
-    other = rclpy.create_node("camera_driver", context=ros.context, namespace=ros.namespace)
-    publisher = other.create_publisher(DiagnosticArray, "/diagnostics", 10)
-    there = [KeyValue(key="process", value="1 on elsewhere")]
-    status = DiagnosticStatus(name=f"{ros.namespace}/camera_driver".lstrip("/"), values=there)
-
-    logged = []
-
-    def is_reported():
-        publisher.publish(DiagnosticArray(status=[status]))
-        logged.append(capfd.readouterr().err)
-        return "1 on elsewhere" in "".join(logged)
-
-    ros.wait(is_reported, "the other process", 60.0)
-    other.destroy_node()
-    ros.wait(lambda: "elsewhere" not in reports.last.message, "the only one")
-    logged.append(capfd.readouterr().err)
-    line = "runs in process 1 on elsewhere and here in process "
-    assert "".join(logged).count(line) == 1

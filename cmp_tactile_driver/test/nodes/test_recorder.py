@@ -25,7 +25,6 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, WrenchStamped
-from rclpy.event_handler import UnsupportedEventTypeError
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CompressedImage, Image
@@ -147,20 +146,6 @@ def test_other_topics_latched_ones_and_patterns(ros, output):
     connection, data = found[f"{ros.namespace}/wrench"]
     assert connection.ext.offered_qos_profiles[0].reliability.name == "BEST_EFFORT"
     assert STORE.deserialize_cdr(data, connection.msgtype).wrench.force.z == -1.5
-
-
-def test_a_middleware_that_reports_no_losses_is_recorded_from(ros, output, monkeypatch):
-    create = Recorder.create_subscription
-
-    def refuse(self: Any, *args: Any, event_callbacks: Any = None, **kwargs: Any) -> Any:
-        if event_callbacks is not None and event_callbacks.message_lost is not None:
-            raise UnsupportedEventTypeError
-        return create(self, *args, event_callbacks=event_callbacks, **kwargs)
-
-    monkeypatch.setattr(Recorder, "create_subscription", refuse)
-    publisher = ros.node.create_publisher(WrenchStamped, "wrench", 10)
-    node = ros.start(Recorder, output=str(output), topics="wrench")
-    recorded(ros, node, publisher, [WrenchStamped()])
 
 
 class _NotBuilt(type):
@@ -317,16 +302,6 @@ def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, ba
     assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
 
 
-def test_a_topic_that_is_missing_in_one_transport_is_named_with_the_other(ros, output):
-    ros.node.create_publisher(Image, "image_raw", 10)
-    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
-    node = ros.start(Recorder, output=str(output), topics="image_raw/compressed other")
-    there = f"(found {ros.namespace}/image_raw, sensor_msgs/msg/Image)"
-    expected = [f"{ros.namespace}/image_raw/compressed {there}", f"{ros.namespace}/other"]
-    ros.wait(lambda: node.missing_topics == expected, "the topic that is there")
-    ros.wait(lambda: there in values(statuses).get("not published yet", ""), "the same as status")
-
-
 def accounted(figures: dict[str, str]) -> int:
     """Messages that the recorder knows to be in the bag, or to be lost."""
     return int(figures["messages"]) + int(figures["dropped"])
@@ -363,7 +338,6 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
 
 
 def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
-    """There the middleware carries nothing, and so reports no loss."""
     wiring = Wiring()
     with joining(wiring):
         source, node = (

@@ -89,8 +89,6 @@ class ForceReconstructor(StageNode):
         self._health = ForceHealth()
         self._zeroed_load, self._number = 0.0, 0
         self._builds = threading.Lock()
-        material = self.sensor.elastomer.calibration
-        self.diagnostics.calibrations["material calibration"] = material.date if material else None
         self._force = StageParameters(self, self.sensor.force, self._start_building)
         self._slip = StageParameters(self, self.sensor.slip, self._use_slip, "slip")
         builder = self._start_building()

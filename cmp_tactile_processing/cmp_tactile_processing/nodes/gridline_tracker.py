@@ -127,7 +127,6 @@ class GridlineTracker(base_nodes.StageNode):
         header = header_at(camera_header.stamp, self._frame)
         self._grid.publish(grid, header)
         self._health.add(grid)
-        self.diagnostics.tracked = grid.found_fraction
         self.frame_out(header)
         if self._inspection.is_open:
             inspection = self._inspection.take(image.copy())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
 from cmp_tactile_processing.ros import base_nodes
-from cmp_tactile_processing.ros.diagnostics.health import SurfaceHealth, reference_figures
+from cmp_tactile_processing.ros.diagnostics.health import reference_figures
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
@@ -57,10 +58,10 @@ class StereoTriangulator(base_nodes.StageNode):
 
     def _set_up(self) -> None:
         self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)
-        optics = self.sensor.calibration
-        self.diagnostics.calibrations["calibration"] = optics.date if optics else None
         self._keeper = reference_keeping.ReferenceKeeper(Reference.nominal(self.sensor))
         self._pairing = StampPairing(("left", "right"))
+        # Of the last second: why its frames are implausible, and of the last frame.
+        self._doubt, self._tracked = "", math.nan
         self._options = StageParameters(self, ReferenceParameters(), lambda _: None)
         self._keeper.zero(
             StageParameters(self, reference_keeping.ZeroParameters(), self._keeper.zero).value
@@ -85,7 +86,6 @@ class StereoTriangulator(base_nodes.StageNode):
 
     def _build_rig(self, parameters: TriangulationParameters) -> None:
         self._rig = StereoRig(replace(self.sensor, triangulation=parameters))
-        self._health = SurfaceHealth(self._rig.views)
 
     def _watch(self, _changed: object = None) -> None:
         self._keeper.watch(self._rest.value, self._drift.value)
@@ -112,7 +112,7 @@ class StereoTriangulator(base_nodes.StageNode):
         header = conversions.header_at(stamp, self._frame)
         self._surface.publish(surface, header)
         self.frame_out(header)
-        self._check(markers, grids)
+        self._check(markers)
         if self._points_publisher.get_subscription_count():
             self._points_publisher.publish(
                 conversions.organised_cloud(
@@ -120,12 +120,12 @@ class StereoTriangulator(base_nodes.StageNode):
                 )
             )
 
-    def _check(self, markers: Markers3D, grids: dict[str, Grid]) -> None:
+    def _check(self, markers: Markers3D) -> None:
         doubt = implausible_ray_gap(markers.ray_gap, markers.status, self.sensor.name)
         if doubt:
             self.warn(self._surface.topic_name, doubt)
-        self._health.add(markers, grids, doubt)
-        self.diagnostics.tracked = measured_share(markers.status)
+            self._doubt = doubt
+        self._tracked = measured_share(markers.status)
 
     def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
         averaging = self._averaging.take(markers)
@@ -158,14 +158,14 @@ class StereoTriangulator(base_nodes.StageNode):
         return self._options.value.reference_frames, self._options.value.reference_timeout, topics
 
     def _update_diagnostics(self) -> None:
-        doubt, figures = self._health.close_period()
-        note = doubt or self._keeper.warning()
+        note, self._doubt = self._doubt or self._keeper.warning(), ""
         self.diagnostics.note = note
         self.diagnostics.note_level = DiagnosticStatus.WARN if note else DiagnosticStatus.OK
-        extra: dict[str, object] = {**figures, **reference_figures(self._keeper)}
-        for view, count in self._pairing.unpaired.items():
-            extra[f"unpaired {view}"] = count
-        self.diagnostics.extra = extra
+        self.diagnostics.extra = {
+            "tracked fraction": f"{self._tracked:.4f}",
+            "unpaired grids": sum(self._pairing.unpaired.values()),
+            **reference_figures(self._keeper),
+        }
 
 
 def main() -> int:

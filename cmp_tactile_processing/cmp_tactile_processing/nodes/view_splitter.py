@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
-from tf2_msgs.msg import TFMessage
 from tf2_ros import StaticTransformBroadcaster
 
 from cmp_tactile_processing.cache.view_threads import ViewThreads
@@ -37,9 +35,6 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 FARTHEST_M = 10.0
 MOST_RAD = 2 * math.pi
 ORIGIN = (0.0, 0.0, 0.0)
-TF_STATIC = "/tf_static"
-# Of two transforms, m and parts of a quaternion: as exactly as others may have rounded them.
-SAME_POSE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -90,54 +85,6 @@ class Mounting(Parameters):
         ]
 
 
-class FrameNameWatch:
-    """Warns once where a frame of this sensor has two parents, or two places in one.
-
-    As where two sensors of one name run, in namespaces of their own: tf has one tree for all.
-    """
-
-    def __init__(self, node: Node, sensor: SensorDescription, own: list[Any]) -> None:
-        """own: the static transforms that this node publishes."""
-        self._node = node
-        self._known = {transform.child_frame_id: transform for transform in own}
-        self._names, self._warned = set(making.sensor_frames(sensor)), set[str]()
-        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        node.create_subscription(TFMessage, TF_STATIC, self._take, latched)
-
-    def _take(self, message: TFMessage) -> None:
-        for found in message.transforms:
-            child = found.child_frame_id
-            if child not in self._names or child in self._warned:
-                continue
-            known = self._known.setdefault(child, found)
-            parents = known.header.frame_id, found.header.frame_id
-            if parents[0] != parents[1]:
-                where = f"two parents, {parents[0]} and {parents[1]}"
-            elif not _is_same_pose(known.transform, found.transform):
-                where = f"two poses in {parents[0]}"
-            else:
-                continue
-            self._warned.add(child)
-            ends = self._node.get_publishers_info_by_topic(TF_STATIC)
-            names = sorted({f"{end.node_namespace.rstrip('/')}/{end.node_name}" for end in ends})
-            self._node.get_logger().warning(
-                f"frame {child} has {where}; {TF_STATIC} is published by {', '.join(names)}: give "
-                "each sensor a different sensor_name"
-            )
-
-
-def _is_same_pose(one: Any, other: Any) -> bool:
-    shift = _xyz(one.translation) - _xyz(other.translation)
-    p, q = (np.array([*_xyz(item.rotation), item.rotation.w]) for item in (one, other))
-    # Quaternions q and -q are one rotation.
-    turn = min(np.abs(p - q).max(), np.abs(p + q).max())
-    return bool(max(np.abs(shift).max(), turn) < SAME_POSE)
-
-
-def _xyz(vector: Any) -> NDArray[np.float64]:
-    return np.array([vector.x, vector.y, vector.z])
-
-
 @dataclass(frozen=True)
 class ViewSplitterParameters(ImageInputParameters):
     """On what the frames come."""
@@ -172,8 +119,7 @@ class ViewSplitter(StageNode):
     subscribes.
 
     The static transforms from the gel frame to all optical frames are sent once, latched.
-    `parent_frame` adds the transform from that frame to the gel frame.  If another node gives one
-    of these frames another parent or pose, a warning says so.
+    `parent_frame` adds the transform from that frame to the gel frame.
     """
 
     default_name = "view_splitter"
@@ -187,7 +133,6 @@ class ViewSplitter(StageNode):
         is_compressed = options.input_transport == "compressed"
         topic = "image_raw/compressed" if is_compressed else "image_raw"
         self._depth = BitDepth(self.resolve_topic_name(topic), self.get_logger().info)
-        self.diagnostics.is_first = True
         self.add_input(
             CompressedImage if is_compressed else Image,
             topic,
@@ -212,7 +157,6 @@ class ViewSplitter(StageNode):
             transform.header.stamp = now
         # All in one message: a latched publisher keeps its last one alone.
         self._broadcaster.sendTransform(transforms)
-        FrameNameWatch(self, self.sensor, transforms)
 
     def _geometry(self) -> list[ViewGeometry]:
         return list(build_views(self.sensor).values())

@@ -5,41 +5,32 @@ from __future__ import annotations
 import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    SubscriptionEventCallbacks,
-    UnsupportedEventTypeError,
-)
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import get_rmw_implementation_identifier
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.diagnostics.connections import mixed, unconnected, unpublished
 from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, Stamp
-from cmp_tactile_processing.ros.diagnostics.namesakes import Namesakes, this_process
-from cmp_tactile_processing.ros.diagnostics.stage import StageDiagnostics
 from cmp_tactile_processing.ros.diagnostics.status import (
-    DiagnosticsReporter,
     Finding,
+    StageDiagnostics,
     status_message,
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.diagnostics.thresholds import SECTION, DiagnosticsParameters
 from cmp_tactile_processing.ros.messages.conversions import with_header
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.ros.parameters import (
     ExplainingNode,
     SensorParameters,
-    StageParameters,
     declare_parameters,
     unknown_overrides,
 )
@@ -49,35 +40,35 @@ from cmp_tactile_processing.sensor.description import load_sensor
 SERVICE_QOS = QoSProfile(depth=1000)
 """As that of parameters: of more requests at once than the 10 of ROS's default the rest is lost,
 and whoever asked waits without end."""
+DIAGNOSTICS_PERIOD_S = 1.0
 
 
 class ReportingNode(ExplainingNode, WiredNode, ABC):
-    """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up.
-
-    thresholds: of its figures, parameters `diagnostics.*` that may change while it runs.
-    Its ends have none of rclpy's event handlers: those of a view splitter make each wake-up of its
-    executor take 0.4 in place of 0.25 ms.
-    """
-
-    thresholds = DiagnosticsParameters()
-    reporter: DiagnosticsReporter
-    _namesakes: Namesakes
-    _reported_namesake = ""
-    _wrong_before: Sequence[str] = ()
+    """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up."""
 
     @abstractmethod
     def _status(self) -> DiagnosticStatus:
         """How the node is, with the figures since the last call; made by `status_of`."""
 
     def start_reporting(self, also_to: Sequence[Publisher[Any]] = ()) -> None:
-        """Declare the thresholds and report once a second from now on.
+        """Report on /diagnostics once a second from now on.
 
-        also_to: publishers that get every status too.
+        also_to: publishers of DiagnosticStatus that get every status too.
         """
-        limits = StageParameters(self, DiagnosticsParameters(), self._use_thresholds, SECTION)
-        self._use_thresholds(limits.value)
-        self._namesakes = Namesakes(self)
-        self.reporter = DiagnosticsReporter(self, self._status, also_to)
+        self._also_to = also_to
+        self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Steady: a paused simulation clock must not silence the diagnostics.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self.report, clock=steady)
+
+    def report(self) -> None:
+        """Report now."""
+        status = self._status()
+        for publisher in self._also_to:
+            publisher.publish(status)
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics_publisher.publish(message)
 
     def status_of(
         self,
@@ -86,42 +77,14 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
         findings: Iterable[Finding],
         otherwise: str,
     ) -> DiagnosticStatus:
-        """A status with these figures and findings, and with ends that are not connected.
-
-        otherwise: the message where nothing is found.
-        """
-        mixtures = (mixed(self, topic) for topic in self._take_mixed_topics())
-        wrong = [*unconnected(self), *filter(None, mixtures)]
-        for text in wrong:
-            if text not in self._wrong_before:
-                self.get_logger().warning(text)
-        self._wrong_before = wrong
-        found = [*findings, *(Finding(DiagnosticStatus.WARN, text) for text in wrong)]
-        values = {**values, "wrong connections": "; ".join(wrong) or "none"}
-        return status_message(status_name(self), hardware_id, summary(found, otherwise), values)
+        """A status with these figures and findings; otherwise: the message where none is found."""
+        return status_message(status_name(self), hardware_id, summary(findings, otherwise), values)
 
     def warn_of_unknown_parameters(self, *but: str) -> None:
         """Of those given at the start that the node has not, by now; but: beginnings of names."""
         for text in unknown_overrides(self):
             if not text.startswith(but):
                 self.get_logger().warning(f"{text} (given at the start; it has no effect)")
-
-    def name_finding(self) -> Finding:
-        """Another process with a node of this name.
-
-        For nodes that publish frames, so that one line reports two sensors of one name.
-        """
-        name = self.get_fully_qualified_name()
-        process, before = self._namesakes.process_of(name), self._reported_namesake
-        self._reported_namesake = process
-        text = (
-            f"{name} runs in process {process} and here in process {this_process()}: the frames "
-            "of two sensors with one name are mixed; end one of them, or give it another "
-            "namespace"
-        )
-        if process and process != before:
-            self.get_logger().error(text)
-        return Finding(DiagnosticStatus.ERROR, text if process else "")
 
     @contextmanager
     def destroyed_on_error(self) -> Iterator[None]:
@@ -132,56 +95,10 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
             self.destroy_node()
             raise
 
-    def create_publisher(self, *args: Any, **kwargs: Any) -> Any:
-        """As Node's."""
-        kwargs.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
-        return super().create_publisher(*args, **kwargs)
-
-    def create_lifecycle_publisher(self, *args: Any, **kwargs: Any) -> Any:
-        """As LifecycleNode's, which passes over `create_publisher`."""
-        made: Any = super()
-        kwargs.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
-        return made.create_lifecycle_publisher(*args, **kwargs)
-
-    def create_subscription(self, *args: Any, **kwargs: Any) -> Any:
-        """As Node's."""
-        none = SubscriptionEventCallbacks(use_default_callbacks=False)
-        kwargs.setdefault("event_callbacks", none)
-        return super().create_subscription(*args, **kwargs)
-
-    def connect_counting(
-        self,
-        end: Input,
-        message_type: type,
-        topic: str,
-        qos: QoSProfile,
-        on_lost: Callable[[int], None] | None,
-        **kwargs: Any,
-    ) -> None:
-        """As `connect_input`; on_lost: takes how many messages more were lost, if ROS reports it.
-
-        Not every middleware does.
-        """
-        attempts = (lambda event: on_lost(event.total_count_change)) if on_lost else None, None
-        for message_lost in attempts:
-            events = SubscriptionEventCallbacks(
-                message_lost=message_lost, use_default_callbacks=False
-            )
-            with suppress(UnsupportedEventTypeError):
-                self.connect_input(end, message_type, topic, qos, event_callbacks=events, **kwargs)
-                return
-
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         kwargs.setdefault("qos_profile", SERVICE_QOS)
         return super().create_service(*args, **kwargs)
-
-    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
-        self.thresholds = thresholds
-
-    def _take_mixed_topics(self) -> list[str]:
-        """Inputs with messages of several publishers by turns since the last call."""
-        return []
 
 
 class CameraInfoPublisher:
@@ -210,8 +127,6 @@ IMAGE_DEPTH = 5
 # A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
 INPUT_DEPTH = 20
 WARNING_PERIOD_S = 5.0
-# Their messages are numbered: that shows also what was pushed out of a full queue.
-NUMBERING_RMW = ("rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
 class StageNode(ReportingNode):
@@ -282,26 +197,25 @@ class StageNode(ReportingNode):
         place.
         """
         name = self.resolve_topic_name(topic)
-        watch = InputWatch(name, newest=newest)
 
         def begin_guarded(given: Given) -> Finish:
-            self.diagnostics.frame_in()
+            self.diagnostics.frames_in += 1
             header = given.header
-            if watch.take_message(stamp_ns(header.stamp), given.info) is Stamp.BACK:
+            watch.take(given.info)
+            if watch.stamps.take(stamp_ns(header.stamp)) is Stamp.BACK:
                 self._run_guarded(name, self._on_time_back, topic)
             begun: list[Any] = []
             self._run_guarded(name, lambda: begun.append(begin(given.value)))
             return lambda: self._run_guarded(name, callback, *begun, header) if begun else None
 
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        numbered = get_rmw_implementation_identifier() in NUMBERING_RMW
-        watch.end = Input(begin_guarded, from_msg, needs_all)
-        self.connect_counting(
-            watch.end,
+        end = Input(begin_guarded, from_msg, needs_all)
+        watch = InputWatch(end, newest=newest)
+        self.connect_input(
+            end,
             message_type,
             topic,
             QoSProfile(depth=1 if newest else INPUT_DEPTH, reliability=policy),
-            None if numbered else watch.add_lost,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self.diagnostics.inputs.append(watch)
@@ -319,7 +233,7 @@ class StageNode(ReportingNode):
     def frame_out(self, header: Header) -> None:
         """Count a published result whose camera frame had the stamp of that header."""
         now = self.get_clock().now().nanoseconds
-        self.diagnostics.frame_out((now - stamp_ns(header.stamp)) * 1e-9)
+        self.diagnostics.sent.sent((now - stamp_ns(header.stamp)) * 1e-9)
 
     def warn(self, topic: str, text: str) -> None:
         """Log a warning about a topic's messages, one in five seconds at most."""
@@ -341,16 +255,10 @@ class StageNode(ReportingNode):
             self.diagnostics.bad_frame(f"{topic}: {error!r}")
             self.get_logger().error(f"{topic}: unexpected error\n{traceback.format_exc()}")
 
-    def _take_mixed_topics(self) -> list[str]:
-        return [watch.topic for watch in self.diagnostics.inputs if watch.take_mixed()]
-
-    def _use_thresholds(self, thresholds: DiagnosticsParameters) -> None:
-        super()._use_thresholds(thresholds)
-        self.diagnostics.thresholds = thresholds
-
     def _status(self) -> DiagnosticStatus:
         self._update_diagnostics()
-        self.diagnostics.unpublished = unpublished(self)
-        period = self.diagnostics.report()
+        topics = [watch.end.subscription.topic_name for watch in self.diagnostics.inputs]
+        self.diagnostics.unpublished = [item for item in topics if not self.count_publishers(item)]
+        values, findings = self.diagnostics.report()
         otherwise = self.diagnostics.note or "running"
-        return self.status_of(self.sensor.ros_name, period.values, period.findings, otherwise)
+        return self.status_of(self.sensor.ros_name, values, findings, otherwise)

@@ -40,7 +40,7 @@ NODES: list[tuple[Any, dict[str, Any]]] = [
     (GridlineTracker, {"view": "right", "follow": False, "red": 1e-05, "print_frames": 3}),
     (StereoTriangulator, {"auto_reference": "never", "max_ray_gap": 2e-07}),
     (ForceReconstructor, {"large_press": "on", "slip.full_ratio": 1.0, "noise_depth": 1e-09}),
-    (SurfaceVisualizer, {"up": [0.0, -1.0, 0.5], "force_gain": 0.0, "diagnostics.report_after": 7}),
+    (SurfaceVisualizer, {"up": [0.0, -1.0, 0.5], "force_gain": 0.0}),
 ]
 
 
@@ -133,11 +133,9 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("two_pass", "no", "found 'no', expected true or false"),
     ("noise_depth", True, "found True, expected a number with a decimal point"),
     ("contact_evidence", 12, "found 12, expected a number with a decimal point"),
-    ("diagnostics.report_after", 2.0, "found 2.0, expected an integer, 1 to 60"),
     ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
     ("wait_for_model", True, "found True, expected no change: it is fixed at the start"),
     ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
-    ("diagnostics.late_warn", 2.0, "found 2.0, expected 0 to 1"),
 ]
 
 

@@ -102,16 +102,6 @@ def test_compressed_frames_are_the_same_and_others_are_reported(ros, sample):
     assert "/image_raw/compressed" in splitter.diagnostics.last_error
 
 
-def test_frames_that_come_compressed_alone_are_named_where_raw_ones_are_awaited(ros):
-    """Reports: ros-perception/image_common 270, RobotWebTools/roslibjs 272 (the other transport is
-    waited for, silently); tried: the diagnostics name topic and type.
-    """
-    splitter = ros.start(ViewSplitter)
-    ros.node.create_publisher(CompressedImage, "image_raw/compressed", 2)
-    there = "image_raw/compressed, sensor_msgs/msg/CompressedImage)"
-    ros.wait(lambda: there in splitter._status().message, "what there is instead")
-
-
 def test_tf_and_camera_info_project_the_true_points(described, sample):
     """Gel point -> static tf of a view -> R backwards -> K is the pixel of the truth.
 
@@ -275,44 +265,3 @@ def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
     warnings = [log.msg for log in logs if log.name == name.replace("/", ".") and log.level >= 30]
     assert warnings == [f"{topic}: image: found 1024 x 100 px, expected 1024 x 768 px"]
     assert len(left) == 1
-
-
-def _frame_warnings(capfd) -> list[str]:
-    lines = capfd.readouterr().err.splitlines()
-    return [line for line in lines if "[WARN]" in line and "/tf_static is published by" in line]
-
-
-def test_a_frame_of_two_sensors_is_warned_of_with_both_publishers(ros, capfd):
-    """Whichever node starts first; tf keeps one parent of the two, and says nothing.
-
-    - microsoft/AirSim 4475 (cameras of one name on two vehicles): both splitters warn.
-    - realsenseai/realsense-ros 471, 3331 (two cameras, one camera_link): as above; sensor_name
-      gives each its own frames, which is not warned of.
-    """
-    ros.start(ViewSplitter, name="first", parent_frame="robot1_flange")
-    ros.start(ViewSplitter, name="second", parent_frame="robot2_flange")
-    found: list[str] = []
-
-    def both():
-        found.extend(_frame_warnings(capfd))
-        return len(found) >= 2
-
-    ros.wait(both, "the warnings")
-    ros.run(0.3)
-    assert len(found + _frame_warnings(capfd)) == 2
-    for line in found:
-        assert "sample_rig_gel_frame" in line
-        assert "robot1_flange" in line
-        assert "robot2_flange" in line
-        assert f"{ros.namespace}/first" in line
-        assert f"{ros.namespace}/second" in line
-
-
-def test_one_mount_given_twice_and_sensors_with_names_of_their_own_are_not_warned_of(ros, capfd):
-    ros.start(ViewSplitter, name="first", parent_frame="robot1_flange")
-    ros.start(ViewSplitter, name="same", parent_frame="robot1_flange")
-    ros.start(ViewSplitter, name="other", parent_frame="robot2_flange", sensor_name="robot2")
-    statics = ros.listen(TFMessage, "/tf_static", latched=True)
-    ros.wait(lambda: len(statics) == 3, "all transforms")
-    ros.run(0.5)
-    assert _frame_warnings(capfd) == []

@@ -1,4 +1,4 @@
-"""What nodes report of lost frames, bugs, wrong connections and thresholds."""
+"""What nodes report of bugs, stamps, ages and wrong connections."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ pytest.importorskip("rclpy")
 import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
-from cmp_tactile_msgs.msg import Grid, Surface
+from cmp_tactile_msgs.msg import Surface
 from cmp_tactile_processing.ros.base_nodes import StageNode
 
 pytestmark = pytest.mark.ros
@@ -90,10 +89,8 @@ def test_a_recording_that_begins_again_goes_on_and_is_reported(ros):
     assert (values["stamps repeated"], values["stamps zero"]) == ("1", "1")
     assert status.level == DiagnosticStatus.WARN
     assert "stamps came twice (1 in the last second)" in status.message
-    assert "stamps went back" in status.message
-    # Stamps of seconds after 1970: no latency can be reported, and none is called late.
+    # Stamps of seconds after 1970: no latency can be reported.
     assert values["latency median (ms)"].startswith("not known: stamps differ from the clock by -")
-    assert values["late frames"] == "0"
 
 
 @pytest.fixture
@@ -107,69 +104,20 @@ def outside(ros):
     context.try_shutdown()
 
 
-def test_publishers_that_take_turns_are_named_and_one_after_another_is_right(ros, outside):
-    """Tried: "frames missing" and "stamps went back" at a camera beside a replay, and no reason.
-
-    Reports: gazebosim/ros_gz 591, moveit/moveit 3393, ros/ros_comm 1397.
-    """
-    node = ros.start(_Relay)
-    results, infos = ros.listen(Surface, "result"), []
-    ros.node.create_subscription(Surface, "surface", lambda _, info: infos.append(info), 5)
-    ros.wait_subscribed(node, "result")
-    replay, camera = (
-        ros.publisher(Surface, "surface"),
-        outside.create_publisher(Surface, "surface", 5),
-    )
-    ros.wait(lambda: camera.get_subscription_count() > 0, "both publishers")
-
-    def mixed(*publishers) -> bool:
-        for publisher in publishers:
-            count = len(results)
-            publisher.publish(_surface((count + 1) * 10**8))
-            ros.wait(lambda count=count: len(results) > count, "the result")
-        text = _values(node._status())["wrong connections"]
-        return f"surface: the messages of {ros.namespace}/outside and " in text
-
-    assert not mixed(replay, replay, camera, camera)
-    # rclpy of Jazzy does not say which publisher sent a message.
-    assert mixed(replay, camera, replay) == ("publisher_gid" in infos[0])
-    assert not mixed(replay, replay)
-
-
-def test_ends_that_cannot_be_connected_are_reported_until_they_are_gone(ros, outside):
-    node = ros.start(_Relay)
-    # Each would cost time whenever the executor waits.
-    assert sum(item.get_num_entities().num_events for item in node.waitables) == 0
-    name = f"{ros.namespace}/outside"
+def test_ends_that_cannot_be_connected_are_logged(ros, outside, capfd):
+    ros.start(_Relay)
     unreliable = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-    wanting = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    deadline = QoSProfile(depth=1, deadline=Duration(seconds=0.5))
-    outside.create_subscription(Surface, "result", lambda _: None, 5)
-    ends = [
-        outside.create_publisher(Surface, "surface", unreliable),
-        outside.create_subscription(Surface, "result", lambda _: None, wanting),
-        outside.create_subscription(Surface, "result", lambda _: None, deadline),
-    ]
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    outside.create_publisher(Surface, "surface", unreliable)
+    outside.create_subscription(Surface, "result", lambda _: None, latched)
+    log = []
 
-    def wrong() -> list[str]:
-        return _values(node._status())["wrong connections"].split("; ")
+    def both() -> bool:
+        log.append(capfd.readouterr().err)
+        text = "".join(log)
+        return "surface" in text and "RELIABILITY" in text and "DURABILITY" in text
 
-    ros.wait(lambda: sum(name in text for text in wrong()) == len(ends), "all")
-    status = node._status()
-    assert status.level == DiagnosticStatus.WARN
-    for end in wrong():
-        assert end in status.message
-        topic = "surface" if f"{name} reaches " in end else "result"
-        assert end.startswith(f"{ros.namespace}/{topic}: no message from ")
-    text = " ".join(wrong())
-    for reason in ("Best effort", "transient local", "deadline"):
-        assert reason.lower() in text.lower()
-    outside.destroy_publisher(ends[0])
-    for end in ends[1:]:
-        outside.destroy_subscription(end)
-    ros.wait(lambda: wrong() == ["none"], "the end of it")
-    outside.create_publisher(Grid, "surface", 1)
-    ros.wait(lambda: "type cmp_tactile_msgs/msg/Grid, expected" in wrong()[0], "another type")
+    ros.wait(both, "a warning of each")
 
 
 def test_a_clock_that_stands_still_silences_nobody(ros):

@@ -35,8 +35,8 @@ class RunningSensor:
 
 
 STAGES = ("stereo_triangulator", "force_reconstructor")
-# Those of ROS itself, and of the diagnostics' thresholds, are many, and seldom wanted.
-LEFT_OUT = ("qos_overrides.", "diagnostics.", "use_sim_time", "start_type_description_service")
+# Those of ROS itself are many, and seldom wanted.
+LEFT_OUT = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 
 
 def node_settings(node: Node, namespace: str, views: Iterable[str]) -> tuple[Setting, ...]:

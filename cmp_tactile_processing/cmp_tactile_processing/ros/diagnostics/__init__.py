@@ -1,5 +1,5 @@
 """Figures of a node on /diagnostics.
 
 In: what a node counts and measures.
-Out: levels that do not flicker, and their texts.
+Out: one status for each node, with a level, a sentence and figures.
 """

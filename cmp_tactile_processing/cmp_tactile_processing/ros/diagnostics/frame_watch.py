@@ -1,8 +1,9 @@
-"""Frames that come in or go out: losses, stamps out of order, latency."""
+"""Frames that come in or go out: losses, stamps out of order, rate, latency."""
 
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from collections.abc import Mapping
 from enum import Enum
@@ -17,6 +18,8 @@ GAP_FACTOR = 1.6
 # Gaps in a row after which they are the usual interval.
 NEW_PACE = 5
 SMOOTHING = 0.1
+# A longer gap is to another recording, or of a clock that was set: no frames are missing in it.
+LONGEST_GAP_NS = 60 * 10**9
 
 
 class Stamp(Enum):
@@ -31,28 +34,24 @@ class Stamp(Enum):
 class StampWatch:
     """Counts the stamps of one stream; `take` once per frame, in the order in which they come.
 
-    stamps: how often each kind of stamp came; missing: further frames that gaps between stamps
-    speak of.
+    stamps: how often each kind of stamp came.  missing: frames that should have been in the gaps
+    between stamps.
     """
-
-    longest_gap_ns = math.inf
-    """A longer gap misses no frames."""
 
     def __init__(self) -> None:
         self.missing = 0
         self.stamps = dict.fromkeys(Stamp, 0)
-        self._lost_before = 0
         self._stamp_ns = 0
         self._interval_ns = 0.0
         self._gaps = 0
 
-    def take(self, stamp_ns: int, lost: int = 0) -> Stamp:
-        """Take a frame into account.  lost: frames that are known to be lost until now."""
-        kind = self._kind(stamp_ns, lost)
+    def take(self, stamp_ns: int) -> Stamp:
+        """Take a frame into account."""
+        kind = self._kind(stamp_ns)
         self.stamps[kind] += 1
         return kind
 
-    def _kind(self, stamp_ns: int, lost: int) -> Stamp:
+    def _kind(self, stamp_ns: int) -> Stamp:
         if stamp_ns == 0:
             return Stamp.ZERO
         passed, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
@@ -61,17 +60,14 @@ class StampWatch:
         if passed < 0:
             self._gaps = 0
             return Stamp.BACK
-        if passed < min(stamp_ns, self.longest_gap_ns):  # before the first frame is no interval
-            self._pace(passed, lost - self._lost_before)
-            self._lost_before = lost
+        if passed < min(stamp_ns, LONGEST_GAP_NS):  # before the first frame is no interval
+            self._pace(passed)
         return Stamp.LATER
 
-    def _pace(self, passed_ns: int, lost: int) -> None:
+    def _pace(self, passed_ns: int) -> None:
         usual = self._interval_ns
         if usual and passed_ns > usual * GAP_FACTOR:
-            self.missing += max(0, round(passed_ns / usual) - 1 - lost)
-            if lost:
-                return
+            self.missing += round(passed_ns / usual) - 1
             self._gaps += 1
             if self._gaps < NEW_PACE:
                 return
@@ -80,73 +76,46 @@ class StampWatch:
         self._interval_ns = usual + SMOOTHING * (passed_ns - usual) if usual else float(passed_ns)
 
 
-# Publishers whose numbers are remembered; more come and go over a long run.
-MOST_PUBLISHERS = 16
+class LossWatch:
+    """Counts the messages that were sent to an input and never got to it.
 
-
-class InputWatch(StampWatch):
-    """Counts for one subscription; `take_message` once per message, in the order of the callbacks.
-
-    topic: of the subscription.  newest: only the newest message is wanted.
-    end: where frames come by a plain call, it knows the losses of the entrance.
+    They show as gaps in the numbers that the middleware gives to the messages of a publisher, if
+    it does.  Where frames come by a plain call, the entrance counts those that it pushed out.
     """
 
-    # A longer gap is to another recording, or of a clock that was set.
-    longest_gap_ns = 60e9
-
-    def __init__(self, topic: str = "", *, newest: bool = False) -> None:
-        super().__init__()
-        self.topic = topic
-        self._newest = newest
-        self.end: Input | None = None
+    def __init__(self, end: Input) -> None:
+        self.end = end
         self._lost = 0
         self._numbers: dict[bytes, int] = {}
         self._in_order = True
-        self._publisher, self._returns = b"", 0
 
     @property
     def lost(self) -> int:
-        """Messages lost on the way or pushed out of the queue, since the start."""
-        return 0 if self._newest else self._never_taken
+        """Messages, since the start."""
+        return self._lost + self.end.dropped
 
-    @property
-    def passed_over(self) -> int:
-        """Messages that newer ones took the place of, since the start."""
-        return self._never_taken if self._newest else 0
-
-    @property
-    def _never_taken(self) -> int:
-        return self._lost + (0 if self.end is None else self.end.dropped)
-
-    def take_mixed(self) -> bool:
-        """Whether publishers took turns since the last call; one that follows another does not."""
-        returns, self._returns = self._returns, 0
-        return returns > 1
-
-    def add_lost(self, count: int) -> None:
-        """Messages were lost, as the middleware says."""
-        self._lost += count
-
-    def take_message(self, stamp_ns: int, info: Mapping[str, Any] | None) -> Stamp:
-        """Take a message into account; stamp_ns: of its header; info: rclpy's of the message."""
+    def take(self, info: Mapping[str, Any] | None) -> None:
+        """Take a message into account; info: rclpy's, None for what came by a plain call."""
         number = info.get("publication_sequence_number") if info is not None else None
-        if info is not None and number is not None:
-            # ROS 2 Jazzy does not name the publisher.
-            self._number((info.get("publisher_gid") or {}).get("data", b""), number)
-        return self.take(stamp_ns, self._never_taken)
-
-    def _number(self, publisher: bytes, number: int) -> None:
+        if info is None or number is None:
+            return
+        # ROS 2 Jazzy does not name the publisher: numbers of two of them go up and down by turns.
+        publisher = (info.get("publisher_gid") or {}).get("data", b"")
         last = self._numbers.get(publisher)
-        if last is None and len(self._numbers) == MOST_PUBLISHERS:
-            self._numbers.clear()
-        elif last is not None:
-            # Numbers of two unknown publishers go up and down by turns.
+        if last is not None:
             if number > last + 1 and self._in_order:
                 self._lost += number - last - 1
             self._in_order = number > last and (self._in_order or number == last + 1)
-            self._returns += publisher != self._publisher
-        self._publisher = publisher
         self._numbers[publisher] = number
+
+
+class InputWatch(LossWatch):
+    """Counts for one subscription of a stage.  newest: only the newest message is wanted."""
+
+    def __init__(self, end: Input, *, newest: bool = False) -> None:
+        super().__init__(end)
+        self.stamps = StampWatch()
+        self.newest = newest
 
 
 # No queue of ours holds a frame that long: such stamps are of another clock.
@@ -154,41 +123,48 @@ OLDEST_S = 10.0
 # A simulated clock may come after the frame that it belongs to.
 EARLIEST_S = -0.1
 MOST_FRAMES = 4096
+# A report between two others, as after a change of state, has too few frames for a rate.
+SHORTEST_S = 0.5
 
 
-class LatencyWatch:
-    """Ages of the results since the last `close_period`, and how many were late since the start."""
+class SentFrames:
+    """Counts what is sent; the figures have the same names in every node.
+
+    `sent` may be called by another thread than the rest.
+    """
 
     def __init__(self) -> None:
-        self.late = 0
+        self.frames = 0
         self._ages: deque[float] = deque(maxlen=MOST_FRAMES)
-        self._other_clock = 0
-        self._last_age = math.nan
+        self._frames_before, self._since = 0, time.monotonic()
+        self._figures: dict[str, object] = {}
 
-    def add(self, age_s: float, late_after: float) -> None:
-        """A result of a camera frame that was stamped `age_s` ago; NaN: not known."""
-        if EARLIEST_S < age_s < OLDEST_S:
-            self._ages.append(max(age_s, 0.0))
-            self.late += age_s > late_after
-        elif age_s == age_s:  # noqa: PLR0124  not NaN
-            self._other_clock += 1
-            self._last_age = age_s
+    def sent(self, age_s: float = math.nan) -> None:
+        """A frame was sent, so long after its stamp; NaN: not known."""
+        self.frames += 1
+        if not math.isnan(age_s):
+            self._ages.append(age_s)
 
-    def figures(self) -> dict[str, object]:
-        """Median and 99th percentile of the period, or why they are not known."""
-        if len(self._ages) > self._other_clock:
-            median, high = np.percentile(self._ages, (50, 99)) * 1e3
-            return {"latency median (ms)": f"{median:.1f}", "latency p99 (ms)": f"{high:.1f}"}
-        text = "no frames"
-        if self._other_clock:
-            off = -self._last_age
-            text = (
-                f"not known: stamps differ from the clock by {off:+.0f} s, as in a replay without "
-                "/clock"
+    def close_period(self) -> dict[str, object]:
+        """Rate, and median and 99th percentile of the latency, since the last call."""
+        now = time.monotonic()
+        if self._figures and now - self._since < SHORTEST_S:
+            return self._figures
+        rate = (self.frames - self._frames_before) / max(now - self._since, 1e-9)
+        ages = [self._ages.popleft() for _ in range(len(self._ages))]
+        self._frames_before, self._since = self.frames, now
+        self._figures = {"rate (Hz)": f"{rate:.2f}", **_latency(ages)}
+        return self._figures
+
+
+def _latency(ages_s: list[float]) -> dict[str, object]:
+    median = high = "no frames"
+    if ages_s:
+        middle, late = np.percentile(ages_s, (50, 99))
+        median, high = f"{middle * 1e3:.1f}", f"{late * 1e3:.1f}"
+        if not EARLIEST_S < middle < OLDEST_S:
+            median = high = (
+                f"not known: stamps differ from the clock by {-middle:+.0f} s, as in a replay "
+                "without /clock"
             )
-        return {"latency median (ms)": text, "latency p99 (ms)": text}
-
-    def close_period(self) -> None:
-        """Begin the next."""
-        self._ages.clear()
-        self._other_clock = 0
+    return {"latency median (ms)": median, "latency p99 (ms)": high}

@@ -1,22 +1,18 @@
-"""Levels of a node's figures, with hysteresis, and its reports on /diagnostics."""
+"""The status of a node on /diagnostics: its level, a sentence, figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
-from cmp_tactile_processing.ros.diagnostics.namesakes import PROCESS, this_process
-from cmp_tactile_processing.ros.diagnostics.thresholds import DiagnosticsParameters
+from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, SentFrames, Stamp
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-DIAGNOSTICS_PERIOD_S = 1.0
+# Share of a second's frames above which losses are warned of.
+DROPPED_WARN = 0.01
 
 
 @dataclass(frozen=True)
@@ -27,71 +23,12 @@ class Finding:
     text: str
 
 
-def finding(level: bytes, text: str) -> Finding:
-    """With the text where there is something to be reported."""
-    return Finding(level, text if level > OK else "")
-
-
-def above(share: float, warn: float, error: float = 1.0) -> bytes:
-    """The level of a share that is to be small."""
-    return ERROR if share > error else WARN if share > warn else OK
-
-
-def below(figure: float, warn: float, error: float) -> bytes:
-    """The level of a figure that is to be large."""
-    return ERROR if figure < error else WARN if figure < warn else OK
-
-
-class Hysteresis:
-    """The level of one figure, renewed by every report.
-
-    It rises once the figure was beyond its threshold in `report_after` reports in a row, and falls
-    once it was not in `clear_after` of them.
-    """
-
-    def __init__(self) -> None:
-        self._reported = Finding(OK, "")
-        self._rising: list[Finding] = []
-        self._falling = 0
-
-    def renew(self, found: Finding, report_after: int, clear_after: int) -> Finding:
-        """What is to be reported; found: what the figure alone would say."""
-        worse, better = found.level > self._reported.level, found.level < self._reported.level
-        self._rising = [*self._rising, found] if worse else []
-        self._falling = self._falling + 1 if better else 0
-        if len(self._rising) >= report_after:
-            self._reported = min(self._rising[-report_after:], key=_level)
-            self._rising = []
-        elif self._falling >= clear_after or not (worse or better):
-            self._reported, self._falling = found, 0
-        return self._reported
-
-
-class FigureLevels:
-    """The levels of several figures, by name."""
-
-    def __init__(self) -> None:
-        self._levels: dict[str, Hysteresis] = {}
-
-    def renew(self, found: Mapping[str, Finding], limits: DiagnosticsParameters) -> list[Finding]:
-        """What is to be reported of each."""
-        return [
-            self._levels.setdefault(name, Hysteresis()).renew(
-                item, limits.report_after, limits.clear_after
-            )
-            for name, item in found.items()
-        ]
-
-
 def summary(findings: Iterable[Finding], otherwise: str) -> tuple[bytes, str]:
     """The worst level, and the texts, worst first; `otherwise` where there are none."""
-    ordered = sorted((item for item in findings if item.text), key=_level, reverse=True)
+    found = [item for item in findings if item.text]
+    ordered = sorted(found, key=lambda item: item.level, reverse=True)
     level = ordered[0].level if ordered else OK
     return level, "; ".join(dict.fromkeys(item.text for item in ordered)) or otherwise
-
-
-def _level(finding: Finding) -> bytes:
-    return finding.level
 
 
 def status_name(node: Node) -> str:
@@ -112,30 +49,93 @@ def status_message(
     )
 
 
-class DiagnosticsReporter:
-    """Publishes what `status` returns once a second, and at once by `publish`.
+STAMP_FAULTS = {Stamp.REPEATED: "came twice", Stamp.ZERO: "were 0"}
 
-    also_to: publishers of DiagnosticStatus that get it too.
+
+class StageDiagnostics:
+    """Counts frames and remembers the last error; `report` closes one period.
+
+    inputs: what is known of each input.  `failure` holds the text of a lasting failure, empty while
+    the stage can work; `note` and `note_level` what the stage makes of its results; `extra` further
+    figures of it by name; `unpublished` input topics that nobody publishes.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        status: Callable[[], DiagnosticStatus],
-        also_to: Sequence[Publisher[Any]] = (),
-    ) -> None:
-        self._node, self._status, self._also_to = node, status, also_to
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Steady: a paused simulation clock must not silence the diagnostics.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(DIAGNOSTICS_PERIOD_S, self.publish, clock=steady)
+    def __init__(self) -> None:
+        self.inputs: list[InputWatch] = []
+        self.sent = SentFrames()
+        self.frames_in = 0
+        self.bad_frames = 0
+        self.passed_over = 0
+        self.started_again = 0
+        self.last_error = ""
+        self.failure = ""
+        self.note = ""
+        self.note_level: bytes = OK
+        self.unpublished: list[str] = []
+        self.extra: dict[str, object] = {}
+        self._before = dict.fromkeys(self._counts(), 0)
 
-    def publish(self) -> None:
-        """Report now."""
-        status = self._status()
-        status.values.append(KeyValue(key=PROCESS, value=this_process()))
-        for publisher in self._also_to:
-            publisher.publish(status)
-        report = DiagnosticArray(status=[status])
-        report.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(report)
+    @property
+    def lost(self) -> int:
+        """Messages that were sent to this node and never got to it."""
+        return sum(item.lost for item in self.inputs if not item.newest)
+
+    @property
+    def frames_out(self) -> int:
+        """Results that were published."""
+        return self.sent.frames
+
+    def bad_frame(self, error: str) -> None:
+        """A message could not be used."""
+        self.bad_frames += 1
+        self.last_error = error
+
+    def report(self) -> tuple[dict[str, object], list[Finding]]:
+        """Figures of the stage by name, and what is to be reported."""
+        counts = self._counts()
+        new = {key: count - self._before[key] for key, count in counts.items()}
+        self._before = counts
+        values = {
+            **counts,
+            **self.sent.close_period(),
+            "started again": self.started_again,
+            "last error": self.last_error,
+            **self.extra,
+        }
+        return values, list(self._findings(new))
+
+    def _counts(self) -> dict[str, int]:
+        newer = sum(item.lost for item in self.inputs if item.newest)
+        stamps = [item.stamps for item in self.inputs]
+        return {
+            "frames in": self.frames_in,
+            "frames out": self.frames_out,
+            "bad frames": self.bad_frames,
+            "lost on the way": self.lost,
+            "passed over": self.passed_over + newer,
+            "missing frames": sum(item.missing for item in stamps),
+            **{
+                f"stamps {kind.value}": sum(item.stamps[kind] for item in stamps)
+                for kind in (Stamp.BACK, *STAMP_FAULTS)
+            },
+        }
+
+    def _findings(self, new: Mapping[str, int]) -> Iterator[Finding]:
+        if self.failure:
+            yield Finding(ERROR, self.failure)
+            return
+        if not new["frames in"]:
+            why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
+            yield Finding(WARN, f"no frames received{why}")
+            return
+        if new["bad frames"]:
+            yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
+        yield Finding(self.note_level, self.note)
+        for kind, fault in STAMP_FAULTS.items():
+            if count := new[f"stamps {kind.value}"]:
+                yield Finding(WARN, f"stamps {fault} ({count} in the last second)")
+        lost, passed_over = new["lost on the way"], new["passed over"]
+        if lost + passed_over > DROPPED_WARN * (new["frames in"] + lost):
+            received = new["frames in"]
+            text = f"{lost} frames lost on the way, {passed_over} passed over, {received} received"
+            yield Finding(WARN, text)
