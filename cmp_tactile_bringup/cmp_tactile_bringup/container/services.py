@@ -220,9 +220,9 @@ def _status(container: str, item: LoadedComponent) -> DiagnosticStatus:
     summary = OK, "running"
     if item.failure:
         summary = ERROR, item.failure
-    elif item.callback_errors:
-        summary = ERROR, f"{item.callback_errors} callbacks raised, last: {item.last_error}"
-    values = {"id": item.unique_id, "callback errors": item.callback_errors}
+    elif item.errors.count:
+        summary = ERROR, f"{item.errors.count} callbacks raised, last: {item.errors.last}"
+    values = {"id": item.unique_id, "callback errors": item.errors.count}
     return status_message(f"{container}: {component}", _sensor_of(component), summary, values)
 
 

@@ -23,7 +23,7 @@ from rclpy.node import Node
 
 from cmp_tactile_bringup.errors import ComponentLoadError
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.process import log_raised
+from cmp_tactile_processing.ros.process import CallbackErrors
 from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 
 ComponentClass = type[Node]
@@ -33,16 +33,15 @@ ComponentClass = type[Node]
 class LoadedComponent:
     """One component, from the building of its node to its end.
 
-    full_name: of the node, once the container has taken that name; empty before.  callback_errors:
-    how many of its callbacks raised, and last_error what.  ending: by which error it was ended.
+    full_name: of the node, once the container has taken that name; empty before.  errors: those of
+    its callbacks.  ending: by which error it was ended.
     """
 
     def __init__(self) -> None:
         self.full_name = ""
         self.unique_id = 0
         self.node: Node | None = None
-        self.callback_errors = 0
-        self.last_error = self._last_traceback = ""
+        self.errors = CallbackErrors()
         self.ending = ""
         self._spinner: Spinner | None = None
         self._lock = threading.Lock()
@@ -107,15 +106,7 @@ class LoadedComponent:
         """Log the traceback; the same one again and again only once in five seconds."""
         if self.node is None:
             return
-        text = "".join(traceback.format_exception(error))
-        self.callback_errors += 1
-        is_known, self._last_traceback = text == self._last_traceback, text
-        self.last_error = text.strip().rpartition("\n")[2]
-        message = (
-            f"a callback raised an exception (number {self.callback_errors}); the node "
-            f"continues\n{text}"
-        )
-        log_raised(self.node, message, is_known=is_known)
+        self.errors.report(self.node, error)
 
 
 class Spinner:

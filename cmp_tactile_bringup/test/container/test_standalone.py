@@ -72,18 +72,16 @@ def _run(*arguments: str) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [
-        (["-r", "bad"], "remap rule: found '-r bad', expected FROM:=TO"),
-        (["-p", "rate"], "parameter override rule: found '-p rate', expected NAME:=VALUE"),
-        (
-            ["--log-level", "loud"],
-            "log level: found '--log-level loud', expected debug, info, warn, error or fatal",
-        ),
+        (["-r", "bad"], "Couldn't parse remap rule: '-r bad'"),
+        (["-p", "rate"], "Couldn't parse parameter override rule: '-p rate'"),
+        (["--log-level", "loud"], "Couldn't parse log level: '--log-level loud'"),
     ],
 )
 def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
     assert standalone(["sensor", "sensor:=sample_rig", "--ros-args", *arguments]) == 1
     log = capfd.readouterr().err
-    assert log.splitlines()[-1] == f"error: {error}"
+    assert log.splitlines()[-1].startswith("error: ")
+    assert error in log.splitlines()[-1]
     assert "Traceback" not in log
 
 

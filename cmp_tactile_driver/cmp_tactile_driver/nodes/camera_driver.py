@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,7 +11,6 @@ from lifecycle_msgs.msg import State
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
@@ -22,7 +20,7 @@ from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration, image
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import Capture, CaptureState
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
-from cmp_tactile_driver.sources.timing import BackOff, on_clock
+from cmp_tactile_driver.sources.timing import on_clock
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
@@ -33,35 +31,6 @@ from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
-
-
-class StartAttempts:
-    """Calls `attempt` now and after ever longer times, on the node's executor, until it is True."""
-
-    def __init__(self, node: Node, attempt: Callable[[], bool], back_off: BackOff) -> None:
-        self._node, self._attempt, self._back_off = node, attempt, back_off
-        self._timer: Any = None
-
-    @property
-    def pending(self) -> bool:
-        """Whether there will be another one."""
-        return self._timer is not None
-
-    def begin(self) -> None:
-        """Make the first attempt."""
-        self.stop()
-        if self._attempt():
-            return
-        # Steady: a simulated clock may stand still.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self._node.create_timer(self._back_off.delay, self.begin, clock=steady)
-        self._back_off.wait_longer()
-
-    def stop(self) -> None:
-        """Make no other one."""
-        timer, self._timer = self._timer, None
-        if timer is not None:
-            self._node.destroy_timer(timer)
 
 
 def _state_finding(
@@ -115,7 +84,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         self._problem = ""
         self._sent = SentFrames()
         self._silence = ""
-        self._may_come = self._is_attempt = self._was_configured = False
+        self._may_come = self._is_attempt = False
         with self.destroyed_on_error():
             self._set_up()
 
@@ -154,18 +123,20 @@ class CameraDriver(ReportingNode, LifecycleNode):
             CameraInfo, "camera_info", image_qos()
         )
         self.start_reporting()
-        times = self._camera_settings
-        back_off = BackOff(times.reconnect_delay)
-        self._attempts = StartAttempts(self, self._attempt_start, back_off)
+        # Steady: a simulated clock may stand still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        delay = self._camera_settings.reconnect_delay
+        self._retry = self.create_timer(delay, self._attempt_start, clock=steady, autostart=False)
         if self._settings.autostart:
-            self._attempts.begin()
-            if self._attempts.pending:
+            self._attempt_start()
+            if not self._retry.is_canceled():
                 self.get_logger().info("the node tries again until the camera is there")
 
-    def _attempt_start(self) -> bool:
-        """Whether no other attempt is of use."""
+    def _attempt_start(self) -> None:
+        """Configure and activate, now and, while a missing camera may come, after each delay."""
+        self._retry.cancel()
         if self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED:
-            return True
+            return
         self._is_attempt = True
         try:
             configured = self.trigger_configure() is TransitionCallbackReturn.SUCCESS
@@ -173,7 +144,8 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self._is_attempt = False
         if configured:
             self.trigger_activate()
-        return configured or not self._may_come
+        elif self._may_come:
+            self._retry.reset()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the source."""
@@ -194,19 +166,13 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self._may_come = False
             return self._unexpected(error)
         self._problem = ""
-        self._attempts.stop()
-        self._report_unknown_parameters()
+        self._retry.cancel()
+        # Source and extension have declared theirs; an unknown control is an error anyway.
+        self.warn_of_unknown_parameters(*((PREFIX,) if self._settings.source == CAMERA else ()))
         self._capture = Capture(self._source, self._send)
         rate = f"{self._source.frame_rate:g} Hz" if self._source.frame_rate else "its own rate"
         self.get_logger().info(f"{self._source.name} at {rate}")
         return super().on_configure(state)
-
-    def _report_unknown_parameters(self) -> None:
-        """Once source and extension have declared theirs; an unknown control is an error anyway."""
-        if not self._was_configured:
-            self._was_configured = True
-            ours = (PREFIX,) if self._settings.source == CAMERA else ()
-            self.warn_of_unknown_parameters(*ours)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Publish from now on; a camera that cannot be started leaves the node inactive."""
@@ -238,7 +204,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Give the source back for good."""
-        self._attempts.stop()
+        self._retry.cancel()
         self._release()
         return super().on_shutdown(state)
 
@@ -324,7 +290,9 @@ class CameraDriver(ReportingNode, LifecycleNode):
 
     @property
     def _problem_text(self) -> str:
-        more = "; the node tries again until the camera is there" if self._attempts.pending else ""
+        more = (
+            "" if self._retry.is_canceled() else "; the node tries again until the camera is there"
+        )
         return self._problem and self._problem + more
 
     def _log_silence(self, health: frames.SourceHealth) -> None:

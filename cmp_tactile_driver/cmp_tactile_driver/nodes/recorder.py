@@ -21,8 +21,12 @@ from cmp_tactile_driver.bags.recorder import BagRecorder, RecorderState, Recordi
 from cmp_tactile_driver.bags.writer import BagWriter, put_sensor_beside
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
-from cmp_tactile_driver.nodes.encoding import frame_encoder, message_encoder
-from cmp_tactile_driver.nodes.topic_watch import FoundTopic, TopicWatch
+from cmp_tactile_driver.nodes.recorded_topics import (
+    FoundTopic,
+    TopicWatch,
+    frame_encoder,
+    message_encoder,
+)
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics.frame_watch import LossWatch, SentFrames

@@ -122,7 +122,6 @@ class Replay(ReportingNode):
         # Why the recording cannot be played, once that was reported.  From any thread.
         self.failure = ""
         self._clock_ns, self._clock_sent = 0, -math.inf
-        self._other_size = ""
         self._sent = SentFrames()
         with self.destroyed_on_error():
             self._set_up()
@@ -265,15 +264,7 @@ class Replay(ReportingNode):
         if not isinstance(message, RecordedFrame) or message.has_camera_info or self._info is None:
             return False
         height, width = message.image.shape[:2]
-        fits = (width, height) == self._sensor.frame_size
-        if not fits and not self._other_size:
-            self._other_size = f"{width} x {height} px"
-            expected = "{} x {} px".format(*self._sensor.frame_size)
-            self.get_logger().warning(
-                f"{self._names}: found a frame of {self._other_size} after {message.time_s:g} s, "
-                f"expected {expected}: is {self._sensor.name} the description of this sensor?"
-            )
-        return fits
+        return (width, height) == self._sensor.frame_size
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         player = self._require_player()

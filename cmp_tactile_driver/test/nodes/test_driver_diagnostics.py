@@ -65,7 +65,7 @@ def test_name_hardware_and_keys_are_those_of_every_node(ros, start, last, name):
 def test_parameters_are_refused_with_the_reason_and_unknown_ones_reported(ros, start, capfd, name):
     node = start(name, sensor_nam="x")
     reported = node.set_parameters_atomically([Parameter("sensor_name", value="y")])
-    assert "it is fixed at the start" in reported.reason
+    assert "read-only" in reported.reason
     if name != "camera_driver":  # which reports once its source is open, and it is not
         text = "sensor_nam: no such parameter; did you mean sensor_name? (given at the start"
         assert text in capfd.readouterr().err

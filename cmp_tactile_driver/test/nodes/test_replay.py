@@ -104,7 +104,7 @@ def test_camera_infos_of_another_sensor_are_warned_of(ros, frame_bag, capfd):
     assert "expected 1024: is sample_rig the description of this sensor?" in log
 
 
-def test_folder_of_colour_images(ros, tmp_path, capfd):
+def test_folder_of_colour_images(ros, tmp_path):
     colours = np.random.default_rng(2).integers(0, 256, (5, 6, 8, 3), np.uint8)
     for number, colour in enumerate(colours):
         cv2.imwrite(str(tmp_path / f"{number}.png"), colour)
@@ -123,9 +123,6 @@ def test_folder_of_colour_images(ros, tmp_path, capfd):
     assert all(np.array_equal(_pixels(a), b) for a, b in zip(images, colours, strict=True))
     # The sensor's calibration is not that of images of another size.
     assert infos == []
-    log = "".join(capfd.readouterr())
-    assert f"{tmp_path}: found a frame of 8 x 6 px" in log
-    assert log.count("is sample_rig the description of this sensor?") == 1
 
 
 def test_pause_and_rate_while_it_plays(ros, frame_bag, frames):

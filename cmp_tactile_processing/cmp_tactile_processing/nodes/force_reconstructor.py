@@ -87,7 +87,7 @@ class ForceReconstructor(StageNode):
         self._one_view = len(self.sensor.views) == 1
         self._progress = "building the force model"
         self._health = ForceHealth()
-        self._zeroed_load, self._number = 0.0, 0
+        self._number = 0
         self._builds = threading.Lock()
         self._force = StageParameters(self, self.sensor.force, self._start_building)
         self._slip = StageParameters(self, self.sensor.slip, self._use_slip, "slip")
@@ -170,7 +170,6 @@ class ForceReconstructor(StageNode):
         self.frame_out(header)
         if whole:
             self._health.add(field)
-        self._warn_of_load(stage)
         if self._points_publisher.get_subscription_count():
             grid = (field.rows, field.cols, 3)
             self._points_publisher.publish(
@@ -182,27 +181,19 @@ class ForceReconstructor(StageNode):
                 )
             )
 
-    def _warn_of_load(self, stage: ForceStage) -> None:
-        if stage.zeroed_load not in {0.0, self._zeroed_load}:
-            self.get_logger().warning(_zeroed_under(stage.zeroed_load))
-        self._zeroed_load = stage.zeroed_load
-
     def _update_diagnostics(self) -> None:
         self._adopt_built()
         level, note, figures = self._health.close_period()
-        ready = self._stage is not None
+        ready, notes = self._stage is not None, [note]
         if self._one_view and ADVICE[ForceFlag.NO_DEPTH] not in note:
-            note = "; ".join(filter(None, (note, ADVICE[ForceFlag.NO_DEPTH])))
-        if self._zeroed_load:
-            note = "; ".join(filter(None, (_zeroed_under(self._zeroed_load), note)))
+            notes.append(ADVICE[ForceFlag.NO_DEPTH])
+        if self._stage is not None and self._stage.zeroed_load:
+            load = self._stage.zeroed_load
+            notes.insert(0, f"the reference was taken under a load of {load:.2f} N")
         self.diagnostics.note_level = level
-        self.diagnostics.note = note if ready else self._progress
+        self.diagnostics.note = "; ".join(filter(None, notes)) if ready else self._progress
         waiting = "failed" if self.diagnostics.failure else "building"
         self.diagnostics.extra = {"model": "ready" if ready else waiting, **figures}
-
-
-def _zeroed_under(load: float) -> str:
-    return f"the reference was taken under a load of {load:.2f} N"
 
 
 def main() -> int:

@@ -16,7 +16,12 @@ from cmp_tactile_processing.drawing.gridlines import draw_grid
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.image.raw import BitDepth
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.ros import base_nodes
+from cmp_tactile_processing.ros.base_nodes import (
+    IMAGE_DEPTH,
+    FrameCollection,
+    FrameService,
+    StageNode,
+)
 from cmp_tactile_processing.ros.diagnostics.health import GridHealth
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.making import view_frame
@@ -28,7 +33,6 @@ from cmp_tactile_processing.ros.parameters import (
 )
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters
-from cmp_tactile_processing.ros.waiting_frames import FrameCollection, FrameService
 from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -53,7 +57,7 @@ class GridlineTrackerParameters(ImageInputParameters):
     view: str = parameter("left", "view to track", choices=("left", "right"))
 
 
-class GridlineTracker(base_nodes.StageNode):
+class GridlineTracker(StageNode):
     """Finds and numbers the gridlines in `<view>/image_raw`; one node per view.
 
     If an image shows no pattern, the grid has missing points, with `fault` and `reason`; the
@@ -84,7 +88,7 @@ class GridlineTracker(base_nodes.StageNode):
         self._frame = view_frame(self.sensor, self._view)
         self._grid = self.add_result(GridMsg, f"{self._view}/grid", grid_to_msg)
         self._overlay_publisher = self.add_publisher(
-            Image, f"{self._view}/grid_overlay", base_nodes.IMAGE_DEPTH
+            Image, f"{self._view}/grid_overlay", IMAGE_DEPTH
         )
         self._prepare_overlay()
         self._health = GridHealth()

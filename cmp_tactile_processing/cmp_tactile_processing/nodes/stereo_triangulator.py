@@ -16,14 +16,17 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
-from cmp_tactile_processing.ros import base_nodes
+from cmp_tactile_processing.ros.base_nodes import (
+    FrameCollection,
+    FrameService,
+    StageNode,
+)
 from cmp_tactile_processing.ros.diagnostics.health import reference_figures
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.waiting_frames import FrameCollection, FrameService, StampPairing
 from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
@@ -43,7 +46,41 @@ class ReferenceParameters(Parameters, section="reference"):
     )
 
 
-class StereoTriangulator(base_nodes.StageNode):
+class StampPairing:
+    """Holds what still waits for its partner, at most `capacity` items a side.
+
+    Partners may come late, in any order, or never: an item is given up (and counted in
+    `unpaired`) only when the buffer of its side is full or the same stamp comes again.
+    """
+
+    def __init__(self, sides: tuple[str, str], capacity: int = 20) -> None:
+        self._capacity = capacity
+        self._waiting: dict[str, dict[int, Any]] = {side: {} for side in sides}
+        self._partner = dict(zip(sides, reversed(sides), strict=True))
+        self._sides = sides
+        self.unpaired = dict.fromkeys(sides, 0)
+
+    def add(self, side: str, stamp_ns: int, item: Any) -> tuple[Any, Any] | None:
+        """The pair that the item completes, in the order of `sides`, or None while it waits."""
+        partner = self._waiting[self._partner[side]].pop(stamp_ns, None)
+        if partner is not None:
+            return (item, partner) if side == self._sides[0] else (partner, item)
+        waiting = self._waiting[side]
+        if waiting.pop(stamp_ns, None) is not None:
+            self.unpaired[side] += 1
+        elif len(waiting) == self._capacity:
+            waiting.pop(next(iter(waiting)))
+            self.unpaired[side] += 1
+        waiting[stamp_ns] = item
+        return None
+
+    def forget(self, side: str) -> None:
+        """Give up what waits on a side."""
+        self.unpaired[side] += len(self._waiting[side])
+        self._waiting[side].clear()
+
+
+class StereoTriangulator(StageNode):
     """Turns `left/grid` and `right/grid` of equal stamp into `surface`.
 
     A sensor with one view has one grid, and its surface no depth.  Displacement refers to the

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import suppress
 from dataclasses import dataclass
 
-from rclpy.duration import Duration
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
@@ -16,8 +14,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.measured import ForceField, Surface
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.messages import reading
-from cmp_tactile_processing.ros.messages.conversions import header_at, organised_cloud
-from cmp_tactile_processing.ros.messages.making import gel_frame
+from cmp_tactile_processing.ros.messages.conversions import organised_cloud
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.rviz import drawing
@@ -26,8 +23,6 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 
-# As long as the end of the node waits for its viewers.
-FAREWELL = Duration(seconds=0.2)
 # What came of the other topic is drawn beside the newest message for so long, by their stamps.
 KEPT_NS = 1_000_000_000
 
@@ -76,22 +71,13 @@ class SurfaceVisualizer(StageNode):
     colour of its slip state: green sticks, orange begins to slip, magenta slips, pale blue unknown.
     Ids are 0; texts have one id for each line.  Each message begins with DELETEALL and is complete:
     it has the newest surface, and the newest force unless their stamps differ by more than a
-    second.  Markers vanish after `lifetime` if they are not drawn again, and when the node ends.
+    second.  Markers vanish after `lifetime` if they are not drawn again.
 
     Markers of a sensor with one view are drawn on its known surface; its clouds have no depth.
     Parameters may change while the node runs; the markers are then drawn again at once.
     """
 
     default_name = "surface_visualizer"
-
-    def destroy_node(self) -> None:
-        """Delete what is on show, then destroy the node."""
-        with suppress(Exception):  # half built, or ROS has ended
-            if self.context.ok() and self._anybody_looks():
-                header = header_at(self.get_clock().now().to_msg(), gel_frame(self.sensor))
-                self._marker_publisher.publish(drawing.marker_array_bytes([], header))
-                self._marker_publisher.wait_for_all_acked(FAREWELL)
-        super().destroy_node()
 
     def _set_up(self) -> None:
         # The newest of each topic, what came last at the end.

@@ -21,7 +21,7 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.image.raw import BitDepth
-from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, CameraInfoPublisher, StageNode
+from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.messages import conversions, making
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
@@ -67,11 +67,6 @@ class Mounting(Parameters):
             )
             raise ParameterError(msg)
         return mounting
-
-    @property
-    def is_elsewhere(self) -> bool:
-        """Whether a pose is given."""
-        return any(self.mount_position) or any(self.mount_orientation)
 
     def transforms(self, sensor: SensorDescription) -> list[Any]:
         """The one from parent_frame to the gel frame, with stamp 0; none without a parent."""
@@ -143,10 +138,6 @@ class ViewSplitter(StageNode):
         )
 
     def _send_transforms(self, mounting: Mounting) -> None:
-        if mounting.is_elsewhere and not mounting.parent_frame:
-            self.get_logger().warning(
-                "mount_position and mount_orientation have no effect without parent_frame"
-            )
         self._broadcaster = StaticTransformBroadcaster(self)
         now = self.get_clock().now().to_msg()
         transforms = making.static_transforms(
@@ -191,11 +182,12 @@ class _ViewOutput:
             Image, f"{view.name}/image_raw", conversions.frame_to_msg, IMAGE_DEPTH
         )
         self._rect = node.add_publisher(Image, f"{view.name}/image_rect", IMAGE_DEPTH)
-        self._info = CameraInfoPublisher(
-            node.add_publisher(CameraInfo, f"{view.name}/camera_info", IMAGE_DEPTH, latched=True)
+        self._info_publisher = node.add_publisher(
+            CameraInfo, f"{view.name}/camera_info", IMAGE_DEPTH, latched=True
         )
-        info, header = rectification.info(view.name), Header(frame_id=self._rectified_frame)
-        self._info.change(conversions.camera_info_to_msg(info, header))
+        header = Header(frame_id=self._rectified_frame)
+        self._info = conversions.camera_info_to_msg(rectification.info(view.name), header)
+        self._info_publisher.publish(self._info)
 
     def header(self, camera_header: Header) -> Header:
         """Of the view's image."""
@@ -204,7 +196,9 @@ class _ViewOutput:
     def publish_more(self, image: NDArray[np.uint8], camera_header: Header) -> None:
         """Calibration and rectified image, where somebody subscribes."""
         header = conversions.header_at(camera_header.stamp, self._rectified_frame)
-        self._info.publish(header)
+        # With each image, for image_transport and image_pipeline match the two by their stamps.
+        if self._info_publisher.get_subscription_count():
+            self._info_publisher.publish(conversions.with_header(self._info, header))
         if self._rect.get_subscription_count():
             rectified = self._rectification.rectify(self._name, image)
             self._rect.publish(conversions.image_to_msg(rectified, encoding_of(image), header))

@@ -1,4 +1,4 @@
-"""What nodes have in common: parameters, reports, guarded callbacks, QoS, the sensor of a stage."""
+"""What nodes have in common: reports, guarded callbacks, QoS, the sensor, frames that wait."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import CameraInfo
+from rclpy.task import Future
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, Stamp
@@ -26,13 +31,12 @@ from cmp_tactile_processing.ros.diagnostics.status import (
     status_name,
     summary,
 )
-from cmp_tactile_processing.ros.messages.conversions import with_header
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.ros.parameters import (
-    ExplainingNode,
     SensorParameters,
     declare_parameters,
     unknown_overrides,
+    why_refused,
 )
 from cmp_tactile_processing.ros.wiring import Finish, Given, Input, Output, WiredNode
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -43,7 +47,7 @@ and whoever asked waits without end."""
 DIAGNOSTICS_PERIOD_S = 1.0
 
 
-class ReportingNode(ExplainingNode, WiredNode, ABC):
+class ReportingNode(WiredNode, ABC):
     """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up."""
 
     @abstractmethod
@@ -95,31 +99,93 @@ class ReportingNode(ExplainingNode, WiredNode, ABC):
             self.destroy_node()
             raise
 
+    def set_parameters_atomically(
+        self, parameter_list: list[Parameter[Any]]
+    ) -> SetParametersResult:
+        """As Node's; the services of the node set parameters by this."""
+        for reason in (why_refused(self, item) for item in parameter_list):
+            if reason:
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         kwargs.setdefault("qos_profile", SERVICE_QOS)
         return super().create_service(*args, **kwargs)
 
 
-class CameraInfoPublisher:
-    """Publishes calibration when it changes, and beside each image while somebody subscribes.
+Frame = TypeVar("Frame")
 
-    image_transport and image_pipeline match the two by their stamps.  On a latched topic late
-    subscribers get it at once.
+
+class FrameCollection(Generic[Frame]):
+    """Frames that a request waits for; `finish` answers it, once they are used."""
+
+    def __init__(self, wanted: int) -> None:
+        self.wanted = wanted
+        self.frames: list[Frame] = []
+        self.outcome: Future[tuple[bool, str]] = Future()
+
+    def finish(self, success: bool, explanation: str) -> None:
+        """Settle the outcome; a second time changes nothing."""
+        if not self.outcome.done():
+            self.outcome.set_result((success, explanation))
+
+
+class FrameService(Generic[Frame]):
+    """A Trigger service that collects frames, one request at a time.
+
+    name: the service's; busy: the answer while another request is open; wanted: gives number of
+    frames, longest wait in s, and the topics that they come from.
     """
 
-    def __init__(self, publisher: Publisher[Any]) -> None:
-        self._publisher, self._info = publisher, CameraInfo()
+    def __init__(
+        self, node: Node, name: str, busy: str, wanted: Callable[[], tuple[int, float, str]]
+    ) -> None:
+        self._node, self._busy, self._wanted = node, busy, wanted
+        self._open: FrameCollection[Frame] | None = None
+        # A group of its own: the service waits for frames, which must come in meanwhile.
+        node.create_service(Trigger, name, self._answer, callback_group=ReentrantCallbackGroup())
 
-    def change(self, info: CameraInfo) -> None:
-        """Publish another calibration, now and from now on."""
-        self._info = info
-        self._publisher.publish(info)
+    @property
+    def is_open(self) -> bool:
+        """Whether frames are being collected."""
+        return self._open is not None
 
-    def publish(self, header: Header) -> None:
-        """Publish it with the header of an image."""
-        if self._publisher.get_subscription_count():
-            self._publisher.publish(with_header(self._info, header))
+    def take(self, frame: Frame) -> FrameCollection[Frame] | None:
+        """Add a frame; the collection to be used and finished where it was the last one needed."""
+        collection = self._open
+        if collection is None:
+            return None
+        collection.frames.append(frame)
+        if len(collection.frames) < collection.wanted:
+            return None
+        self._open = None
+        return collection
+
+    async def _answer(
+        self, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        if self._open is not None:
+            response.success, response.message = False, self._busy
+            return response
+        count, timeout_s, topics = self._wanted()
+        collection = self._open = FrameCollection[Frame](count)
+
+        def give_up() -> None:
+            found = f"found {len(collection.frames)} frames on {topics} in {timeout_s:g} s"
+            collection.finish(False, f"{found}, expected {count}")
+
+        executor = self._node.executor
+        if executor is not None:
+            # The last frame comes on another thread, which the executor does not see.
+            collection.outcome.add_done_callback(lambda _: executor.wake())
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self._node.create_timer(timeout_s, give_up, clock=steady)
+        response.success, response.message = await collection.outcome
+        self._node.destroy_timer(timer)
+        if self._open is collection:
+            self._open = None
+        return response
 
 
 RESULT_DEPTH = 10

@@ -77,44 +77,19 @@ TYPES = {
 }
 
 
-class ExplainingNode(Node):
-    """Stands before Node or LifecycleNode among the bases; its refusals say why.
-
-    rclpy refuses the same, but names types by number and neither the parameter of a wrong type nor
-    the one that is unknown.
-    """
-
-    def set_parameters_atomically(
-        self, parameter_list: list[Parameter[Any]]
-    ) -> SetParametersResult:
-        """As Node's; the services of the node set parameters by this."""
-        for item in parameter_list:
-            reason = why_refused(self, item)
-            if reason:
-                return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
-
-
 def why_refused(node: Node, parameter: Parameter[Any]) -> str:
-    """What is wrong with a parameter by itself; empty where nothing is, or a callback may say."""
-    name, found = parameter.name, parameter.value
-    if not node.has_parameter(name):
-        return _unknown(node, name)
-    descriptor = node.describe_parameter(name)
-    if descriptor.read_only:
-        return f"{name}: found {found!r}, expected no change: it is fixed at the start"
-    same_type = descriptor.dynamic_typing or parameter.type_.value == descriptor.type
-    if same_type and _within(descriptor, found):
+    """Why a name or a type is refused, which rclpy does not say by name; empty where neither is."""
+    if not node.has_parameter(parameter.name):
+        return _unknown(node, parameter.name)
+    descriptor = node.describe_parameter(parameter.name)
+    if descriptor.read_only or parameter.type_.value == descriptor.type:
         return ""
-    expected = _expected(descriptor, descriptor.type, same_type=same_type)
-    return f"{name}: found {_plain(found)!r}, expected {expected}"
+    expected = _expected(descriptor, descriptor.type)
+    return f"{parameter.name}: found {_plain(parameter.value)!r}, expected {expected}"
 
 
-def _expected(descriptor: ParameterDescriptor, kind: int, *, same_type: bool) -> str:
-    """The range or choice; before it the type, where that is what is wrong."""
+def _expected(descriptor: ParameterDescriptor, kind: int) -> str:
     limits = f"{allowed(descriptor)} {unit_of(descriptor)}".strip()
-    if same_type and limits:
-        return limits
     return ", ".join(filter(None, (TYPES.get(kind, "another type"), limits)))
 
 
@@ -131,12 +106,6 @@ def unknown_overrides(node: Node) -> list[str]:
 def _unknown(node: Node, name: str) -> str:
     meant = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
     return f"{name}: no such parameter" + (f"; did you mean {meant[0]}?" if meant else "")
-
-
-def _within(descriptor: ParameterDescriptor, found: Any) -> bool:
-    # NaN is not within either.
-    bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
-    return all(item.from_value <= found <= item.to_value for item in bounds)
 
 
 def _plain(found: Any) -> Any:
@@ -237,8 +206,7 @@ def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDe
         # The exceptions have the value only within a text of their own.
         override = node._parameter_overrides.get(name)  # noqa: SLF001
         found = default if override is None else override.value
-        kind, other = (Parameter.Type.from_parameter_value(item) for item in (default, found))
-        expected = _expected(descriptor, kind.value, same_type=kind is other)
+        expected = _expected(descriptor, Parameter.Type.from_parameter_value(default).value)
         msg = (
             f"{node.get_fully_qualified_name()}: parameter {name}: "
             f"found {found!r}, expected {expected}"

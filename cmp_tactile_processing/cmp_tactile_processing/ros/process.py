@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-import re
 import signal
 import sys
 import threading
@@ -30,53 +29,27 @@ from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
 
-REPEAT_S = 0.5
 LOGGED_S = 5.0
 
 
-EXPECTED = {
-    "remap rule": "FROM:=TO",
-    "parameter override rule": "NAME:=VALUE",
-    "log level": "debug, info, warn, error or fatal",
-}
-MOST_DOMAIN = 232
-"""A higher one has no UDP ports (7400 + 250 x domain; DDSI-RTPS 2.5, 9.6.1.1)."""
-_NOT_PARSED = re.compile(r"Couldn't parse ([\w ]+): '([^']*)'")
-
-
 class JoinError(CmpTactileError):
-    """ROS refuses this process: its arguments, its domain, or as it cannot protect the graph."""
+    """ROS refuses this process, for its arguments, its domain or its security."""
 
 
 @contextmanager
 def joining_ros() -> Iterator[None]:
-    """Names in one line why the ROS context or the first node cannot be made.
+    """Within it, JoinError says in one line why the ROS context or the first node cannot be made.
 
-    Raises JoinError for ROS arguments that cannot be read, for ROS_DOMAIN_ID, and where
-    ROS_SECURITY_ENABLE asks for what the middleware lacks.  What rcl says has several lines, or
-    only "error not set"; of domains it takes 5.5 for 5 and -1 for 0.
+    What rcl says has several lines, and places in its source.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID", "")
-    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= MOST_DOMAIN):
-        msg = f"ROS_DOMAIN_ID: found {domain!r}, expected a whole number from 0 to {MOST_DOMAIN}"
-        raise JoinError(msg)
     try:
         with warnings.catch_warnings():
             # Of the half-made node.
             warnings.simplefilter("ignore", RuntimeWarning)
             yield
     except RCLError as error:
-        if found := _NOT_PARSED.search(str(error)):
-            what, text = found.groups()
-            msg = f"{what}: found '{text}', expected {EXPECTED.get(what, 'a ROS argument')}"
-        elif os.environ.get("ROS_SECURITY_ENABLE") == "true":
-            msg = (
-                "ROS_SECURITY_ENABLE=true: found no secure connection to the ROS graph; the Fast "
-                "DDS of the Python wheels has no security, use a ROS 2 of the system: "
-                f"{' '.join(str(error).split())}"
-            )
-        else:
-            raise
+        reason = " ".join(str(error).partition(", at ")[0].split())
+        msg = f"found no way into ROS, expected valid ROS arguments and ROS_DOMAIN_ID: {reason}"
         raise JoinError(msg) from None
 
 
@@ -105,33 +78,41 @@ def init_beside(context: Context) -> None:
     rclpy.init(args=ros_args, context=context, signal_handler_options=SignalHandlerOptions.NO)
 
 
+class CallbackErrors:
+    """What callbacks of a node raised: `count` of them, and `last` in one line."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.last = self._last_traceback = ""
+
+    def report(self, node: Node | None, error: BaseException) -> None:
+        """Log the traceback; the same one again and again only once in five seconds."""
+        trace = "".join(traceback.format_exception(error))
+        self.count += 1
+        is_known, self._last_traceback = trace == self._last_traceback, trace
+        self.last = trace.strip().rpartition("\n")[2]
+        logger = get_logger("rclpy") if node is None else node.get_logger()
+        text = f"a callback raised an exception (number {self.count}); the node continues\n{trace}"
+        if is_known:
+            logger.error(text, throttle_duration_sec=LOGGED_S)
+        else:
+            logger.error(text)
+
+
 class LastingExecutor(SingleThreadedExecutor):
     """Goes on after a callback that raised, as by a request that rclpy itself cannot read."""
 
     def spin(self) -> None:
         """Until it or its context is shut down; logs what callbacks raise."""
-        before = ""
+        errors = CallbackErrors()
         with suppress(ShutdownException):
             while self.context.ok():
                 callback, _, node = self.wait_for_ready_callbacks()
                 callback()
                 error = callback.exception()
                 # A signal shuts the context down first; what then fails in rcl is part of the end.
-                if error is None or not self.context.ok():
-                    continue
-                trace = "".join(traceback.format_exception(error))
-                text = f"a callback raised an exception; the node continues\n{trace}"
-                log_raised(node, text, is_known=trace == before)
-                before = trace
-
-
-def log_raised(node: Node | None, text: str, *, is_known: bool) -> None:
-    """Log what a callback of a node raised; what is known already only once in five seconds."""
-    logger = get_logger("rclpy") if node is None else node.get_logger()
-    if is_known:
-        logger.error(text, throttle_duration_sec=LOGGED_S)
-    else:
-        logger.error(text)
+                if error is not None and self.context.ok():
+                    errors.report(node, error)
 
 
 def spare_the_collector() -> None:
@@ -197,38 +178,26 @@ def leave_at_once(code: int) -> None:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """SIGINT, SIGTERM and SIGHUP raise KeyboardInterrupt here, also in a constructor that compiles.
+    """SIGTERM and SIGHUP raise KeyboardInterrupt here, too, also in a constructor that compiles.
 
-    Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
-    the interrupt is repeated until it comes through, and no traceback is printed for the lost ones.
     rclpy passes SIGINT and SIGTERM on to these handlers.
     """
-    report_unraisable = sys.unraisablehook
-
-    def report(unraisable: sys.UnraisableHookArgs) -> None:
-        if unraisable.exc_type is not KeyboardInterrupt:
-            report_unraisable(unraisable)
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
-        if number == signal.SIGHUP:
-            # A shell and the kernel send one each: the second must not disturb the end.
-            before[number] = signal.SIG_IGN
-            signal.signal(number, signal.SIG_IGN)
-        signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+        # A shell and the kernel send one each: the second must not disturb the end.
+        before[number] = signal.SIG_IGN
+        signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    numbers = [signal.SIGINT, signal.SIGTERM, signal.SIGALRM]
+    numbers = [signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` has it
         numbers.append(signal.SIGHUP)
     before: dict[int, Any] = {number: signal.signal(number, interrupt) for number in numbers}
-    sys.unraisablehook = report
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
         for number, handler in before.items():
             signal.signal(number, handler)
-        sys.unraisablehook = report_unraisable
 
 
 Self = TypeVar("Self", bound="Listener")

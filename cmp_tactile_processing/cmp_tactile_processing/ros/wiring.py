@@ -20,7 +20,7 @@ from typing import Any
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSCompatibility, qos_check_compatible
+from rclpy.qos import HistoryPolicy
 
 from cmp_tactile_processing.cache.one_thread import one_thread
 from cmp_tactile_processing.cache.view_threads import ViewThreads
@@ -307,13 +307,8 @@ class Wiring:
 
 
 def _fit(output: Output, end: Input) -> bool:
-    publisher, subscription = output.publisher, end.subscription
-    if publisher.topic_name != subscription.topic_name:
-        return False
-    if publisher.msg_type is not subscription.msg_type:
-        return False
-    verdict, _ = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
-    return bool(verdict != QoSCompatibility.ERROR)
+    one, other = output.publisher, end.subscription
+    return bool(one.topic_name == other.topic_name and one.msg_type is other.msg_type)
 
 
 _joined: ContextVar[Wiring | None] = ContextVar("wiring", default=None)

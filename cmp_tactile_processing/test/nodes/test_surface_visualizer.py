@@ -24,7 +24,6 @@ from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, S
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
 from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker, marker_array_bytes
-from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -240,20 +239,6 @@ def test_each_contact_has_its_outline_resultant_and_text_in_the_colour_of_its_sl
         assert (line.scale.x, line.scale.y, line.scale.z) == (0.001, 0.0, 0.001)
 
 
-def test_eight_contacts_have_texts_which_can_be_switched_off(ros):
-    many = [_contact(SlipEstimate(), (1e-3 * k, 0.0, 0.0)) for k in range(11)]
-    scene = Scene(ros)
-    for count, shown in ((11, 8), (1, 1), (0, 0)):
-        markers = scene.show(_pressed(*many[:count]))
-        # Of three lines, two are used: nothing is known of slip.
-        assert sum(marker.ns == "contact_text" for marker in markers.values()) == 2 * shown
-    (answer,) = ros.set_parameters("surface_visualizer", {"contact_text": False})
-    assert answer.successful
-    ros.wait(lambda: len(scene.arrays) == 4, "no contact without texts")
-    names = {marker.ns for marker in scene.show(_pressed(*many)).values()}
-    assert names == {"force", "contact", "resultant", "moment"}
-
-
 @pytest.mark.parametrize(
     "force",
     [np.nan, np.random.default_rng(0).normal(size=(ROWS, COLS, 3)) * 0.05],
@@ -265,22 +250,6 @@ def test_of_nothing_to_show_there_is_no_marker(ros, force):
     field = _field(nowhere, np.broadcast_to(force, (ROWS, COLS, 3)))
     markers = Scene(ros).show(_surface(seen=nowhere), field)
     assert {marker.ns for marker in markers.values()} == {"legend"}
-
-
-def test_arrows_that_are_no_longer_than_twice_the_width_of_their_line_are_left_out():
-    """They would be dots without a direction, on every node that is at rest."""
-    look = MarkerParameters(displacement_gain=2.0, line_width=5e-5)
-    displacement = np.zeros((ROWS, COLS, 3))
-    displacement[2, 3, 2], displacement[4, 5, 2] = -4.9e-5, -5.1e-5
-    drawn = surface_markers(_surface(displacement), look)
-    (marker,) = (item for item in drawn if item.namespace == "displacement")
-    np.testing.assert_array_equal(marker.points[0], PATTERN.corners()[4, 5])
-    assert len(marker.points) == 6
-    field = _pressed(_contact(SlipEstimate(SlipState.STICK), (0.0, 0.0, 0.0)))
-    # Of 0.02 N at a node, 0.098 mm are drawn; the arrow of a contact is drawn however short.
-    drawn = force_markers(field, replace(look, force_gain=4.9e-3, resultant_gain=1e-5))
-    counts = {item.namespace: len(item.points) for item in drawn}
-    assert (counts["force"], counts["resultant"]) == (0, 6)
 
 
 def test_the_newest_surface_and_force_are_drawn_unless_one_of_them_is_old(ros):
@@ -314,7 +283,7 @@ def test_nothing_is_computed_while_nobody_looks(ros):
     ros.wait(lambda: arrays, "markers")
 
 
-def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
+def test_markers_vanish_if_they_are_not_renewed(ros):
     node = ros.start(SurfaceVisualizer, lifetime=1.5)
     arrays = ros.listen(MarkerArray, "markers")
     ros.wait_subscribed(node, "markers")
@@ -324,11 +293,6 @@ def test_markers_vanish_if_they_are_not_renewed_and_when_the_node_ends(ros):
     lifetimes = {(m.lifetime.sec, m.lifetime.nanosec) for m in arrays[0].markers[1:]}
     assert lifetimes == {(1, 500_000_000)}
     assert all(marker.frame_locked for marker in arrays[0].markers), "they move with the finger"
-    ros.executor.remove_node(node)
-    node.destroy_node()
-    ros.wait(lambda: len(arrays) == 2, "the farewell")
-    (farewell,) = arrays[1].markers
-    assert (farewell.action, farewell.ns) == (Marker.DELETEALL, "")
 
 
 def test_moment_is_drawn_about_the_contacts_own_centre(ros):

@@ -170,11 +170,6 @@ def test_mounting_that_cannot_be_meant_is_refused_with_the_reason(ros, name, val
         ros.start(ViewSplitter, **(MOUNT | {name: value}))
 
 
-def test_pose_without_parent_is_warned_of(ros, capfd):
-    ros.start(ViewSplitter, mount_position=[0.0, 0.0, 0.1])
-    assert "have no effect without parent_frame" in capfd.readouterr().err
-
-
 def test_rectified_pair_follows_image_pipeline(described, sample):
     """Points of the frame that both camera_infos name, projected by P alone, are the truth's.
 

@@ -35,7 +35,6 @@ from cmp_tactile_processing.ros.messages.conversions import (
     grid_to_msg,
     organised_cloud,
     surface_to_msg,
-    wrench_to_msg,
 )
 from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
@@ -225,26 +224,15 @@ def test_grid_that_knows_less_comes_back_as_it_was(ros, grid):
     assert read.corner_std is None
 
 
-@pytest.mark.parametrize("fault", GridFault)
-def test_every_fault_but_none_has_its_name_in_the_message(grid, fault):
-    msg = grid_to_msg(replace(grid, fault=fault), HEADER)
-    assert msg.fault == getattr(GridMsg, f"FAULT_{fault.name}", "")
-    assert grid_from_msg(msg, SHAPE).fault is fault
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
         ("fault", "tired", r"^fault: found 'tired', expected one of '', 'dark', "),
-        ("confidence", 1.5, r"^confidence: found 1.5, expected 0 to 1, or NaN"),
-        ("confidence", -0.25, r"^confidence: found -0.25"),
-        ("confidence", np.inf, r"^confidence: found inf"),
-        ("corner_std_px", array("f", [-0.5] * 35), r"^corner_std_px: found -0.5, expected 0"),
         ("corner_status", array("B", [3] * 35), r"^corner_status: found code 3, expected one of 0"),
         ("row_line_status", array("B", [3] * 90), r"^row_line_status: found code 3, expected one"),
     ],
 )
-def test_impossible_codes_and_deviations_of_a_grid_are_refused(grid, name, value, message):
+def test_impossible_codes_of_a_grid_are_refused(grid, name, value, message):
     msg = grid_to_msg(grid, HEADER)
     setattr(msg, name, value)
     with pytest.raises(GeometryError, match=message):
@@ -291,22 +279,6 @@ def test_every_flag_has_its_bit_in_the_message_and_those_of_a_newer_sender_are_k
     read = force_field_from_msg(msg)
     assert ForceFlag.AT_BORDER in read.flags
     assert force_field_to_msg(read, HEADER).flags == msg.flags
-
-
-def test_wrench_carries_force_then_moment(field):
-    wrench = wrench_to_msg(field, HEADER).wrench
-    found = [wrench.force.x, wrench.force.y, wrench.force.z]
-    found += [wrench.torque.x, wrench.torque.y, wrench.torque.z]
-    assert found == field.wrench.tolist()
-
-
-def test_read_arrays_are_the_readers_own(grid):
-    """A stage that writes into its input must not change the message that others hold."""
-    msg = grid_to_msg(grid, HEADER)
-    read = grid_from_msg(msg, SHAPE)
-    read.corners[:] = 0
-    read.corner_status[:] = 0
-    _assert_same(grid_from_msg(msg, SHAPE), grid)
 
 
 def test_grid_of_another_sensor_is_refused(grid):
@@ -367,11 +339,9 @@ def test_surface_of_one_view_has_no_depth_and_is_taken(surface):
         ("rows", 65535, r"^position: found 105 values, expected 1376235 "),
         ("force", array("f", [0.0] * 104), r"^force: found 104 values, expected 105 "),
         ("force_std", array("f", [0.0] * 35), r"^force_std: found 35 values, expected 105 "),
-        ("force_std", array("f", [-0.5] * 105), r"^force_std: found -0.5, expected 0 or more"),
         ("contact", array("B"), r"^contact: found 0 values, expected 35 "),
         ("slip_state", 9, r"^slip_state: found 9"),
         ("nodes", array("H", [3, 35]), r"^contacts\[1\].nodes: found 35, expected .* below 35"),
-        ("outline", array("f", [0.0] * 4), r"^contacts\[1\].outline: found 4 values, expected a"),
         ("slip_state", 200, r"^contacts\[1\].slip_state: found 200"),
     ],
 )

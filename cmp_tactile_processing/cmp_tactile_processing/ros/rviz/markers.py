@@ -20,7 +20,7 @@ from cmp_tactile_processing.drawing.looks import (
     depth_colours,
 )
 from cmp_tactile_processing.measured import Contact, ForceField, Surface
-from cmp_tactile_processing.ros.rviz import drawing, texts
+from cmp_tactile_processing.ros.rviz import drawing
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 
@@ -150,7 +150,7 @@ def _contact_texts(
 
     So it covers neither the gel nor its neighbours, and is seen from behind the gel as well.
     """
-    page, size = texts.Page.of(look.up), look.text_size
+    page, size = drawing.Page.of(look.up), look.text_size
     contacts = field.contacts[:MOST_TEXTS]
     edge = max(page.height(points) for points in drawn)
     lines = [contact_lines(item) for item in contacts]
@@ -160,11 +160,11 @@ def _contact_texts(
         beyond = max(edge - float(centre @ page.slope), 0.0) * page.slope
         places.append(centre + beyond + TEXT_HEIGHT * size * page.stack)
     markers: list[drawing.DrawnMarker] = []
-    free = texts.clear_places(places, lines, size, page)
+    free = drawing.clear_places(places, lines, size, page)
     for number, (item, place, own) in enumerate(zip(contacts, free, lines, strict=True)):
         coloured = [(line, SLIP_COLOURS[item.slip.state]) for line in own]
         first = MOST_LINES * number
-        markers += texts.stacked("contact_text", first, place, coloured, size, page)
+        markers += drawing.stacked("contact_text", first, place, coloured, size, page)
     return markers
 
 
@@ -208,7 +208,7 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarke
     known = surface.reference[np.isfinite(surface.reference).all(axis=-1)]
     if not (look.legend and len(known)):
         return []
-    page, size = texts.Page.of(look.up), look.text_size
+    page, size = drawing.Page.of(look.up), look.text_size
     (far_left, low), (right, high) = page.extent(known)
     left, z = right + BAR_GAP * size, float(np.median(known[:, 2]))
     x, y = np.meshgrid([left, left + BAR_WIDTH * size], np.linspace(low, high, BAR_STEPS + 1))
@@ -220,9 +220,9 @@ def _legend(surface: Surface, look: MarkerParameters) -> list[drawing.DrawnMarke
     markers = [bar]
     for word, top in ends:
         place, line = page.place(middle, top, z), [(word, LEGEND_COLOUR)]
-        markers += texts.stacked("legend", len(markers), place, line, size, page)
+        markers += drawing.stacked("legend", len(markers), place, line, size, page)
     below = page.place((far_left + right) / 2, low - SCALES_BELOW * size, z)
-    return markers + texts.stacked("legend", len(markers), below, _scales(look), size, page)
+    return markers + drawing.stacked("legend", len(markers), below, _scales(look), size, page)
 
 
 def _scales(look: MarkerParameters) -> list[tuple[str, drawing.RGBA]]:

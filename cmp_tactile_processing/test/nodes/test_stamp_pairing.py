@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.ros.waiting_frames import StampPairing
+from cmp_tactile_processing.nodes.stereo_triangulator import StampPairing
 
 
 @pytest.fixture
