@@ -270,7 +270,7 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
         (
             {"GREY": {SIZE: (30,)}},
             {"controls.gain": 500},
-            "found 500, expected an integer, 0 to 100",
+            "found 500, expected an integer, 0",
         ),
     ],
 )
