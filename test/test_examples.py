@@ -194,7 +194,7 @@ def live(tmp_path):
     """`cmp_tactile live grasp` as the tutorial runs it; Ctrl-C ends it, without a traceback."""
     command = [sys.executable, "-m", "cmp_tactile_bringup.command", "live", "grasp"]
     with (tmp_path / "live.log").open("w") as log:
-        process = subprocess.Popen([*command, "--no-autoplay"], stdout=log, stderr=log)
+        process = subprocess.Popen([*command, "autoplay:=false"], stdout=log, stderr=log)
     yield process
     try:
         process.send_signal(signal.SIGINT)

@@ -174,8 +174,8 @@ def test_the_grip_of_the_tutorial_holds_a_cup_that_is_filled(ros, running, tmp_p
     settings = {"sensor": "prototype", **SLOW}
     forces = ros.listen(ForceField, "/prototype/force_field")
     live = running.start(
-        "live", "-m", "cmp_tactile_bringup.command", "live", scene, "--no-autoplay",
-        "--frame-rate", 5, "--set", "camera_driver.max_load_rate=100.0",
+        "live", "-m", "cmp_tactile_bringup.command", "live", scene, "autoplay:=false",
+        "frame_rate:=5", f"params_file:={EXAMPLES / 'grip.yaml'}",
     )  # fmt: skip
     # Where nothing is compiled yet, that is done first.
     ros.wait(lambda: forces or live.poll() is not None, "the sensor", timeout_s=900)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cmp_tactile_bringup.graphs.description import Argument, Component, Graph, graph
-from cmp_tactile_bringup.graphs.one_sensor import SensorSettings, sensor_components
+from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import Component, graph
+from cmp_tactile_bringup.graphs.one_sensor import sensor_components
 
 
 @graph(
-    Argument("input", "path", "bag to play"),
-    Argument("sensor", "text", "sensor description, file or name of a packaged one"),
-    Argument("names", "text", "names of the sensors, separated by spaces"),
-    Argument("frame_rate", "number", "frames per second of each, Hz"),
-    Argument("frame_queue", "text", "as that of the packaged graphs", "newest"),
+    Argument("input", "bag to play"),
+    Argument("sensor", "sensor description, file or name of a packaged one"),
+    Argument("names", "names of the sensors, separated by spaces"),
+    Argument("frame_rate", "frames per second of each, Hz", 30.0),
+    Argument("frame_queue", "as that of the packaged graphs", "newest"),
 )
 def cameras(given: Mapping[str, Any]) -> list[Component]:
     """Sensors with the frames of a recording, at a chosen rate, again and again.
@@ -23,11 +24,19 @@ def cameras(given: Mapping[str, Any]) -> list[Component]:
     """
     found, last = [], []
     for name in given["names"].split():
-        settings = SensorSettings.from_arguments(given, source="topic", name=name)
-        nodes, _ = sensor_components(settings)
-        (sensor,) = Graph(tuple(nodes), "").sensors
-        source = {"source": "bag", "input": given["input"], "frame_rate": given["frame_rate"]}
-        camera = "cmp_tactile_driver::CameraDriver", "camera_driver"
+        own = {key: given[key] for key in ("sensor", "frame_queue")}
+        nodes, _ = sensor_components(own, source="topic", name=name)
         found += nodes
-        last.append(sensor.component(*camera, {**source, "loop": True}))
+        sensor = {k: nodes[0].parameters[k] for k in ("sensor_description", "sensor_name")}
+        source = {"source": "bag", "input": given["input"], "frame_rate": given["frame_rate"]}
+        package = "cmp_tactile_driver"
+        camera = Component(
+            package,
+            f"{package}::CameraDriver",
+            "camera_driver",
+            nodes[0].namespace,
+            parameters={**sensor, **source, "loop": True},
+            sensor=nodes[0].sensor,
+        )
+        last.append(camera)
     return [*found, *last]

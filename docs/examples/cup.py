@@ -2,7 +2,7 @@
 
 Start three commands, each in a terminal:
 
-    cmp_tactile live ball:16mm --no-autoplay --set camera_driver.max_load_rate=100.0
+    cmp_tactile live ball:16mm autoplay:=false params_file:=docs/examples/grip.yaml
     python3 docs/examples/hold_force.py --ros-args -p sensor:=prototype
     python3 docs/examples/cup.py
 

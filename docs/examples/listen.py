@@ -1,6 +1,6 @@
 """Subscribes to the force of every frame and prints when the grip becomes firm or loose.
 
-Start a sensor, such as `setup/run cmp_tactile replay grasp --loop`. Then, in another terminal:
+Start a sensor, such as `setup/run cmp_tactile replay grasp loop:=true`. Then, in another terminal:
 `setup/run python3 docs/examples/listen.py`.
 """
 

@@ -204,7 +204,6 @@ def _play_at(
     arguments: Demo,
     progress: Progress,
 ) -> DemoResults:
-    from cmp_tactile_bringup.container.loopback import on_loopback
     from cmp_tactile_bringup.demo import PlayOptions, PlayProgress, play
 
     total = len(recording.truth.stamp_ns)
@@ -219,8 +218,7 @@ def _play_at(
         progress.update(task, completed=count, note=f"{count} of {total} frames")
 
     options = PlayOptions(rate, arguments.output / "container.log")
-    with on_loopback():
-        return play(recording, sensor, options, PlayProgress(on_ready, on_frames))
+    return play(recording, sensor, options, PlayProgress(on_ready, on_frames))
 
 
 def _report(results: DemoResults, rows: Any, folder: Path, progress: Progress) -> Path | None:

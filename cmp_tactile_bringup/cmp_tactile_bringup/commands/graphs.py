@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cmp_tactile_bringup.commands.options import (
     Command,
-    Number,
     RecordingSensor,
     argument,
     misuse,
     option,
-    parameter_option,
 )
-from cmp_tactile_driver.sources.parameters import ReplayParameters
 
-_setting = partial(parameter_option, ReplayParameters)
-# Options that are arguments of the launch file.
-SAME_NAMES = ("start", "end", "paused", "rate", "loop", "topic", "namespace")
 ASSIGNMENTS = (
     "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
 )
@@ -31,33 +23,19 @@ ASSIGNMENTS = (
 @dataclass(frozen=True, kw_only=True)
 class _Graph(Command):
     words: Annotated[list[str] | None, argument("[NAME:=VALUE]", ASSIGNMENTS)] = None
-    set_: Annotated[
-        list[str] | None,
-        option(
-            "set a parameter of a component; may be repeated",
-            metavar="COMPONENT.PARAMETER=VALUE",
-        ),
-    ] = None
     show_args: Annotated[bool, option("list all arguments and end")] = False
 
     def _inputs(self) -> list[str]:
         """The words that assign nothing."""
         return [word for word in self.words or [] if ":=" not in word]
 
-    def _start(self, graph: str, values: Mapping[str, Any], **how: bool) -> int:
-        """Start it as its launch file does; values: left out where empty."""
+    def _start(self, graph: str, *more: str) -> int:
+        """Start it as its launch file does."""
         from cmp_tactile_bringup.container import executables
 
-        texts = {
-            name: str(value).lower() if isinstance(value, bool) else value
-            for name, value in values.items()
-        }
-        given = [f"{name}:={text}" for name, text in texts.items() if text not in {"", None}]
         assigned = [word for word in self.words or [] if ":=" in word]
-        settings = [word for setting in self.set_ or [] for word in ("--set", setting)]
         show = ["--show-args"] if self.show_args else []
-        watch = ["--watch"] if values else []
-        return executables.standalone([graph, *given, *assigned, *watch, *settings, *show], **how)
+        return executables.standalone([graph, *more, *assigned, *show])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,13 +49,13 @@ class Sensor(_Graph):
     """
 
     def run(self) -> int:
-        """Run the graph "sensor" in this process; another machine may want the results."""
-        self._check_assignments()
-        return self._start("sensor", {}, local=False)
+        """Run the graph "sensor" in this process."""
+        return self._start_assigned("sensor")
 
-    def _check_assignments(self) -> None:
+    def _start_assigned(self, graph: str) -> int:
         if other := self._inputs():
             misuse(f"found {other[0]!r}, expected NAME:=VALUE")
+        return self._start(graph)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,9 +73,8 @@ class Gripper(Sensor):
     """
 
     def run(self) -> int:
-        """Run the graph "gripper" in this process; another machine may want the results."""
-        self._check_assignments()
-        return self._start("gripper", {}, local=False)
+        """Run the graph "gripper" in this process."""
+        return self._start_assigned("gripper")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,39 +98,13 @@ class Live(_Graph):
             "scene file or name of a packaged scene (default: grasp). " + ASSIGNMENTS,
         ),
     ] = None
-    sensor: Annotated[
-        str | None,
-        option("sensor description, a file or a packaged name, instead of the scene's"),
-    ] = None
-    frame_rate: Annotated[
-        float | None,
-        option(
-            "frames per second to reach (default: 20, or the scene's if that is lower)",
-            Number(0.1, 1000, "Hz"),
-        ),
-    ] = None
-    max_speed: Annotated[
-        float, option("highest speed of the indenter towards a target", Number(1e-5, 1.0, "m/s"))
-    ] = 0.01
-    no_autoplay: Annotated[
-        bool, option("do not play the scene: hold still until a target or load comes")
-    ] = False
-    namespace: Annotated[str, option("namespace, instead of the sensor's name")] = ""
 
     def run(self) -> int:
         """Run the graph "simulate" in this process."""
-        scenes = self._inputs()
+        scenes = self._inputs() or ["grasp"]
         if len(scenes) > 1:
             misuse(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
-        values = {
-            "scene": scenes[0] if scenes else "grasp",
-            "sensor": self.sensor,
-            "frame_rate": self.frame_rate,
-            "max_speed": self.max_speed,
-            "autoplay": not self.no_autoplay,
-            "namespace": self.namespace,
-        }
-        return self._start("simulate", values)
+        return self._start("simulate", f"scene:={scenes[0]}", "--watch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,16 +125,6 @@ class Replay(_Graph):
         ),
     ]
     sensor: RecordingSensor = None
-    rate: Annotated[float, _setting("rate")] = ReplayParameters.rate
-    start: Annotated[float, _setting("start")] = ReplayParameters.start
-    end: Annotated[float, _setting("end")] = ReplayParameters.end
-    loop: Annotated[bool, _setting("loop")] = ReplayParameters.loop
-    paused: Annotated[bool, _setting("paused")] = ReplayParameters.paused
-    topic: Annotated[str, _setting("topic")] = ReplayParameters.topic
-    namespace: Annotated[str, option("namespace, instead of the sensor's name", metavar="NAME")] = (
-        ""
-    )
-    no_clock: Annotated[bool, option("do not publish /clock, because another replay does")] = False
 
     def run(self) -> int:
         """Run the graph "replay" in this process."""
@@ -201,10 +142,6 @@ class Replay(_Graph):
             if os.pathsep in str(source):
                 msg = f"{source}: found {os.pathsep!r} in the path, expected a path without it"
                 raise RecordingError(msg)
-        values = {
-            "input": os.pathsep.join(str(source.expanduser()) for source in sources),
-            "sensor": required_sensor(sources[0], self.sensor, *sources[1:]),
-            **{name: getattr(self, name) for name in SAME_NAMES},
-            "publish_clock": not self.no_clock,
-        }
-        return self._start("replay", values)
+        sensor = required_sensor(sources[0], self.sensor, *sources[1:])
+        inputs = os.pathsep.join(str(source.expanduser()) for source in sources)
+        return self._start("replay", f"input:={inputs}", f"sensor:={sensor}", "--watch")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import gc
-import itertools
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import TimeoutError as LateError
+from functools import partial
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -79,14 +80,11 @@ def node_arguments(component: Component) -> dict[str, Any]:
     }
 
 
-ENDING = "the container is shutting down"
-
-
 class ComponentContainer:
     """Runs components, those of a sensor connected with one another and on one thread.
 
-    All methods may be called from any thread.  The ROS context must be valid until `shutdown`
-    returned; the container does not end it.
+    All methods may be called from any thread; one component is loaded or unloaded at a time.  The
+    ROS context must be valid until `shutdown` returned; the container does not end it.
     context: that of all components.  threads_before: those that ran before the container.
     """
 
@@ -94,44 +92,53 @@ class ComponentContainer:
         self, context: Context | None = None, lookup: ComponentLookup = find_component
     ) -> None:
         self.context = get_default_context() if context is None else context
-        self._lookup = lookup
-        self._spinners: dict[str, Spinner] = {}
-        self._ending: list[Spinner] = []
         self.threads_before = frozenset(threading.enumerate())
+        self._lookup = lookup
         self._lock = threading.Lock()
-        self._ids = itertools.count(1)
-        # Those that are being built, too, which have no name yet.
         self._components: dict[int, LoadedComponent] = {}
+        self._spinners: dict[str, Spinner] = {}
+        self._last_id = 0
         self._closed = False
 
     def load(self, component: Component) -> int:
         """Build a component and run it; returns its id once it runs.
 
-        Other calls are served meanwhile, however long the constructor takes.
         Raises ComponentLoadError with the reason, also where another component has the name.
         """
-        component.check()
+        with self._lock:
+            try:
+                return self._load(component)
+            except ComponentLoadError as error:
+                raise ComponentLoadError(f"{component.label}: {error}") from None
+
+    def _load(self, component: Component) -> int:
+        try:
+            log_level = LoggingSeverity(component.log_level)
+        except ValueError as error:
+            msg = f"log level: {error}"
+            raise ComponentLoadError(msg) from None
+        found = self._lookup(component.package, component.plugin)
         arguments = node_arguments(component)
         if self.context is not get_default_context():
             arguments["context"] = self.context
-        life = self._register()
+        spinner = self._spinner_of(component, found)
+        loaded = LoadedComponent(spinner)
         try:
-            found = self._find(component)
-            spinner = self._spinner_of(component, found)
-            self._take_name(life, life.build(found, arguments, spinner))
-            life.run(spinner)
-        except ComponentLoadError as error:
-            with self._lock:
-                self._components.pop(life.unique_id, None)
-            life.request_stop()
-            life.join(0.0 if self._closed else STOP_TIMEOUT)
-            _free_memory()
-            raise ComponentLoadError(f"{component.label}: {error}") from None
+            self._check_open()
+            spinner.build(loaded, found, arguments)
+            # ROS would let them share a name, and what is built now would hold up the end.
+            self._check_name(loaded.full_name)
+            self._check_open()
+        except ComponentLoadError:
+            self._stop(loaded, STOP_TIMEOUT)
+            raise
+        self._last_id += 1
+        self._components[self._last_id] = loaded
+        spinner.do(partial(spinner.add, loaded)).result()
         if component.log_level:
-            logger_name = life.full_name.strip("/").replace("/", ".")
-            set_logger_level(logger_name, LoggingSeverity(component.log_level))
+            set_logger_level(loaded.full_name.strip("/").replace("/", "."), log_level)
         spare_the_collector()
-        return life.unique_id
+        return self._last_id
 
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy a component.
@@ -140,23 +147,18 @@ class ComponentContainer:
         within `timeout` s; the component is then gone as soon as that callback ends.
         """
         with self._lock:
-            life = self._components.get(unique_id)
-            if life is not None and life.full_name:
-                del self._components[unique_id]
-        if life is None or not life.full_name:
-            known = ", ".join(str(item.unique_id) for item in self.list()) or "none"
-            msg = f"no component has the id {unique_id}; loaded ids: {known}"
-            raise ComponentError(msg)
-        life.request_stop()
-        if not life.join(timeout):
-            msg = f"{life.full_name}: found a callback that still runs after {timeout} s"
-            raise ComponentError(msg)
-        _free_memory()
+            loaded = self._components.pop(unique_id, None)
+            if loaded is None:
+                known = ", ".join(map(str, self._components)) or "none"
+                msg = f"no component has the id {unique_id}; loaded ids: {known}"
+                raise ComponentError(msg)
+            if not self._stop(loaded, timeout):
+                msg = f"{loaded.full_name}: found a callback that still runs after {timeout} s"
+                raise ComponentError(msg)
 
-    def list(self) -> tuple[LoadedComponent, ...]:
-        """The running components, in the order in which they were loaded."""
-        with self._lock:
-            return tuple(life for life in self._components.values() if life.full_name)
+    def list(self) -> dict[int, LoadedComponent]:
+        """The running components by id, in the order in which they were loaded."""
+        return dict(self._components)
 
     def shutdown(self, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy all components; no more can be loaded.
@@ -164,80 +166,61 @@ class ComponentContainer:
         A callback or a constructor that still runs after `timeout` s is left behind, with a
         warning.
         """
-        with self._lock:
-            self._closed = True
-            lives, self._components = self._components, {}
-        for life in lives.values():
-            # What is being built is stopped by `load`.
-            if life.full_name:
-                life.request_stop()
+        self._closed = True
         deadline = time.monotonic() + timeout
+        for spinner in {item.spinner for item in self._components.values()}:
+            spinner.end()
         late = [
-            life.full_name or "a component that is being built"
-            for life in lives.values()
-            if not life.join(max(0.0, deadline - time.monotonic()))
+            item.full_name
+            for item in self._components.values()
+            if not item.spinner.join(max(0.0, deadline - time.monotonic()))
         ]
-        for spinner in self._ending:
-            # Else it would end beside the ROS context.
-            spinner.join(max(0.0, deadline - time.monotonic()))
+        if self._lock.acquire(timeout=max(0.0, deadline - time.monotonic())):
+            self._components.clear()
+            self._lock.release()
+        else:
+            late.append("a component that is being built")
         if late:
             message = f"still busy after {timeout} s; not waited for any longer: {', '.join(late)}"
             get_logger("component_container").warning(message)
 
-    def _find(self, component: Component) -> ComponentClass:
-        """The class of a component."""
-        found = self._lookup(component.package, component.plugin)
-        if self._closed:
-            # Stopped meanwhile: what would be built now would hold up the end.
-            raise ComponentLoadError(ENDING)
-        return found
-
     def _spinner_of(self, component: Component, found: ComponentClass) -> Spinner:
         """The thread for a component: that of its sensor where it can be connected with others."""
-        key = f"/{component.namespace.strip('/')}"
-        shared = component.intra_process and issubclass(found, WiredNode)
-        with self._lock:
-            spinner = self._spinners.get(key) if shared else None
-            if spinner is None:
-                spinner = Spinner(self.context, self._release)
-            if shared:
-                self._spinners[key] = spinner
-            spinner.users += 1
-            return spinner
+        if not (component.intra_process and issubclass(found, WiredNode)):
+            return Spinner(self.context)
+        key = component.namespace.strip("/")
+        if key not in self._spinners:
+            self._spinners[key] = Spinner(self.context)
+        return self._spinners[key]
 
-    def _release(self, spinner: Spinner) -> None:
-        """A component of a thread is gone; without any the thread ends."""
-        with self._lock:
-            spinner.users -= 1
-            if spinner.users:
-                return
-            kept = {key: item for key, item in self._spinners.items() if item is not spinner}
-            self._spinners = kept
-            self._ending = [item for item in self._ending if not item.join(0)] + [spinner]
-        spinner.do(spinner.end)
+    def _stop(self, loaded: LoadedComponent, timeout: float) -> bool:
+        """Destroy a component, and end a thread without any; False where it is still busy."""
+        spinner = loaded.spinner
+        removed = spinner.do(partial(spinner.remove, loaded))
+        is_last = not any(item.spinner is spinner for item in self._components.values())
+        if is_last:
+            self._spinners = {k: item for k, item in self._spinners.items() if item is not spinner}
+            spinner.end()
+        try:
+            removed.result(timeout)
+        except LateError:
+            return False
+        if is_last:
+            # Its frames would keep the node from being freed.
+            spinner.join(timeout)
+        _free_memory()
+        return True
 
-    def _register(self) -> LoadedComponent:
-        life = LoadedComponent()
-        with self._lock:
-            if self._closed:
-                raise ComponentLoadError(ENDING)
-            life.unique_id = next(self._ids)
-            self._components[life.unique_id] = life
-        return life
+    def _check_open(self) -> None:
+        if self._closed:
+            msg = "the container is shutting down"
+            raise ComponentLoadError(msg)
 
-    def _take_name(self, life: LoadedComponent, name: str) -> None:
-        """Keep the name, unless another component has it: ROS would let them share it."""
-        with self._lock:
-            if life.unique_id not in self._components:
-                raise ComponentLoadError(ENDING)
-            for other in self._components.values():
-                if other.full_name == name:
-                    msg = (
-                        f"id {life.unique_id}: found the name {name}, which id {other.unique_id} "
-                        "has already; expected a different name"
-                    )
-                    raise ComponentLoadError(msg)
-            life.full_name = name
+    def _check_name(self, name: str) -> None:
+        for unique_id, other in self._components.items():
+            if other.full_name == name:
+                msg = f"found the name {name}, which id {unique_id} has already"
+                raise ComponentLoadError(f"{msg}; expected a different name")
 
 
 def _free_memory() -> None:

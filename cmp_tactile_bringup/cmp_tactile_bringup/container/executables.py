@@ -9,7 +9,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 
 from cmp_tactile_bringup.terminal.stop_signal import StopSignal
 
@@ -42,29 +42,15 @@ def component_container() -> int:
     return leave_process(0, container.threads_before)
 
 
-def standalone(args: Sequence[str] | None = None, *, local: bool = True) -> int:
-    """Run a graph until SIGINT or SIGTERM, without launch; the exit code.
-
-    local: keep away from the network, unless the user chose something else.
-    """
+def standalone(args: Sequence[str] | None = None) -> int:
+    """Run a graph until SIGINT or SIGTERM, without launch; the exit code."""
     stop = StopSignal()
     _prepare_for_threads()
     from cmp_tactile_bringup.container.graph_runner import run_graph
-    from cmp_tactile_bringup.container.loopback import on_loopback
 
     if stop.by_signal:
         return 0
-    with on_loopback() if local else nullcontext():
-        return run_graph(list(sys.argv if args is None else ["standalone", *args]), stop)
-
-
-def given_graph() -> int:
-    """Run the graph on stdin: what `standalone` starts for each sensor but the first."""
-    stop = StopSignal()
-    _prepare_for_threads()
-    from cmp_tactile_bringup.container.graph_runner import run_given_graph
-
-    return run_given_graph(sys.argv, stop)
+    return run_graph(list(sys.argv if args is None else ["standalone", *args]), stop)
 
 
 def _prepare_for_threads() -> None:
@@ -77,5 +63,5 @@ def _prepare_for_threads() -> None:
 
 
 if __name__ == "__main__":
-    _EXECUTABLES = (component_container, standalone, given_graph)
+    _EXECUTABLES = (component_container, standalone)
     sys.exit({item.__name__: item for item in _EXECUTABLES}[sys.argv.pop(1)]())

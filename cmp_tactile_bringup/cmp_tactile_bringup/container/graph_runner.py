@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import pickle
 import subprocess
 import sys
 import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 
 from rclpy.logging import get_logger
 
@@ -19,7 +19,7 @@ from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import running_container
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.arguments import argument_list
-from cmp_tactile_bringup.graphs.description import Graph
+from cmp_tactile_bringup.graphs.description import CONTAINER, Graph
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.running import RunningLine
@@ -31,14 +31,11 @@ from cmp_tactile_processing.ros.process import leave_process, split_ros_args
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
+END_WITH_STDIN = "--end-with-stdin"
 # How often components and processes are asked whether they failed, s.
 CHECK_PERIOD = 0.2
 
 Processes = Mapping[str, "subprocess.Popen[bytes]"]
-
-
-class StoppedError(Exception):
-    """The user ended the making of a recording."""
 
 
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
@@ -48,32 +45,29 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     too.  arguments: those of the process, its name first.
     """
     own, ros_args = split_ros_args(arguments[1:])
-    ros_args.insert(0, arguments[0])
+    options = _parser().parse_intermixed_args(own)
+    if options.end_with_stdin:
+        threading.Thread(target=_wait_for_end_of_stdin, args=(stop,), daemon=True).start()
     try:
-        options = _parser().parse_intermixed_args(own)
         graph = _with_recordings(_load(options), stop)
+        if options.only:
+            (graph,) = (part for part in graph.by_sensor() if part.namespace == options.only)
+            graph = replace(graph, viewer=None)
         check_recordings(graph)
         first, *others = graph.by_sensor()
+        commands = {
+            part.sensors[0].name: python_command(
+                EXECUTABLES, "standalone", options.config, *options.arguments,
+                f"--only={part.sensors[0].namespace}", END_WITH_STDIN, *ros_args,
+            )
+            for part in others
+        }  # fmt: skip
         with (
             _viewer_of(graph),
-            _processes_of(others, ros_args) as processes,
-            running_container(ros_args, first.container, first.namespace) as container,
+            _running(commands) as processes,
+            running_container([arguments[0], *ros_args], CONTAINER, first.namespace) as container,
         ):
             code = _run(container, first, stop, processes, watch=options.watch)
-    except CmpTactileError as error:
-        return _failed(str(error))
-    except StoppedError:
-        return 0
-    return leave_process(code, container.threads_before)
-
-
-def run_given_graph(arguments: Sequence[str], stop: StopSignal) -> int:
-    """Run the graph that another process writes to stdin, until that process ends or a signal."""
-    graph = pickle.load(sys.stdin.buffer)  # noqa: S301  of the process that started this one
-    threading.Thread(target=_wait_for_end_of_stdin, args=(stop,), daemon=True).start()
-    try:
-        with running_container(arguments, graph.container, graph.namespace) as container:
-            code = _run(container, graph, stop, {}, watch=False)
     except CmpTactileError as error:
         return _failed(str(error))
     return leave_process(code, container.threads_before)
@@ -104,10 +98,7 @@ def _load(options: argparse.Namespace) -> Graph:
             msg = f"found {assignment!r}, expected NAME:=VALUE"
             raise GraphError(msg)
         values[name] = value
-    graph = function.load(values)
-    for assignment in options.set:
-        graph = graph.with_parameter(assignment)
-    return graph
+    return function.load(values)
 
 
 def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
@@ -115,24 +106,25 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
 
         def show_or_stop(what: str, share: float) -> None:
             if stop.by_signal:
-                raise StoppedError
+                raise SystemExit(0)
             show(what, share)
 
         return with_recordings(graph, show_or_stop)
 
 
 @contextmanager
-def _processes_of(graphs: Sequence[Graph], ros_args: Sequence[str]) -> Iterator[Processes]:
-    """A process for each graph, by the name of its sensor."""
-    command = python_command(EXECUTABLES, "given_graph", *ros_args[1:])
+def _running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
+    """A process for each sensor; they end with this one, by their stdin where this one is killed.
+
+    Ctrl-C is for this process, which then ends them.
+    """
     with ExitStack() as running:
-        processes = {}
-        for graph in graphs:
-            process = running.enter_context(_beside(command))
-            if process.stdin is not None:
-                process.stdin.write(pickle.dumps(graph))
-                process.stdin.flush()
-            processes[graph.sensors[0].name] = process
+        processes = {
+            name: running.enter_context(
+                subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+            )
+            for name, command in commands.items()
+        }
         try:
             yield processes
         finally:
@@ -147,25 +139,14 @@ def _viewer_of(graph: Graph) -> Iterator[None]:
 
     It is not missed where it ends by itself, as for a port that is taken: the sensors run on.
     """
-    if graph.viewer is None:
+    commands = {}
+    if graph.viewer is not None:
+        # JSON's texts are YAML's: a token may be a number.
+        given = (f"{name}:={json.dumps(value)}" for name, value in graph.viewer.items())
+        words = [word for setting in given for word in ("-p", setting)]
+        commands["page"] = python_command(VIEWER, END_WITH_STDIN, "--ros-args", *words)
+    with _running(commands):
         yield
-        return
-    # JSON's texts are YAML's: a token may be a number.
-    given = (f"{name}:={json.dumps(value)}" for name, value in graph.viewer.items())
-    words = (word for setting in given for word in ("-p", setting))
-    with _beside(python_command(VIEWER, "--end-with-stdin", "--ros-args", *words)):
-        yield
-
-
-@contextmanager
-def _beside(command: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that ends with this one; by its stdin, where this one is killed."""
-    # Ctrl-C is for this process, which then ends that one.
-    with subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True) as process:
-        try:
-            yield process
-        finally:
-            process.terminate()
 
 
 def _run(
@@ -200,7 +181,7 @@ def _run(
     threading.Thread(target=load, name="loader", daemon=True).start()
     with ExitStack() as shown:
         while not (failures or stop.wait(CHECK_PERIOD)):
-            failures += [item.failure for item in container.list() if item.failure]
+            failures += [item.failure for item in container.list().values() if item.failure]
             failures += [
                 f"{name}: its process ended with code {process.returncode}"
                 for name, process in others.items()
@@ -222,13 +203,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "arguments", nargs="*", metavar="NAME:=VALUE", help="arguments of the graph"
     )
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="COMPONENT.PARAMETER=VALUE",
-        help="set a parameter of a component; may be repeated",
-    )
+    parser.add_argument("--only", metavar="NAMESPACE", help="run one sensor of the graph")
+    parser.add_argument(END_WITH_STDIN, action="store_true", help="end when stdin is closed")
     parser.add_argument(
         "--watch",
         action="store_true",

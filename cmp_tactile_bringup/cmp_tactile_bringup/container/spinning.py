@@ -12,7 +12,6 @@ import traceback
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from functools import partial
 from queue import SimpleQueue
 from typing import Any
 
@@ -31,22 +30,16 @@ ComponentClass = type[Node]
 
 
 class LoadedComponent:
-    """One component, from the building of its node to its end.
+    """A component and the thread that spins it.
 
-    full_name: of the node, once the container has taken that name; empty before.  errors: those of
-    its callbacks.  ending: by which error it was ended.
+    errors: those of its callbacks.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, spinner: Spinner) -> None:
+        self.spinner = spinner
         self.full_name = ""
-        self.unique_id = 0
         self.node: Node | None = None
         self.errors = CallbackErrors()
-        self.ending = ""
-        self._spinner: Spinner | None = None
-        self._lock = threading.Lock()
-        self._has_ended = False
-        self._gone = threading.Event()
 
     @property
     def failure(self) -> str:
@@ -54,58 +47,10 @@ class LoadedComponent:
 
         The one thing of a component that is asked for on other threads.
         """
-        return self.ending or str(getattr(self.node, "failure", ""))
-
-    def build(self, component: ComponentClass, arguments: dict[str, Any], spinner: Spinner) -> str:
-        """Build the node on this thread, for that of the spinner to run; the node's full name.
-
-        Raises ComponentLoadError where the constructor fails.
-        """
-        self._spinner = spinner
-        try:
-            with joining(spinner.wiring):
-                self.node = _build(component, arguments)
-        except CmpTactileError as error:
-            raise ComponentLoadError(str(error)) from None
-        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
-            get_logger("component_container").error(traceback.format_exc())
-            msg = f"{type(error).__name__}: {error}"
-            raise ComponentLoadError(msg) from None
-        return self.node.get_fully_qualified_name()
-
-    def run(self, spinner: Spinner) -> None:
-        """Spin the node from now on; ComponentLoadError where it was ended meanwhile."""
-        spinner.do(partial(spinner.add, self)).result()
-        if self.node is None:
-            raise ComponentLoadError(self.ending or "the node ended before it ran")
-
-    def request_stop(self) -> None:
-        """End after the running callback; returns at once."""
-        if self._spinner is None:
-            self.end()
-        else:
-            self._spinner.do(partial(self._spinner.remove, self))
-
-    def join(self, timeout: float) -> bool:
-        """Wait for the component to be destroyed; False where it takes longer, in s."""
-        return self._gone.wait(timeout)
-
-    def end(self, release: Callable[[], None] = lambda: None) -> None:
-        """Destroy the node, on the thread that spins it; release: called before others know."""
-        with self._lock:
-            if self._has_ended:
-                return
-            self._has_ended = True
-        node, self.node = self.node, None
-        if node is not None:
-            _destroy(node)
-        release()
-        self._gone.set()
+        return self.spinner.failure or str(getattr(self.node, "failure", ""))
 
     def report(self, error: BaseException) -> None:
         """Log the traceback; the same one again and again only once in five seconds."""
-        if self.node is None:
-            return
         self.errors.report(self.node, error)
 
 
@@ -113,14 +58,13 @@ class Spinner:
     """A thread that spins and destroys nodes: those of one sensor together, any other by itself.
 
     Callbacks of its nodes never run at the same time, nor while the wiring passes a frame on.
-    `users` counts components that are built for it, or run; without any it ends.
+    failure: why it spins no more, where that was an error.
     """
 
-    def __init__(self, context: Context, release: Callable[[Spinner], None]) -> None:
-        """release: called when a component is gone."""
-        self.wiring = Wiring()
-        self.users = 0
-        self._context, self._release = context, release
+    def __init__(self, context: Context) -> None:
+        self.failure = ""
+        self._wiring = Wiring()
+        self._context = context
         self._lock = threading.Lock()
         self._components: list[LoadedComponent] = []
         self._jobs: SimpleQueue[tuple[Callable[[], None], Future[None]]] = SimpleQueue()
@@ -128,6 +72,27 @@ class Spinner:
         self._ends = self._has_ended = False
         self._thread = threading.Thread(target=self._run, name="component", daemon=True)
         self._thread.start()
+
+    def build(
+        self, loaded: LoadedComponent, component: ComponentClass, arguments: dict[str, Any]
+    ) -> None:
+        """Build the node of a component on the thread that calls.
+
+        Raises ComponentLoadError where the constructor fails; no node is left behind then.
+        """
+        node: Node = component.__new__(component)  # type: ignore[call-overload]
+        try:
+            with joining(self._wiring):
+                node.__init__(**arguments)
+        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
+            _destroy(node)
+            if isinstance(error, CmpTactileError):
+                raise ComponentLoadError(str(error)) from None
+            get_logger("component_container").error(traceback.format_exc())
+            # What rclpy says of a wrong name has several lines.
+            msg = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            raise ComponentLoadError(msg) from None
+        loaded.node, loaded.full_name = node, node.get_fully_qualified_name()
 
     def do(self, job: Callable[[], None]) -> Future[None]:
         """Do something on this thread, between two callbacks; at once where it has ended.
@@ -144,10 +109,13 @@ class Spinner:
         done.set_result(None)
         return done
 
+    def end(self) -> None:
+        """Destroy all components after the running callback, and run no more; returns at once."""
+        self.do(self._end)
+
     def join(self, timeout: float) -> bool:
         """Wait for the thread to end; False where that takes longer, in s."""
-        if self._thread is not threading.current_thread():
-            self._thread.join(timeout)
+        self._thread.join(timeout)
         return not self._thread.is_alive()
 
     def add(self, component: LoadedComponent) -> None:
@@ -165,14 +133,14 @@ class Spinner:
         """Destroy a component; a job."""
         if component in self._components:
             self._components.remove(component)
-        if component.node is not None:
-            if isinstance(component.node, WiredNode):
-                component.node.detach()
-            self._executor.remove_node(component.node)
-        component.end(partial(self._release, self))
+        node, component.node = component.node, None
+        if node is not None:
+            if isinstance(node, WiredNode):
+                node.detach()
+            self._executor.remove_node(node)
+            _destroy(node)
 
-    def end(self) -> None:
-        """Run no more; a job."""
+    def _end(self) -> None:
         self._ends = True
 
     def _run(self) -> None:
@@ -186,11 +154,10 @@ class Spinner:
         except Exception as error:  # noqa: BLE001  not of a callback, so it cannot go on
             if self._context.ok():
                 get_logger("component_container").error(traceback.format_exc())
-                for component in self._components:
-                    component.ending = f"has stopped: {type(error).__name__}: {error}"
+                self.failure = f"has stopped: {type(error).__name__}: {error}"
         finally:
             self._ends = True
-            self.wiring.close()
+            self._wiring.close()
             for component in list(self._components):
                 self.remove(component)
             with self._lock:
@@ -202,7 +169,7 @@ class Spinner:
         while not self._jobs.empty():
             job, done = self._jobs.get()
             try:
-                with self.wiring.lock:
+                with self._wiring.lock:
                     job()
             finally:
                 done.set_result(None)
@@ -212,7 +179,7 @@ class Spinner:
         while True:
             # The bound method is passed, not a lambda: equal arguments keep the generator.
             task, _, node = self._executor.wait_for_ready_callbacks(None, None, self._has_job)
-            with self.wiring.lock:
+            with self._wiring.lock:
                 error = _error_of(task)
             if error is None:
                 error = task.exception()
@@ -234,17 +201,6 @@ def _error_of(callback: Callable[[], None]) -> BaseException | None:
     except BaseException as error:  # noqa: BLE001  the component goes on, after sys.exit too
         return error
     return None
-
-
-def _build(component: ComponentClass, arguments: dict[str, Any]) -> Node:
-    """Build the component; one whose constructor fails half way leaves no node behind."""
-    node: Node = component.__new__(component)  # type: ignore[call-overload]
-    try:
-        node.__init__(**arguments)
-    except BaseException:
-        _destroy(node)
-        raise
-    return node
 
 
 def _destroy(node: Node) -> None:

@@ -5,7 +5,7 @@ Needs launch and launch_ros; nothing else of the package imports this module.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from functools import cache
 
 from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -13,8 +13,8 @@ from launch.logging import get_logger
 from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Node
 from launch_ros.descriptions import ComposableNode
 
-from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS, Value
-from cmp_tactile_bringup.graphs.description import Graph, GraphFunction
+from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS
+from cmp_tactile_bringup.graphs.description import CONTAINER, Graph, GraphFunction
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.rviz import PACKAGE, is_saved_by_rviz, rviz_settings_file
@@ -26,7 +26,7 @@ def launch_description(name_or_path: str) -> LaunchDescription:
     declarations = [
         DeclareLaunchArgument(
             argument.name,
-            description=argument.help,
+            description=argument.description,
             default_value=argument.default_text,
             choices=list(argument.allowed) or None,
         )
@@ -40,7 +40,7 @@ def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Actio
     """A container for each sensor, or the one to join, with the arguments of this launch."""
     given = context.launch_configurations
     found = function.load({item.name: given[item.name] for item in function.arguments})
-    graph = with_recordings(found, _Progress())
+    graph = with_recordings(found, lambda what, _share: _log_once(what))
     check_recordings(graph)
     actions: list[Action] = [_container(part) for part in graph.by_sensor()]
     if given["container"]:
@@ -51,17 +51,29 @@ def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Actio
             )
         ]
     if graph.viewer is not None:
-        actions.append(_web_viewer(graph.viewer))
+        # A process of its own, which takes nothing from the sensors' interpreters.
+        viewer = Node(
+            package="cmp_tactile_viewer",
+            executable="web_viewer",
+            parameters=[dict(graph.viewer)],
+            output="both",
+        )
+        actions.append(viewer)
     if given["rviz"] == "true":
         actions.append(_rviz(graph))
     return actions
+
+
+@cache
+def _log_once(what: str) -> None:
+    get_logger(PACKAGE).info(what)
 
 
 def _container(graph: Graph) -> Action:
     return ComposableNodeContainer(
         package=PACKAGE,
         executable="component_container",
-        name=graph.container,
+        name=CONTAINER,
         namespace=graph.namespace,
         composable_node_descriptions=composable_nodes(graph),
         output="both",
@@ -82,28 +94,6 @@ def composable_nodes(graph: Graph) -> list[ComposableNode]:
         )
         for component in graph.components
     ]
-
-
-class _Progress:
-    """Logs each thing that is done while a recording is made, once."""
-
-    def __init__(self) -> None:
-        self._last = ""
-
-    def __call__(self, what: str, _share: float) -> None:
-        if what != self._last:
-            self._last = what
-            get_logger(PACKAGE).info(what)
-
-
-def _web_viewer(parameters: Mapping[str, Value]) -> Node:
-    """A process of its own, which takes nothing from the sensors' interpreters."""
-    return Node(
-        package="cmp_tactile_viewer",
-        executable="web_viewer",
-        parameters=[dict(parameters)],
-        output="both",
-    )
 
 
 def _rviz(graph: Graph) -> Node:

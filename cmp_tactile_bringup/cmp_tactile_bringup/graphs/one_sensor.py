@@ -5,25 +5,21 @@ What is not set has the default of the node (docs/nodes.md) or of the sensor des
 
 from __future__ import annotations
 
+import math
+import os
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import Argument, Condition, Value
-from cmp_tactile_bringup.graphs.description import (
-    LETTERS,
-    ROS_NAME,
-    ROS_NAMESPACE,
-    Component,
-    GraphSensor,
-    absolute_name,
-)
+from cmp_tactile_bringup.graphs.arguments import Argument, Value, as_text
+from cmp_tactile_bringup.graphs.description import Component, GraphSensor, absolute_name
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_driver.sources.parameters import (
-    CameraDriverParameters,
     CameraParameters,
     RecorderParameters,
     ReplayParameters,
@@ -35,140 +31,112 @@ from cmp_tactile_processing.sensor.description import (
     packaged_sensors,
 )
 
-SOURCES = ("simulated", "replay", "v4l2", "topic")
-SIMULATED, REPLAY, CAMERA, TOPIC = (Condition("source", (name,)) for name in SOURCES)
-SIMULATED_OR_CAMERA = Condition("source", ("simulated", "v4l2"))
-RECORDING, MOUNTED = Condition("record"), Condition("parent_frame")
+# Two underscores in a row stand for themselves in ROS's remapping rules.
+ROS_NAME = r"(?!.*__)[A-Za-z_]\w*"
+ROS_NAMESPACE = rf"(?!.*__)(/?{ROS_NAME}(/{ROS_NAME})*|/?)"
+LETTERS = "letters, digits, single underscores"
+SOURCES = SIMULATED, REPLAY, CAMERA, TOPIC = "simulated", "replay", "v4l2", "topic"
 # Time after which markers vanish that are not drawn again, s; those of a replay stay while it is
 # paused, or over.
 MARKER_LIFETIME_S, REPLAYED_MARKER_LIFETIME_S = 2.0, 0.0
 # Of the large-press correction in a frame, where the newest frame is wanted soon: 15 ms in all.
 LIVE_PRESS_STEPS = 4
-TYPE_OF = {str: "text", bool: "boolean", int: "integer", float: "number", tuple: "pose"}
-
-
-def _setting(
-    default: Any,
-    description: str,
-    only_with: Condition | None = None,
-    *,
-    kind: str = "",
-    choices: tuple[str, ...] = (),
-) -> Any:
-    conditions = () if only_with is None else (only_with,)
-    argument = Argument(
-        "", kind or TYPE_OF[type(default)], description, default, choices, conditions
-    )
-    return field(default=default, metadata={"argument": argument})
-
-
-def _parameter_of(node: Any, name: str, only_with: Condition) -> Any:
-    """A setting with default, description and choices of a parameter of the node that takes it."""
-    item = node.__dataclass_fields__[name]
-    what, mark, rest = item.metadata["description"].partition(";")
-    unit = f", {item.metadata['unit']}" if item.metadata["unit"] else ""
-    description = f"{what}{unit}{mark}{rest}"
-    return _setting(item.default, description, only_with, choices=item.metadata["choices"])
 
 
 @dataclass(frozen=True)
-class SensorSettings:
-    """What may be set of one sensor; the arguments of the graphs are made from it."""
+class SensorArgument(Argument):
+    """sources: with which it has an effect."""
 
-    source: str = _setting(
-        "simulated",
-        "source of the frames: a simulated sensor, a recording, a camera, or another "
-        "publisher, such as `ros2 bag play`",
-        choices=SOURCES,
-    )
-    sensor: str = _setting(
-        "", "sensor description, file or packaged name; empty: that of the scene or recording"
-    )
-    name: str = _setting(
-        "", "name of this sensor, the beginning of its tf frames; empty for the description's name"
-    )
-    namespace: str = _setting("", "namespace of all nodes and topics; empty for the sensor's name")
-    frame_rate: float = _setting(
-        0.0, "frames per second, Hz; 0: rate of the source", SIMULATED_OR_CAMERA
-    )
-    image_rate: float = _parameter_of(ReplayParameters, "frame_rate", REPLAY)
-    input_transport: str = _setting(
-        "raw",
+    sources: tuple[str, ...] = SOURCES
+
+
+def _of_node(parameters: Any, name: str, *sources: str, argument: str = "") -> SensorArgument:
+    """An argument with default, description and choices of a parameter of a node."""
+    item = parameters.__dataclass_fields__[name]
+    what, mark, rest = item.metadata["description"].partition(";")
+    unit = f", {item.metadata['unit']}" if item.metadata["unit"] else ""
+    description, choices = f"{what}{unit}{mark}{rest}", item.metadata["choices"]
+    return SensorArgument(argument or name, description, item.default, choices, sources or SOURCES)
+
+
+SENSOR_ARGUMENTS = (
+    SensorArgument(
+        "source",
+        "source of the frames: a simulated sensor, a recording, a camera, or another publisher on "
+        "image_raw, such as `ros2 bag play`",
+        SIMULATED,
+        SOURCES,
+    ),
+    SensorArgument(
+        "sensor",
+        "sensor description, file or packaged name; a scene or recording may bring its own",
+    ),
+    SensorArgument(
+        "name",
+        "name of this sensor, the beginning of its tf frames; empty for the description's name",
+    ),
+    SensorArgument("namespace", "namespace of all nodes and topics; empty for the sensor's name"),
+    SensorArgument(
+        "frame_rate",
+        "frames per second, Hz; 0: rate of the source, 30 for a folder of images",
+        0.0,
+        sources=(SIMULATED, REPLAY, CAMERA),
+    ),
+    SensorArgument(
+        "input_transport",
         "topic of the frames: image_raw, or image_raw/compressed (PNG or JPEG)",
-        TOPIC,
-        choices=("raw", "compressed"),
-    )
-    use_sim_time: bool = _setting(
-        False, "use the time of /clock, which `ros2 bag play --clock` publishes", TOPIC
-    )
-    scene: str = _setting(
-        "grasp", "scene file, or name of a packaged scene", SIMULATED, kind="scene"
-    )
-    autoplay: bool = _setting(
-        True, "repeat the scene's motion until a target or load comes", SIMULATED
-    )
-    max_speed: float = _setting(
-        0.01, "highest speed of the indenter towards a target, m/s", SIMULATED
-    )
-    input: str = _setting(
+        "raw",
+        ("raw", "compressed"),
+        (TOPIC,),
+    ),
+    SensorArgument(
+        "use_sim_time",
+        "use the time of /clock, which `ros2 bag play --clock` publishes",
+        default=False,
+        sources=(TOPIC,),
+    ),
+    SensorArgument(
+        "scene", "scene file, or name of a packaged scene", "grasp", sources=(SIMULATED,)
+    ),
+    SensorArgument(
+        "autoplay",
+        "repeat the scene's motion until a target or load comes",
+        default=True,
+        sources=(SIMULATED,),
+    ),
+    SensorArgument(
+        "input",
+        "bag, images, video, or name of a packaged scene; separate several by colons, they are "
+        "played one after the other",
         "grasp",
-        "bag, images, video, or name of a packaged scene; separate several by colons, they "
-        "are played one after the other",
-        REPLAY,
-        kind="recording",
-    )
-    topic: str = _parameter_of(ReplayParameters, "topic", REPLAY)
-    rate: float = _parameter_of(ReplayParameters, "rate", REPLAY)
-    start: float = _parameter_of(ReplayParameters, "start", REPLAY)
-    end: float = _parameter_of(ReplayParameters, "end", REPLAY)
-    loop: bool = _parameter_of(ReplayParameters, "loop", REPLAY)
-    paused: bool = _parameter_of(ReplayParameters, "paused", REPLAY)
-    wait_for_subscribers: int = _setting(
-        1,
-        "number of subscribers on image_raw before the first frame is sent: 1 for the view "
-        "splitter, 1 more for a recorder",
-        REPLAY,
-    )
-    publish_clock: bool = _parameter_of(ReplayParameters, "publish_clock", REPLAY)
-    device: str = _parameter_of(CameraParameters, "device", CAMERA)
-    pixel_format: str = _parameter_of(CameraParameters, "pixel_format", CAMERA)
-    colour: bool = _parameter_of(CameraParameters, "colour", CAMERA)
-    camera_info_url: str = _parameter_of(CameraDriverParameters, "camera_info_url", CAMERA)
-    frame_queue: str = _setting(
+        sources=(REPLAY,),
+    ),
+    _of_node(ReplayParameters, "topic", REPLAY),
+    _of_node(ReplayParameters, "rate", REPLAY),
+    _of_node(ReplayParameters, "start", REPLAY),
+    _of_node(ReplayParameters, "end", REPLAY),
+    _of_node(ReplayParameters, "loop", REPLAY),
+    _of_node(ReplayParameters, "paused", REPLAY),
+    _of_node(ReplayParameters, "publish_clock", REPLAY),
+    _of_node(CameraParameters, "device", CAMERA),
+    SensorArgument(
+        "frame_queue",
+        "frames to process if they come too quickly: every frame, or only the newest; auto: newest "
+        "for a camera or simulation without record, else every",
         "auto",
-        "frames to process if they come too quickly: every frame, or only the newest; auto: "
-        "newest for a camera or simulation without record, else every",
-        choices=("auto", "every", "newest"),
-    )
-    parent_frame: str = _setting("", "tf frame on which the sensor is mounted; empty for none")
-    mount: tuple[float, ...] = _setting(
-        (0.0,) * 6,
+        ("auto", "every", "newest"),
+    ),
+    SensorArgument("parent_frame", "tf frame on which the sensor is mounted; empty for none"),
+    SensorArgument(
+        "mount",
         'pose of the gel frame in parent_frame, "x y z roll pitch yaw" in m and rad',
-        MOUNTED,
-    )
-    record: str = _setting(
-        "",
-        "folder for a recorded bag, which must not exist; empty for none",
-        kind="path",
-    )
-    record_topics: str = _parameter_of(RecorderParameters, "topics", RECORDING)
-    record_compression: str = _parameter_of(RecorderParameters, "compression", RECORDING)
-
-    @classmethod
-    def from_arguments(
-        cls, given: Mapping[str, Any], prefix: str = "", **more: Any
-    ) -> SensorSettings:
-        """The settings among a graph's arguments, whose names begin with the prefix.
-
-        more: settings that the graph makes itself.
-        """
-        names = {item.name: prefix + item.name for item in fields(cls)}
-        found = {name: given[full] for name, full in names.items() if full in given}
-        return cls(**{**found, **more})
-
-    def some(self, *names: str) -> dict[str, Value]:
-        """Settings by name, for a node that has parameters of these names."""
-        return {name: getattr(self, name) for name in names}
+        "0 0 0 0 0 0",
+    ),
+    SensorArgument("record", "folder for a recorded bag, which must not exist; empty for none"),
+    _of_node(RecorderParameters, "topics", argument="record_topics"),
+    _of_node(RecorderParameters, "compression", argument="record_compression"),
+)
+DEFAULTS = {item.name: item.default for item in SENSOR_ARGUMENTS}
 
 
 def sensor_arguments(
@@ -176,120 +144,149 @@ def sensor_arguments(
     *,
     prefix: str = "",
     without: Collection[str] = (),
-    **defaults: Value,
+    **defaults: bool | float | str,
 ) -> tuple[Argument, ...]:
     """The arguments of one sensor that a graph leaves to its user.
 
     sources: between which the user chooses; where it is one, the graph sets `source` itself.
     prefix: stands before all names.  without: names that the graph sets itself.  defaults: others
-    than those of SensorSettings, by name without prefix.
+    than those of SENSOR_ARGUMENTS, by name without prefix.
     """
-    left_out = {*without, "source"} if len(sources) == 1 else {*without}
     found = []
-    for item in fields(SensorSettings):
-        argument: Argument = item.metadata["argument"]
-        having_effect = tuple(name for name in sources if _has_effect(argument, name))
-        if item.name in left_out or not having_effect:
+    for item in SENSOR_ARGUMENTS:
+        using = [source for source in sources if source in item.sources]
+        if item.name in without or not using or (item.name == "source" and len(sources) == 1):
             continue
+        changes: dict[str, Any] = {"name": prefix + item.name}
         if item.name == "source":
-            argument = replace(argument, default=sources[0], choices=tuple(sources))
-        conditions = (
-            Condition(prefix + some.argument, having_effect if _on_source(some) else some.values)
-            for some in argument.only_with
-            if not (_on_source(some) and len(having_effect) == len(sources))
-        )
-        default = defaults.get(item.name, argument.default)
-        name = prefix + item.name
-        found.append(replace(argument, name=name, default=default, only_with=tuple(conditions)))
+            changes |= {"default": sources[0], "choices": tuple(sources)}
+        if len(using) < len(sources):
+            only = f"; only with {prefix}source:={' or '.join(using)}"
+            changes["description"] = item.description + only
+        changes["default"] = defaults.get(item.name, changes.get("default", item.default))
+        found.append(replace(item, **changes))
     return tuple(found)
 
 
-def _on_source(condition: Condition) -> bool:
-    return condition.argument == "source"
-
-
-def _has_effect(argument: Argument, source: str) -> bool:
-    return all(item.holds(source) for item in argument.only_with if _on_source(item))
-
-
 def sensor_components(
-    settings: SensorSettings,
+    given: Mapping[str, Any],
     *,
     prefix: str = "",
     below: str = "",
     look: Mapping[str, Value] | None = None,
+    **fixed: Any,
 ) -> tuple[list[Component], list[Component]]:
     """The nodes of one sensor, and the source of its frames, which is to be loaded last.
 
-    prefix: of its arguments in errors.  below: the namespace that the sensor's is relative to.
-    look: parameters of its markers, where they are not the default.
+    given: values of arguments; those of the sensor begin with the prefix.  below: the namespace
+    that the sensor's is relative to.  look: parameters of its markers.  fixed: arguments of the
+    sensor that the graph sets itself.
     Raises GraphError for settings that cannot be used.
     """
-    sensor = _find_sensor(settings, prefix, below)
+    own = {name: given[prefix + name] for name in DEFAULTS if prefix + name in given}
+    settings: dict[str, Any] = {**DEFAULTS, **own, **fixed}
+    source = settings["source"]
+    for item in SENSOR_ARGUMENTS:
+        if item.name in own and own[item.name] != item.default and source not in item.sources:
+            found = f"found {as_text(own[item.name])}, which has no effect with {prefix}source"
+            expected = f"expected {prefix}source:={' or '.join(item.sources)}"
+            msg = f"argument {prefix}{item.name}: {found}:={source}, {expected}"
+            raise GraphError(msg)
+    try:
+        settings["mount"] = pose(settings["mount"])
+        sensor = _find_sensor(settings, below)
+    except (GraphError, DescriptionError, library.RecordingError) as error:
+        msg = f"argument {prefix}{error}"
+        raise GraphError(msg) from None
     nodes = [*_processing(sensor, settings, look or {}), *_recorder(sensor, settings)]
     return nodes, list(_source(sensor, settings))
 
 
-def _find_sensor(settings: SensorSettings, prefix: str, below: str) -> GraphSensor:
+def pose(text: str) -> list[float]:
+    """The numbers of `mount`: x, y, z in m; roll, pitch, yaw in rad."""
     try:
-        path = find_sensor_description(settings.sensor or _sensor_of_source(settings, prefix))
-        description = load_sensor(str(path.resolve()))
-    except DescriptionError as error:
-        msg = f"argument {prefix}sensor: {error}"
-        raise GraphError(msg) from None
+        numbers = [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        expected = "six numbers, x y z in m and roll pitch yaw in rad"
+        msg = f"mount: found {text!r}, expected {expected}"
+        raise GraphError(msg)
+    return numbers
+
+
+def _find_sensor(settings: Mapping[str, Any], below: str) -> GraphSensor:
     for name, expression, expected in (
         ("name", ROS_NAME, LETTERS),
         ("namespace", ROS_NAMESPACE, f"names of {LETTERS}, joined by /"),
     ):
-        found = getattr(settings, name)
-        if found and not expression.fullmatch(found):
-            msg = f"argument {prefix}{name}: found {found!r}, expected {expected}"
+        found = settings[name]
+        if found and not re.fullmatch(expression, found, re.ASCII):
+            msg = f"{name}: found {found!r}, expected {expected}"
             raise GraphError(msg)
-    own_name = settings.name
-    namespace = absolute_name(settings.namespace or own_name or description.ros_name, below)
+    given = settings["sensor"] or _sensor_of_source(settings)
+    try:
+        path = find_sensor_description(given).resolve()
+        description = load_sensor(str(path))
+    except DescriptionError as error:
+        msg = f"sensor: {error}"
+        raise GraphError(msg) from None
+    name = settings["name"] or description.ros_name
+    namespace = absolute_name(settings["namespace"] or name, below)
     views = tuple(view for view in ("left", "right") if view in description.views)
-    return GraphSensor(own_name, description.ros_name, namespace, path.resolve(), views)
+    return GraphSensor(name, namespace, path, views)
 
 
-def _sensor_of_source(settings: SensorSettings, prefix: str) -> str:
+def _sensor_of_source(settings: Mapping[str, Any]) -> str:
     """The sensor description of what is to be played, where none is given."""
-    if settings.source == "simulated":
-        return library.sensor_of_scene(settings.scene)
-    inputs = split_inputs(settings.input) if settings.source == "replay" else []
+    if settings["source"] == SIMULATED:
+        return library.sensor_of_scene(settings["scene"])
+    inputs = split_inputs(settings["input"]) if settings["source"] == REPLAY else []
     try:
         for item in inputs:
             library.check_source(item)
+        sensor = library.sensor_of_recordings(inputs)
     except library.RecordingError as error:
-        msg = f"argument {prefix}input: {error}"
+        msg = f"input: {error}"
         raise GraphError(msg) from None
-    sensor = library.sensor_of_recordings(inputs)
     if not sensor:
         expected = f"the file of a description, or one of {', '.join(packaged_sensors())}"
-        msg = f"argument {prefix}sensor: found nothing, expected {expected}"
+        msg = f"sensor: found nothing, expected {expected}"
         raise GraphError(msg)
     return sensor
 
 
-def _by_clock(settings: SensorSettings) -> dict[str, Value]:
-    """Whose time the nodes take: a replay publishes /clock."""
-    return {"use_sim_time": settings.source == "replay" or settings.use_sim_time}
+def _component(
+    sensor: GraphSensor, settings: Mapping[str, Any], plugin: str, name: str, **given: Value
+) -> Component:
+    """A component in the sensor's namespace that knows its description and name.
+
+    It takes the time of /clock, which a replay publishes.
+    """
+    by_clock = settings["source"] == REPLAY or settings["use_sim_time"]
+    own = {"sensor_description": str(sensor.description), "sensor_name": settings["name"]}
+    parameters = {**own, "use_sim_time": by_clock, **given}
+    package = plugin.partition("::")[0]
+    return Component(package, plugin, name, sensor.namespace, {}, parameters, sensor=sensor)
 
 
 def _processing(
-    sensor: GraphSensor, settings: SensorSettings, look: Mapping[str, Value]
+    sensor: GraphSensor, settings: Mapping[str, Any], look: Mapping[str, Value]
 ) -> Iterator[Component]:
     """From camera frames to forces; from surfaces of a sensor without views."""
 
-    def node(plugin: str, name: str, **parameters: Value) -> Component:
-        given = _by_clock(settings) | parameters
-        return sensor.component(f"cmp_tactile_processing::{plugin}", name, given)
+    def node(plugin: str, name: str, **given: Value) -> Component:
+        return _component(sensor, settings, f"cmp_tactile_processing::{plugin}", name, **given)
 
-    is_replay = settings.source == "replay"
+    is_replay = settings["source"] == REPLAY
     lifetime = REPLAYED_MARKER_LIFETIME_S if is_replay else MARKER_LIFETIME_S
+    queue = settings["frame_queue"]
+    if queue == "auto":
+        is_live = settings["source"] in (SIMULATED, CAMERA) and not settings["record"]
+        queue = "newest" if is_live else "every"
     # Loaded only when the force model is built (once minutes, then cached on disk), so that a
     # recording does not begin without forces.
-    newest = _frame_queue(settings) == "newest"
-    steps = {"large_press_steps": LIVE_PRESS_STEPS} if newest else {}
+    steps = {"large_press_steps": LIVE_PRESS_STEPS} if queue == "newest" else {}
     yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True, **steps)
     # After what a controller waits for.
     yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
@@ -297,62 +294,68 @@ def _processing(
         yield node("StereoTriangulator", "stereo_triangulator")
     for view in sensor.views:
         yield node("GridlineTracker", f"{view}_gridline_tracker", view=view)
-    if not (sensor.views or settings.parent_frame):
+    if not (sensor.views or settings["parent_frame"]):
         return
-    mount = list(settings.mount if settings.parent_frame else (0.0,) * 6)
+    mount = settings["mount"] if settings["parent_frame"] else [0.0] * 6
     # Its transforms mount a sensor without a camera, too.
     yield node(
         "ViewSplitter",
         "view_splitter",
-        input_transport=settings.input_transport,
-        frame_queue=_frame_queue(settings),
-        parent_frame=settings.parent_frame,
+        input_transport=settings["input_transport"],
+        frame_queue=queue,
+        parent_frame=settings["parent_frame"],
         mount_position=mount[:3],
         mount_orientation=mount[3:],
     )
 
 
-def _frame_queue(settings: SensorSettings) -> str:
-    if settings.frame_queue != "auto":
-        return settings.frame_queue
-    live = settings.source in ("v4l2", "simulated") and not settings.record
-    return "newest" if live else "every"
+def _recorder(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Component]:
+    if settings["record"]:
+        yield _component(
+            sensor,
+            settings,
+            "cmp_tactile_driver::Recorder",
+            "recorder",
+            output=str(Path(settings["record"]).expanduser().resolve()),
+            topics=settings["record_topics"],
+            compression=settings["record_compression"],
+        )
 
 
-def _recorder(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:
-    if settings.record:
-        parameters = {
-            "output": settings.record,
-            "topics": settings.record_topics,
-            "compression": settings.record_compression,
-            **_by_clock(settings),
-        }
-        yield sensor.component("cmp_tactile_driver::Recorder", "recorder", parameters)
-
-
-def _records_frames(sensor: GraphSensor, settings: SensorSettings) -> bool:
+def _records_frames(sensor: GraphSensor, settings: Mapping[str, Any]) -> bool:
     """Whether the recorder subscribes to the images."""
-    topics = settings.record_topics.split() if settings.record else []
+    topics = settings["record_topics"].split() if settings["record"] else []
     images = absolute_name("image_raw", sensor.namespace)
     return any(fnmatchcase(images, absolute_name(item, sensor.namespace)) for item in topics)
 
 
-def _source(sensor: GraphSensor, settings: SensorSettings) -> Iterator[Component]:
+def _source(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Component]:
     """What publishes the frames; nothing where others do."""
-    camera = "cmp_tactile_driver::CameraDriver", "camera_driver"
-    if settings.source == "simulated":
-        given = settings.some("source", "frame_rate", "autoplay", "max_speed")
-        yield sensor.component(*camera, {**given, "input": settings.scene})
-    elif settings.source == "v4l2":
-        given = settings.some(
-            "source", "device", "frame_rate", "pixel_format", "colour", "camera_info_url"
+    source = settings["source"]
+    if source == TOPIC:
+        return
+    names = {
+        SIMULATED: ("source", "frame_rate", "autoplay"),
+        CAMERA: ("source", "frame_rate", "device"),
+        REPLAY: ("topic", "rate", "start", "end", "loop", "paused", "publish_clock"),
+    }
+    given: dict[str, Value] = {name: settings[name] for name in names[source]}
+    if source == SIMULATED:
+        given["input"] = _absolute(settings["scene"])
+    if source != REPLAY:
+        yield _component(
+            sensor, settings, "cmp_tactile_driver::CameraDriver", "camera_driver", **given
         )
-        yield sensor.component(*camera, given)
-    elif settings.source == "replay":
-        given = settings.some("input", "topic", "rate", "start", "end", "loop", "paused")
-        given |= settings.some("publish_clock")
-        awaited = settings.wait_for_subscribers + _records_frames(sensor, settings)
-        given["wait_for_subscribers"] = awaited
-        # Its diagnostics have the time of /clock, as those of the other nodes.
-        given |= {"frame_rate": settings.image_rate, "use_sim_time": True}
-        yield sensor.component("cmp_tactile_driver::Replay", "replay", given)
+        return
+    given["input"] = os.pathsep.join(_absolute(str(p)) for p in split_inputs(settings["input"]))
+    # The view splitter, and a recorder of its frames.
+    given["wait_for_subscribers"] = 1 + _records_frames(sensor, settings)
+    if settings["frame_rate"]:
+        given["frame_rate"] = settings["frame_rate"]
+    yield _component(sensor, settings, "cmp_tactile_driver::Replay", "replay", **given)
+
+
+def _absolute(path: str) -> str:
+    """A path for a container that was started elsewhere; the name of a packaged scene stays."""
+    place = Path(path).expanduser()
+    return str(place.resolve()) if place.exists() else path

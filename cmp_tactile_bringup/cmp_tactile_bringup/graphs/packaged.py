@@ -7,7 +7,6 @@ marker line of that file.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from math import cos, sin
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,12 @@ from cmp_tactile_bringup.graphs.description import (
     load_graph_file,
 )
 from cmp_tactile_bringup.graphs.one_sensor import (
-    SensorSettings,
+    CAMERA,
+    REPLAY,
+    SENSOR_ARGUMENTS,
+    SIMULATED,
+    TOPIC,
+    pose,
     sensor_arguments,
     sensor_components,
 )
@@ -39,104 +43,89 @@ MARKER = "<!-- made by cmp_tactile_bringup.graphs.packaged from here on -->"
 FINGER_TEXT_M = 0.001
 
 
-def _one_sensor(given: Mapping[str, Any], **more: Any) -> list[Component]:
-    nodes, source = sensor_components(SensorSettings.from_arguments(given, **more))
+def _one_sensor(given: Mapping[str, Any], **fixed: Any) -> list[Component]:
+    nodes, source = sensor_components(given, **fixed)
     return [*nodes, *source]
 
 
-@graph(
-    Argument("sensor", "text", "sensor description: a file or a packaged name"),
-    Argument(
-        "source",
-        "text",
-        "camera, or topic for frames that another node publishes on image_raw",
-        default="v4l2",
-        choices=("v4l2", "topic"),
-    ),
-    *sensor_arguments(("v4l2", "topic"), without=("sensor", "source")),
-)
+@graph(*sensor_arguments((CAMERA, TOPIC)))
 def sensor(given: Mapping[str, Any]) -> list[Component]:
     """A camera and the processing of its sensor."""
     return _one_sensor(given)
 
 
-@graph(*sensor_arguments(("simulated",)))
+@graph(*sensor_arguments((SIMULATED,)))
 def simulate(given: Mapping[str, Any]) -> list[Component]:
     """A simulated sensor instead of a camera, and its processing."""
-    return _one_sensor(given, source="simulated")
+    return _one_sensor(given, source=SIMULATED)
 
 
-@graph(
-    Argument("frame_rate", "number", "frames per second of a folder of images, Hz", default=30.0),
-    *sensor_arguments(("replay",), without=("image_rate",)),
-)
+@graph(*sensor_arguments((REPLAY,)))
 def replay(given: Mapping[str, Any]) -> list[Component]:
     """Plays a recording into the processing of one sensor."""
-    return _one_sensor(given, source="replay", image_rate=given["frame_rate"])
+    return _one_sensor(given, source=REPLAY)
 
 
-# What a gripper sets for both fingers, beside what its user does.
-OF_FINGERS = ("namespace", "image_rate", "wait_for_subscribers", "max_speed")
+# What a gripper sets for both fingers, as its user does, or by itself.
 OF_BOTH = ("rate", "start", "end", "loop", "paused", "record_topics", "record_compression")
+OF_GRIPPER = ("namespace", "record", "publish_clock", *OF_BOTH)
 
 
-def _common_arguments() -> Iterator[Argument]:
-    """Those of OF_BOTH, which have an effect whatever the source of one finger is."""
-    for item in sensor_arguments():
-        if item.name in OF_BOTH:
-            others = (some for some in item.only_with if some.argument != "source")
-            yield replace(item, only_with=tuple(others))
-
-
-def _finger_arguments(
-    side: str, y: float, turned: float, *, publish_clock: bool
-) -> tuple[Argument, ...]:
+def _finger_arguments(side: str, y: float, turned: float) -> tuple[Argument, ...]:
     """The defaults are those of a finger of two that face one another along y."""
     return sensor_arguments(
         prefix=f"{side}_",
-        without=(*OF_FINGERS, *OF_BOTH, "record"),
+        without=OF_GRIPPER,
         name=f"{side}_finger",
         parent_frame="gripper",
-        mount=(0.0, y, 0.0, turned, 0.0, 0.0),
-        publish_clock=publish_clock,
+        mount=f"0 {y} 0 {turned} 0 0",
     )
 
 
 @graph(
-    Argument("namespace", "text", "namespace of container and fingers; empty for none", ""),
+    Argument("namespace", "namespace of both fingers; empty for none"),
     Argument(
         "record",
-        "path",
         "folder to record into, with a bag for each finger; it must not exist yet; empty for none",
-        "",
     ),
-    *_common_arguments(),
-    *_finger_arguments("left", 0.02, 1.5707963, publish_clock=True),
-    *_finger_arguments("right", -0.02, -1.5707963, publish_clock=False),
+    *(item for item in SENSOR_ARGUMENTS if item.name in OF_BOTH),
+    *_finger_arguments("left", 0.02, 1.5707963),
+    *_finger_arguments("right", -0.02, -1.5707963),
 )
 def gripper(given: Mapping[str, Any]) -> list[Component]:
     """The sensors of a left and a right finger, each with its own source."""
-    left, right = (_finger(given, prefix) for prefix in ("left_", "right_"))
+    # Two clocks would contradict each other.
+    left = _finger(given, "left_", publish_clock=True)
+    right = _finger(given, "right_", publish_clock=given["left_source"] != REPLAY)
     # The sources last, so that all is there when they begin.
     return [*left[0], *right[0], *left[1], *right[1]]
 
 
-def _finger(given: Mapping[str, Any], prefix: str) -> tuple[list[Component], list[Component]]:
-    common = {name: given[name] for name in OF_BOTH}
+def _finger(
+    given: Mapping[str, Any], prefix: str, *, publish_clock: bool
+) -> tuple[list[Component], list[Component]]:
+    fixed = {name: given[name] for name in OF_BOTH}
     if given["record"]:
-        common["record"] = str(Path(given["record"], given[f"{prefix}name"]))
-    settings = SensorSettings.from_arguments(given, prefix, **common)
-    mounted: dict[str, Value] = {"up": _up_of(settings), "text_size": FINGER_TEXT_M}
-    look = mounted if settings.parent_frame else {}
-    return sensor_components(settings, prefix=prefix, below=given["namespace"], look=look)
+        fixed["record"] = str(Path(given["record"], given[f"{prefix}name"]))
+    look: dict[str, Value] = {}
+    if given[f"{prefix}parent_frame"]:
+        look = {"up": _up_of(given[f"{prefix}mount"]), "text_size": FINGER_TEXT_M}
+    return sensor_components(
+        given,
+        prefix=prefix,
+        below=given["namespace"],
+        look=look,
+        publish_clock=publish_clock,
+        **fixed,
+    )
 
 
-def _up_of(settings: SensorSettings) -> list[float]:
+def _up_of(mount: str) -> list[float]:
     """What is up in RViz, which shows both fingers in the frame they are mounted on.
 
     That frame's z in the gel frame, rounded: the angles of a mount have seven digits.
     """
-    roll, pitch, _ = settings.mount[3:]
+    roll, pitch, _ = pose(mount)[3:]
     up = -sin(pitch), cos(pitch) * sin(roll), cos(pitch) * cos(roll)
     return [round(part, 6) for part in up]
 

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from cmp_tactile_bringup.errors import ComponentLoadError
+from cmp_tactile_bringup.graphs.arguments import Value
 from cmp_tactile_bringup.graphs.description import Component, Graph
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
 from cmp_tactile_driver.bags.recording import open_recording, split_inputs
@@ -16,30 +17,29 @@ REPLAY = "cmp_tactile_driver::Replay"
 RECORDER = "cmp_tactile_driver::Recorder"
 
 
-def with_recordings(graph: Graph, progress: MakingProgress | None = None) -> Graph:
+def with_recordings(graph: Graph, progress: MakingProgress = lambda *_: None) -> Graph:
     """The graph with the names of packaged scenes replaced by their recordings.
 
     One that was never asked for before is simulated first.  All replays begin together.  Raises
     CmpTactileError where a scene cannot be simulated.
     """
-    together = {item.full_name for item in graph.components if item.plugin == REPLAY}
-    parameters = {}
-    for item in graph.components:
-        if item.plugin != REPLAY:
-            continue
-        paths = [str(recorded_source(path, _of_scene(path, progress))) for path in _inputs(item)]
-        given = str(item.parameters.get("begin_with", ""))
-        others = " ".join(sorted(together - {item.full_name}))
-        changed = {"input": os.pathsep.join(paths), "begin_with": f"{given} {others}".strip()}
-        parameters[item.full_name] = {name: text for name, text in changed.items() if text}
+    replays = [item for item in graph.components if item.plugin == REPLAY]
+    names = {item.full_name for item in replays}
+    parameters: dict[str, dict[str, Value]] = {}
+    for item in replays:
+        paths = [_recorded(scene, progress) for scene in _inputs(item)]
+        changed: dict[str, Value] = {"input": os.pathsep.join(paths)}
+        if len(replays) > 1:
+            changed["begin_with"] = " ".join(sorted(names - {item.full_name}))
+        parameters[item.full_name] = changed
     return graph.with_parameters(parameters)
 
 
-def _of_scene(scene: Path, progress: MakingProgress | None) -> MakingProgress | None:
-    """The progress with the scene's name, and that it is not always so long."""
-    if progress is None:
-        return None
-    return lambda what, share: progress(f"{scene}: {what}, the first time only", share)
+def _recorded(scene: Path, progress: MakingProgress) -> str:
+    def show(what: str, share: float) -> None:
+        progress(f"{scene}: {what}, the first time only", share)
+
+    return str(recorded_source(scene, show))
 
 
 def check_recordings(graph: Graph) -> None:

@@ -141,7 +141,7 @@ def test_nothing_is_read_where_there_is_no_terminal():
 
 def test_a_replay_is_paused_stepped_and_ended_by_keys(terminal, grasp_bag):
     """The whole command, with real nodes."""
-    command = ["-m", "cmp_tactile_bringup.command", "replay", str(grasp_bag), "--loop"]
+    command = ["-m", "cmp_tactile_bringup.command", "replay", str(grasp_bag), "loop:=true"]
     shown = terminal(*command)
     shown.shows("Keys: z zero, space pause, . next frame, left 1 s back, right 1 s forward, q quit")
     shown.shows(" Hz ")

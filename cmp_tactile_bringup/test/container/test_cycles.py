@@ -163,7 +163,7 @@ def test_components_come_and_go_beside_a_sensor_at_full_rate(cell):
     assert topics == []
     cell.wait(lambda: len(counter.seen) >= camera.sent - 5, "the frames")
     assert counter.seen == list(range(counter.seen[0], counter.seen[-1] + 1))
-    assert [item.errors.count for item in cell.container.list()] == [0, 0, 0]
+    assert [item.errors.count for item in cell.container.list().values()] == [0, 0, 0]
 
 
 def test_no_collection_looks_through_what_was_loaded(cell):

@@ -79,6 +79,6 @@ def test_a_callback_that_asks_for_the_end_is_counted_and_ends_nothing(box, capfd
         publisher.publish(String(data=text))
     box.wait(lambda: len(answers) == 3, "what comes after")
     assert answers == ["a", "b", "c"]
-    (status,) = (s for s in box.container.list() if s.full_name.endswith("quits"))
+    (status,) = (s for s in box.container.list().values() if s.full_name.endswith("quits"))
     assert (status.errors.count, status.errors.last) == (2, "SystemExit: enough")
     assert "in _on_text" in capfd.readouterr().err

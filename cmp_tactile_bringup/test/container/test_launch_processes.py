@@ -22,10 +22,10 @@ from std_msgs.msg import String
 
 TIMEOUT_S = 120.0
 GRAPH = '''
-from cmp_tactile_bringup.graphs.description import Argument
+from cmp_tactile_bringup.graphs.arguments import Argument
 from cmp_tactile_bringup.graphs.description import Component, graph
 
-@graph(Argument("prefix", "text", "what is put before", "heard"), container="not_this_one")
+@graph(Argument("prefix", "what is put before", "heard"))
 def mine(given):
     """Two components."""
     parameters = {"prefix": given["prefix"], "numbers": [1.0, 2.0]}
@@ -90,7 +90,7 @@ def test_launch_starts_a_container_and_ends_with_zero(ros, start, graph):
     assert answers[0].data == "yes there?"
     # Launch does not bear an end while it waits for an answer.
     _wait_for_line(runner, f"Loaded node '{ros.namespace}/ticker'")
-    assert _loaded(ros, "not_this_one") == ["/echo", "/ticker"]
+    assert _loaded(ros, "tactile_container") == ["/echo", "/ticker"]
     # SIGTERM ends launch itself at once and leaves its processes behind.
     code, log = _end(runner, signal.SIGINT)
     assert (code, "Traceback" in log) == (0, False), log

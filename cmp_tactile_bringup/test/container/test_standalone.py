@@ -37,20 +37,14 @@ EXECUTABLES = "cmp_tactile_bringup.container.executables"
 TIMEOUT_S = 300.0
 # A sensor without the force model, which takes its time.
 GRAPH = '''
-from cmp_tactile_bringup.graphs.description import Argument
-from cmp_tactile_bringup.graphs.description import Component, graph
-from cmp_tactile_bringup.graphs.one_sensor import SensorSettings, sensor_components
+from cmp_tactile_bringup.graphs.description import graph
+from cmp_tactile_bringup.graphs.one_sensor import sensor_arguments, sensor_components
 
-@graph(
-    Argument("input", "recording", "recording", "grasp"),
-    Argument("rate", "number", "speed", 1.0),
-)
+@graph(*sensor_arguments(["replay"]))
 def mine(given):
     """A recording into the first stages."""
-    settings = SensorSettings.from_arguments(
-        given, source="replay", sensor="sample_rig", namespace="NAMESPACE", start=0.2
-    )
-    nodes, source = sensor_components(settings)
+    own = {"source": "replay", "sensor": "sample_rig", "namespace": "NAMESPACE", "start": 0.2}
+    nodes, source = sensor_components({**given, **own})
     wanted = ("view_splitter", "stereo_triangulator")
     found = [item for item in nodes if item.name in wanted or item.name.endswith("tracker")]
     return [*found, *source]
@@ -91,9 +85,8 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
     [
         (["none.py"], "error: none.py: found no such file, expected a path or one of gripper, "),
         (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
-        (["replay", "pace:=2"], "error: found argument 'pace', expected one of: frame_rate, sens"),
+        (["replay", "pace:=2"], "error: found argument 'pace', expected one of: sensor, name, "),
         (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
-        (["replay", "--set", "drum.loop=true"], "found component 'drum', expected one of force"),
         (["simulate", "container:=/x"], "error: found argument 'container', expected one of"),
     ],
 )
@@ -122,9 +115,9 @@ def test_a_recording_that_is_not_there_is_reported_before_anything_is_loaded(gra
 
 
 def test_component_that_cannot_be_loaded_ends_the_runner(graph_file, grasp_bag):
-    code, log = _run(
-        str(graph_file[0]), f"input:={grasp_bag}", "--set", "left_gridline_tracker.view=top"
-    )
+    params = graph_file[0].with_suffix(".yaml")
+    params.write_text("/**/left_gridline_tracker: {ros__parameters: {view: top}}")
+    code, log = _run(str(graph_file[0]), f"input:={grasp_bag}", f"params_file:={params}")
     assert code == 1
     assert "error: left_gridline_tracker (cmp_tactile_processing::GridlineTracker):" in log
     assert "Traceback" not in log
@@ -144,7 +137,7 @@ def test_the_chain_runs_and_ends_with_zero(ros, graph_file, grasp_bag):
     path, namespace = graph_file
     surfaces = ros.listen(Surface, f"{namespace}/surface")
     request = SetBool.Request(data=False)
-    setting = ["--set", "replay.rate=0.5", "--set", "replay.paused=true"]
+    setting = ["rate:=0.5", "paused:=true"]
     with _standalone(str(path), f"input:={grasp_bag}", *setting) as process:
         try:
             ros.call(SetBool, f"{namespace}/replay/pause", request, TIMEOUT_S)
@@ -167,7 +160,7 @@ def test_the_page_begins_and_ends_with_the_runner(way, graph_file, grasp_bag):
         port = trial.getsockname()[1]
     address = f"http://127.0.0.1:{port}/?token=a%20word"
     view = ["view:=true", f"view_port:={port}", "view_token:=a word"]
-    arguments = [f"input:={grasp_bag}", "--set", "replay.paused=true", *view]
+    arguments = [f"input:={grasp_bag}", "paused:=true", *view]
 
     def status(url: str) -> int:
         try:
@@ -195,19 +188,19 @@ def test_the_page_begins_and_ends_with_the_runner(way, graph_file, grasp_bag):
 
 
 FINGERS = """
-from cmp_tactile_bringup.graphs.description import Argument, graph
-from cmp_tactile_bringup.graphs.one_sensor import SensorSettings, sensor_components
+from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import graph
+from cmp_tactile_bringup.graphs.one_sensor import sensor_components
 
-@graph(Argument("input", "recording", "recording", "grasp"))
+@graph(Argument("input", "recording", "grasp"))
 def fingers(given):
     'A recording into the splitters of two sensors.'
     found = []
     for name in ("left_finger", "right_finger"):
-        settings = SensorSettings.from_arguments(
+        nodes, source = sensor_components(
             given, source="replay", sensor="sample_rig", name=name, namespace=f"NAMESPACE/{name}",
             publish_clock=False, loop=True,
         )
-        nodes, source = sensor_components(settings)
         found += [item for item in nodes if item.name == "view_splitter"] + source
     return found
 """

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 # What is given to each, beside a mounting.
 GRAPHS = {
     "replay": {"rate": "0.5", "loop": "true", "namespace": "hand", "name": "left_finger"},
-    "simulate": {"max_speed": "0.5", "name": "left_finger", "container": "/box"},
+    "simulate": {"autoplay": "false", "name": "left_finger", "container": "/box"},
     "sensor": {"sensor": "sample_rig", "device": "/dev/video7", "record": "nowhere/bag"},
     "gripper": {"left_source": "replay", "left_input": "grasp", "right_mount": "0 0 1 0 0 0"},
 }
@@ -45,7 +45,7 @@ def test_every_argument_of_the_graph_is_declared(name):
     }
     assert list(declared) == list(expected)
     for key, argument in expected.items():
-        assert declared[key].description.startswith(argument.help)
+        assert declared[key].description.startswith(argument.description)
         assert _text(declared[key].default_value) == argument.default_text
         assert declared[key].choices == (list(argument.allowed) or None)
 
