@@ -101,14 +101,10 @@ ENDLESS_INFO = """
 import sys, time
 from cmp_tactile_bringup import command
 
-def endless(subcommand, interruption, run=command._run):
-    def run_and_wait(self, run=type(subcommand).run):
-        run(self)
-        while True:
-            time.sleep(0.05)
-
-    type(subcommand).run = run_and_wait
-    return run(subcommand, interruption)
+def endless(words, interruption, run=command._run):
+    run(words, interruption)
+    while True:
+        time.sleep(0.05)
 
 command._run = endless
 sys.exit(command.main())
@@ -167,20 +163,6 @@ def test_a_reader_that_has_gone_is_no_error(words):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_a_terminal_that_was_closed_is_no_error():
-    """What `disown` keeps alive goes on; tried: of several recordings the first was processed.
-
-    Reports: tqdm/tqdm 1033, ml-evs/matador 190, fabric/fabric 1583.
-    """
-    terminal, inside = os.openpty()
-    os.close(terminal)
-    try:
-        words = _command("info", "sample_rig")
-        assert subprocess.run(words, stdout=inside, stderr=inside, check=False).returncode == 0
-    finally:
-        os.close(inside)
-
-
 def test_an_error_is_one_though_nobody_reads_the_output(tmp_path):
     """Of several recordings the later ones are processed, too."""
     reader, writer = os.pipe()
@@ -193,27 +175,9 @@ def test_an_error_is_one_though_nobody_reads_the_output(tmp_path):
     assert done.returncode == 1
 
 
-OPENED = """
-import os, sys
-from cmp_tactile_bringup import command
-
-command._run = lambda *_: os.open(os.devnull, os.O_RDONLY)
-sys.exit(command.main())
-"""
-
-
-def test_what_is_opened_does_not_take_the_place_of_a_closed_stream():
-    """There libraries write what they log; tried: live and replay ended with an AttributeError.
-
-    Reports: treeverse/dvc 10041, mar10/wsgidav 141.
-    """
-    shell = ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", sys.executable, "-c", OPENED, "info"]
-    assert subprocess.run(shell, check=False).returncode > 2
-
-
 UNTIL_STOPPED = """
 import signal, sys
-from cmp_tactile_bringup.terminal.stop_signal import StopSignal
+from cmp_tactile_processing.stop_signal import StopSignal
 
 if sys.argv[1:] == ["nohup"]:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)

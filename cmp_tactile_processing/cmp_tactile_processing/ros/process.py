@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import gc
 import os
-import signal
 import sys
 import threading
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from types import FrameType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -28,6 +26,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.stop_signal import Interruption
 
 LOGGED_S = 5.0
 
@@ -132,7 +131,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
     node = executor = None
     before = frozenset(threading.enumerate())
     try:
-        with _interruptible():
+        with Interruption():
             with joining_ros():
                 rclpy.init(args=args)
                 node = make_node()
@@ -174,30 +173,6 @@ def leave_at_once(code: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """SIGTERM and SIGHUP raise KeyboardInterrupt here, too, also in a constructor that compiles.
-
-    rclpy passes SIGINT and SIGTERM on to these handlers.
-    """
-
-    def interrupt(number: int, _frame: FrameType | None) -> None:
-        # A shell and the kernel send one each: the second must not disturb the end.
-        before[number] = signal.SIG_IGN
-        signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    numbers = [signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as `nohup` has it
-        numbers.append(signal.SIGHUP)
-    before: dict[int, Any] = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 Self = TypeVar("Self", bound="Listener")

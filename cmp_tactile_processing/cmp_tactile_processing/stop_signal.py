@@ -1,0 +1,116 @@
+"""SIGINT, SIGTERM or, as a terminal or ssh is closed, SIGHUP: waited for, or raised.
+
+rclpy's own handlers end the ROS context at once, under the feet of running callbacks.  These
+only inform the main thread, which then destroys what there is in order and ends the context last.
+"""
+
+from __future__ import annotations
+
+import atexit
+import math
+import signal
+import sys
+import time
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from types import FrameType
+from typing import Any
+
+NUMBERS = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
+LONGEST_SLEEP = 1.0  # s
+# After which an interrupt that Python dropped is repeated.
+REPEAT_S = 0.05
+
+
+def stopping_signals() -> list[int]:
+    """Those of them that are to stop this process: `nohup` lets SIGHUP be ignored."""
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return [number for number in NUMBERS if number != signal.SIGHUP or not ignored]
+
+
+def ignore_signals() -> None:
+    """To be called at the end of a process, which a late signal must not kill."""
+    for number in NUMBERS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+class StopSignal:
+    """Set by the first of these signals.  To be made, and waited for, in the main thread.
+
+    Signals after the first change nothing; also one that comes while the interpreter ends, and its
+    handlers are gone.  by_signal: whether a signal came.
+    """
+
+    def __init__(self) -> None:
+        # `put` may interrupt `get`, where Event.set would wait for a lock that Event.wait holds.
+        self._news: SimpleQueue[None] = SimpleQueue()
+        self._is_set = False
+        self.by_signal = False
+        for number in stopping_signals():
+            signal.signal(number, self._on_signal)
+        atexit.register(ignore_signals)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self.by_signal = True
+        self.set()
+
+    def set(self) -> None:
+        """End the waiting without a signal."""
+        self._is_set = True
+        self._news.put(None)
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until a signal comes or `set` is called; False where neither is within timeout s."""
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while not self._is_set and (left := end - time.monotonic()) > 0:
+            # Python runs its handlers in the main thread, and a signal does not always wake it.
+            with suppress(Empty):
+                self._news.get(timeout=min(left, LONGEST_SLEEP))
+        return self._is_set
+
+
+class Interruption:
+    """A context manager: these signals raise KeyboardInterrupt, also in what takes long to compile.
+
+    Python drops an exception that is raised within a finaliser, and a compiler runs many of them:
+    the interrupt is repeated where it was dropped, without a traceback.
+    number: of the last signal that came; 0 for none.
+    """
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._earlier: dict[int, Any] = {}
+        self._show_unraisable = sys.unraisablehook
+
+    def __enter__(self) -> Interruption:
+        for number in (*stopping_signals(), signal.SIGALRM):
+            self._earlier[number] = signal.signal(number, self._on_signal)
+        sys.unraisablehook = self._on_dropped
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        if self.number == signal.SIGHUP:
+            # A shell and the kernel send one each: the second must not disturb the end.
+            self._earlier[signal.SIGHUP] = signal.SIG_IGN
+        for number, handler in self._earlier.items():
+            signal.signal(number, handler)
+        sys.unraisablehook = self._show_unraisable
+
+    @property
+    def exit_code(self) -> int:
+        """That of the signal that came; 0 for none."""
+        return self.number and 128 + self.number
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        if number == self.number == signal.SIGHUP:
+            return
+        if number != signal.SIGALRM:
+            self.number = number
+        raise KeyboardInterrupt
+
+    def _on_dropped(self, dropped: sys.UnraisableHookArgs) -> None:
+        if self.number and dropped.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+        else:
+            self._show_unraisable(dropped)
