@@ -51,7 +51,7 @@ def _run(words: Sequence[str], interruption: Interruption) -> int:
         # The reader of the output has gone, as `| head` does; what is left has no use.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (Exception, SystemExit) as error:  # noqa: BLE001  the edge: the user gets one line
+    except (Exception, SystemExit) as error:
         if interruption.number:
             # What the interrupt caused in what was being loaded; typer makes an exit of it.
             raise KeyboardInterrupt from None

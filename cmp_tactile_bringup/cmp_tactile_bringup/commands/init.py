@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from cmp_tactile_bringup.commands.looking import DEVICES, LAYOUTS, Looking
+from cmp_tactile_bringup.commands.focus import DEVICES, LAYOUTS, Looking
 from cmp_tactile_bringup.commands.options import Choice, Number, argument, misuse, option
 
 if TYPE_CHECKING:

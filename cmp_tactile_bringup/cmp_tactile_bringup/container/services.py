@@ -19,8 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from cmp_tactile_bringup.container.components import ComponentContainer
-from cmp_tactile_bringup.container.spinning import LoadedComponent
+from cmp_tactile_bringup.container.components import ComponentContainer, LoadedComponent
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS

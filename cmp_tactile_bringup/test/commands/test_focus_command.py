@@ -14,7 +14,7 @@ import pytest
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import focus, looking
+from cmp_tactile_bringup.commands import focus
 from cmp_tactile_bringup.terminal import output
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
@@ -130,7 +130,7 @@ def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, cap
     machine.install(monkeypatch)
     camera = fake.FakeCamera(modes={"GREY": {(1024, 768): (30,)}})
     node = machine.plug(camera)
-    monkeypatch.setattr(looking, "DEVICES", f"{node.parent}/")
+    monkeypatch.setattr(focus, "DEVICES", f"{node.parent}/")
     pixels = taken(rendered).tobytes()
 
     def feed():

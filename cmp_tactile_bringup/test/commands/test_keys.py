@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ros
 pytest.importorskip("rclpy")
 
 
-from cmp_tactile_bringup.terminal.keys import pressed_keys
+from cmp_tactile_bringup.graphs.running import pressed_keys
 
 # As a shell starts it: with a terminal of its own, in the foreground.
 CHILD = """
@@ -31,7 +31,7 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 # Prints keys until q, an error, or Ctrl-C.
 READER = """
 import threading
-from cmp_tactile_bringup.terminal.keys import pressed_keys
+from cmp_tactile_bringup.graphs.running import pressed_keys
 ended = threading.Event()
 
 def on_key(key):
