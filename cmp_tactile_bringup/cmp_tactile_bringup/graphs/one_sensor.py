@@ -20,6 +20,7 @@ from cmp_tactile_bringup.graphs.description import Component, GraphSensor, absol
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_driver.sources.parameters import (
+    CameraDriverParameters,
     CameraParameters,
     RecorderParameters,
     ReplayParameters,
@@ -119,6 +120,9 @@ SENSOR_ARGUMENTS = (
     _of_node(ReplayParameters, "paused", REPLAY),
     _of_node(ReplayParameters, "publish_clock", REPLAY),
     _of_node(CameraParameters, "device", CAMERA),
+    _of_node(CameraParameters, "pixel_format", CAMERA),
+    _of_node(CameraParameters, "colour", CAMERA),
+    _of_node(CameraDriverParameters, "camera_info_url", CAMERA),
     SensorArgument(
         "frame_queue",
         "frames to process if they come too quickly: every frame, or only the newest; auto: newest "
@@ -336,7 +340,7 @@ def _source(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Compon
         return
     names = {
         SIMULATED: ("source", "frame_rate", "autoplay"),
-        CAMERA: ("source", "frame_rate", "device"),
+        CAMERA: ("source", "frame_rate", "device", "pixel_format", "colour", "camera_info_url"),
         REPLAY: ("topic", "rate", "start", "end", "loop", "paused", "publish_clock"),
     }
     given: dict[str, Value] = {name: settings[name] for name in names[source]}
