@@ -171,6 +171,5 @@ def test_the_demo_keeps_its_limits(grasp_bag, tmp_path, capsys):
     assert {path.name for path in output.iterdir()} == {
         "index.html",
         "container.log",
-        "grasp.webp",
         *(f"{name}.png" for name in PICTURES),
     }

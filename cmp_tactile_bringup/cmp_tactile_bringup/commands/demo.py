@@ -222,12 +222,13 @@ def _play_at(
 
 
 def _report(results: DemoResults, rows: Any, folder: Path, progress: Progress) -> Path | None:
-    """The page, or None where too little came through for figures."""
-    from cmp_tactile_bringup.report.write import report_steps, write_report
+    """The page, or None where no frame came through."""
+    from cmp_tactile_bringup.report.demo import write_report
 
-    task = progress.add_task("Drawing figures", total=report_steps(results), note="")
-    try:
-        return write_report(results, rows, folder, lambda: progress.advance(task))
-    except LookupError as error:
-        progress.update(task, note=f"no figures: {error}")
+    task = progress.add_task("Drawing figures", total=1, note="")
+    if not results.frames:
+        progress.update(task, note="no figures: no frame came through")
         return None
+    page = write_report(results, rows, folder)
+    progress.advance(task)
+    return page

@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.report import style
-from cmp_tactile_bringup.report.figures import calibration
+from cmp_tactile_bringup.report import calibration_figures, style
 from cmp_tactile_processing.calibration.material.loads import LoadResult, MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Estimate
@@ -26,11 +25,6 @@ CAPTIONS = {
     "residuals.png": (
         "Measured minus modelled position of every point. Arrows in random directions are noise. "
         "Neighbouring arrows in the same direction show an error of the model."
-    ),
-    "histogram.png": "Distribution of the residuals.",
-    "gel.png": (
-        "The same for each marker. A single dark marker is a defect of the print, or dirt. A dark "
-        "area means that the gel is touched or differs from its description."
     ),
     "loads.png": (
         "Force of the sensor over the known force, before and after the calibration. On the line "
@@ -60,19 +54,18 @@ def write_calibration_report(
     pictures: an image of each view, which the residuals are drawn over.  name: of the sensor.
     """
     figures: dict[str, Callable[[], Figure]] = {}
-    sensor = outcome.sensor
     if any(len(item.pixels) for item in outcome.residuals):
-        figures["residuals.png"] = lambda: calibration.residual_figure(outcome.residuals, pictures)
-        figures["histogram.png"] = lambda: calibration.histogram_figure(outcome.residuals)
-        if outcome.method == "gel" and sensor is not None:
-            figures["gel.png"] = lambda: calibration.gel_map_figure(outcome.residuals, sensor)
+        draw = calibration_figures.residual_figure
+        figures["residuals.png"] = lambda: draw(outcome.residuals, pictures)
     return _write(folder, figures, source="images", **_found(outcome, name))
 
 
 def write_material_report(outcome: MaterialOutcome, folder: Path, name: str) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
     figures = (
-        {"loads.png": lambda: calibration.material_figure(outcome.loads)} if outcome.loads else {}
+        {"loads.png": lambda: calibration_figures.material_figure(outcome.loads)}
+        if outcome.loads
+        else {}
     )
     loads: dict[str, Any] = {
         "loads": load_rows(outcome.loads),
@@ -93,7 +86,9 @@ def _found(outcome: CalibrationOutcome | MaterialOutcome, name: str) -> dict[str
 def write_relaxation_report(report: RelaxationReport, folder: Path) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
     curves = (report.time_s, report.reading, report.corrected)
-    figures = {"relaxation.png": lambda: calibration.relaxation_figure(*curves, report.reference)}
+    figures = {
+        "relaxation.png": lambda: calibration_figures.relaxation_figure(*curves, report.reference)
+    }
     return _write(
         folder,
         figures,
@@ -191,7 +186,7 @@ def load_rows(loads: Sequence[LoadResult]) -> list[LoadRow]:
     return [
         _load_row(load, int(axis), first=number == 0)
         for load in loads
-        for number, axis in enumerate(np.flatnonzero(calibration.known_components(load)))
+        for number, axis in enumerate(np.flatnonzero(calibration_figures.known_components(load)))
     ]
 
 
@@ -204,7 +199,7 @@ def _load_row(load: LoadResult, axis: int, *, first: bool) -> LoadRow:
 
     return LoadRow(
         name=load.name if first else "",
-        component=calibration.AXES[axis],
+        component=calibration_figures.AXES[axis],
         reference=force(load.reference),
         before=force(load.before),
         after=force(load.after),

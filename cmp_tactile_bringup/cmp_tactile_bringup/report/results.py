@@ -12,8 +12,6 @@ from cmp_tactile_bringup.recordings.simulated import Recording
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-EQUAL_SHARE = 0.95
-
 
 @dataclass(frozen=True)
 class FrameResult:
@@ -70,50 +68,6 @@ class DemoResults:
         """(n,) time of each frame since the first of the recording, s."""
         stamps = np.array([frame.stamp_ns for frame in self.frames], np.int64)
         return (stamps - self.recording.truth.stamp_ns[0]).astype(np.float64) * 1e-9
-
-    @property
-    def positions(self) -> NDArray[np.float64]:
-        """(n, rows, cols, 3) measured marker positions, gel frame, m."""
-        return np.stack([frame.surface.position for frame in self.frames])
-
-    def frame(self, index: int) -> FrameResult:
-        """The frame of that number in the recording; LookupError where it was lost."""
-        for frame in self.frames:
-            if frame.index == index:
-                return frame
-        msg = f"frame {index} of the recording was lost"
-        raise LookupError(msg)
-
-
-@dataclass(frozen=True)
-class Jump:
-    """Two neighbouring frames between which the markers moved far.
-
-    before, after: positions in `DemoResults.frames`.  distance (rows, cols): m per marker.
-    """
-
-    before: int
-    after: int
-    distance: NDArray[np.float64]
-
-
-def find_jump(results: DemoResults) -> Jump:
-    """The largest movement within one frame interval, by the mean over the markers.
-
-    A knock and the knock back are equally large but for noise: the first of such equals counts.
-    Raises LookupError where no two neighbouring frames came through.
-    """
-    indices = np.array([frame.index for frame in results.frames])
-    neighbours = np.flatnonzero(np.diff(indices) == 1)
-    if neighbours.size == 0:
-        msg = "found no two consecutive frames"
-        raise LookupError(msg)
-    positions = results.positions
-    distances = np.linalg.norm(positions[neighbours + 1] - positions[neighbours], axis=-1)
-    means = np.nan_to_num(np.nanmean(distances, axis=(1, 2)))
-    first = int(np.argmax(means >= EQUAL_SHARE * means.max()))
-    before = int(neighbours[first])
-    return Jump(before, before + 1, distances[first])
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ def test_a_limit_that_is_missed_is_named_and_ends_the_demo_with_one(
     monkeypatch.setattr(
         cmp_tactile_bringup.demo, "play", lambda *_: replace(results, frames=frames)
     )
-    monkeypatch.setattr("cmp_tactile_bringup.report.write.write_report", lambda *_: None)
+    monkeypatch.setattr("cmp_tactile_bringup.report.demo.write_report", lambda *_: None)
     bag = str(results.recording.bag)
     assert main(["demo", "--rate", "20", "--recording", bag, "--output", str(tmp_path)]) == 1
     (missed,) = re.findall("Limits missed: (.*)", capsys.readouterr().out)

@@ -13,14 +13,18 @@ from matplotlib.collections import QuadMesh
 from matplotlib.text import Text
 from PIL import Image
 
+from cmp_tactile_bringup.report.demo import (
+    contact_figure,
+    overview_figure,
+    true_states,
+    wrench_figure,
+    write_report,
+)
 from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-from cmp_tactile_bringup.report.figures.over_time import contact_figure, true_states, wrench_figure
-from cmp_tactile_bringup.report.figures.overview import overview_figure
 from cmp_tactile_bringup.report.results import DemoResults
-from cmp_tactile_bringup.report.write import report_steps, write_report
 from cmp_tactile_processing.measured import ForceFlag, SlipEstimate, SlipState
 
-FIGURES = ("wrench", "contacts")
+FIGURES = ("overview", "wrench", "contacts")
 VOID = {"meta", "img"}
 
 
@@ -48,41 +52,32 @@ class PageReader(HTMLParser):
         self.text += data
 
 
-def write(results: DemoResults, folder, on_step=lambda: None) -> PageReader:
+def write(results: DemoResults, folder) -> PageReader:
     rows = table_rows(results, evaluate(results))
-    return PageReader(write_report(results, rows, folder, on_step).read_text())
+    return PageReader(write_report(results, rows, folder).read_text())
 
 
 @pytest.fixture(scope="module")
 def page_and_folder(results, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    steps: list[None] = []
-    page = write(results, folder, lambda: steps.append(None))
-    assert len(steps) == report_steps(results)
-    return page, folder
+    return write(results, folder), folder
 
 
 def test_every_figure_is_a_picture_with_content(page_and_folder):
     _, folder = page_and_folder
-    for name in (*FIGURES, "overview"):
+    for name in FIGURES:
         with Image.open(folder / f"{name}.png") as picture:
             grey = np.asarray(picture.convert("L"), np.float64)
         assert min(grey.shape) > 400, name
         assert grey.std() > 15, name
 
 
-def test_the_animation_has_one_picture_per_frame(page_and_folder, results):
-    _, folder = page_and_folder
-    with Image.open(folder / "grasp.webp") as picture:
-        assert picture.n_frames == len(results.frames)
-
-
 def test_the_page_holds_all_pictures_itself(page_and_folder):
     page, _ = page_and_folder
-    assert len(page.sources) == len(FIGURES) + 1
+    assert len(page.sources) == len(FIGURES)
     for source in page.sources:
         kind, _, data = source.partition(";base64,")
-        assert kind in ("data:image/png", "data:image/webp")
+        assert kind == "data:image/png"
         Image.open(BytesIO(base64.b64decode(data))).verify()
 
 
@@ -90,14 +85,13 @@ def test_the_page_shows_numbers_beside_their_truth(page_and_folder, results):
     page, _ = page_and_folder
     rmse = f"{evaluate(results).corner_rmse_px:.4f} px"
     assert rmse in page.text
-    before = results.frames[2]
+    before = max(results.frames, key=lambda frame: -frame.force.wrench[2])
     true = results.recording.truth.wrench[before.index]
     felt, spread = -before.force.wrench[2], 2 * before.force.wrench_std[2]
     assert f"{felt:.2f} ± {spread:.2f} N into the gel, truly {-true[2]:.2f} N" in page.text
-    assert "True Fz within ±2 std" in page.text
+    assert "within ±2 std in" in page.text
     assert "finite-element mesh of its own" in page.text
     assert "Limits missed: Frames lost" in page.text
-    assert "2.2 checkers" in page.text
 
 
 def test_hidden_markers_unknown_force_and_a_title_of_markup_leave_a_report(results, tmp_path):
@@ -107,7 +101,6 @@ def test_hidden_markers_unknown_force_and_a_title_of_markup_leave_a_report(resul
     recording = replace(results.recording, title="<script>alert(1)</script>")
     changed = replace(results, recording=recording, frames=tuple(frames))
     page = write(changed, tmp_path)
-    assert "260 of 400 markers" in page.text
     assert "<script>alert(1)</script>" in page.text
 
 
@@ -155,11 +148,11 @@ def test_forces_that_are_nowhere_known_leave_their_figures(results):
     frames = tuple(replace(frame, force=_unknown(frame.force)) for frame in results.frames)
     unknown = replace(results, frames=frames)
     figure = contact_figure(unknown)
-    assert [axes.get_ylabel() for axes in figure.axes] == ["contacts", "area, mm²"]
-    assert "without error bars" in words_of(wrench_figure(unknown))
-    assert overview_figure(unknown, frames[2].index).axes
+    assert [axes.get_ylabel() for axes in figure.axes] == ["area, mm²"]
+    assert wrench_figure(unknown).axes
+    assert overview_figure(frames[2]).axes
     rows = {row.name: row.value for row in table_rows(unknown, evaluate(unknown))}
-    assert rows["True Fz within ±2 std"] == "without error bars"
+    assert rows["Fz error, RMS"].endswith("no error bars")
     assert rows["Flags set, frames"] == f"few_markers in {len(frames)}"
     both = replace(frames[0].force, flags=ForceFlag.AT_BORDER | ForceFlag.FEW_MARKERS)
     flagged = replace(unknown, frames=(replace(frames[0], force=both), *frames[1:]))
@@ -182,13 +175,12 @@ def test_slip_and_friction_are_drawn_beside_their_truth(results):
     friction = [line.get_ydata() for line in panels["tangential / normal"].lines]
     assert any(len(y) > len(frames) and np.allclose(y, 0.6) for y in friction), "the truth"
     assert any(len(y) == len(frames) and np.allclose(y, 0.62) for y in friction)
-    assert any(np.allclose(line.get_ydata(), 0.4) for line in panels["sliding share"].lines)
 
 
 def test_outlines_lie_over_the_pressure_where_the_gel_has_moved_to(results):
     """Of a dragged contact: both moved with the gel."""
     frame = results.frames[2]
-    panel = overview_figure(results, frame.index).axes[2]
+    panel = overview_figure(frame).axes[2]
     outline = np.asarray(panel.lines[0].get_xydata()[:-1])
     np.testing.assert_allclose(outline, frame.force.contacts[0].outline[:, :2] * 1e3)
     (mesh,) = [item for item in panel.collections if isinstance(item, QuadMesh)]

@@ -108,7 +108,7 @@ def _write_figures(
 ) -> None:
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
     from cmp_tactile_bringup.report import style
-    from cmp_tactile_bringup.report.figures.calibration import residual_figure, truth_figure
+    from cmp_tactile_bringup.report.calibration_figures import residual_figure, truth_figure
 
     folder.mkdir(parents=True, exist_ok=True)
     written = []
@@ -116,8 +116,7 @@ def _write_figures(
         figure = residual_figure(report.residuals, view_pictures(report.sensor, frame))
         written.append(style.save_figure(figure, folder / "residuals.png"))
     if errors is not None:
-        maps = {"3-D error": errors.position}
-        figure = truth_figure(maps, report.sensor.pattern)
+        figure = truth_figure(errors.position, report.sensor.pattern)
         written.append(style.save_figure(figure, folder / "truth.png"))
     for path in written:
         print(f"Written: {path}")

@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.report import style
 from cmp_tactile_processing.calibration.material.loads import LoadResult
 from cmp_tactile_processing.calibration.outcome import ViewResiduals, length_text
-from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
 
 Image = NDArray[np.uint8]
@@ -23,8 +20,6 @@ Image = NDArray[np.uint8]
 ARROW_SHARE = 0.03
 MOST_ARROWS = 4000
 AXES_HEIGHT, LEAST_WIDTH, MARGIN = 5.6, 3.6, 1.0
-BINS = 61
-HISTOGRAM_SPAN = 4.0
 AXES = ("Fx", "Fy", "Fz")
 MARKS = ("^", "s", "o")
 # Standard deviations that a bar reaches: 95 % of a normal error lies within.
@@ -93,113 +88,31 @@ def _draw_vectors(
     axes.set_xlabel("px of the view")
 
 
-def histogram_figure(residuals: Sequence[ViewResiduals]) -> Figure:
-    """How often residuals are how large, along x and y, beside a normal distribution."""
-    shown = _shown(residuals)
-    figure = style.new_figure(6.6 * len(shown), 3.8)
-    for axes, item in zip(_row_of_axes(figure, len(shown)), shown, strict=True):
-        _draw_histogram(axes, item)
-    return figure
-
-
-def _draw_histogram(axes: Axes, item: ViewResiduals) -> None:
-    values = item.residuals[item.used]
-    sigma = max(float(values.std()), 1e-6)
-    edges = np.linspace(-HISTOGRAM_SPAN, HISTOGRAM_SPAN, BINS) * sigma
-    for axis, name in enumerate("xy"):
-        axes.hist(
-            values[:, axis],
-            list(edges),
-            density=True,
-            histtype="step",
-            color=style.SERIES[axis],
-            linewidth=1.6,
-            label=f"along {name}: {values[:, axis].std():.3f} px",
-        )
-    normal = np.exp(-0.5 * (edges / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
-    axes.plot(edges, normal, color=style.MUTED, linestyle=":", label="normal distribution")
-    axes.set_yticks([])
-    axes.set_xlabel("residual, px")
-    axes.legend(loc="upper right", fontsize=10)
-    style.title(axes, f"{item.view} view, {len(values)} points")
-
-
-def gel_map_figure(residuals: Sequence[ViewResiduals], sensor: SensorDescription) -> Figure:
-    """Mean length of the residuals of each marker, where the marker is on the gel; one scale.
-
-    One that is far off in every frame is a defect of the print; a pattern of many is a model that
-    does not fit.
-    """
-    shown, pattern = _shown(residuals), sensor.pattern
-    maps = {item.view: _per_marker(item, pattern.corners(), sensor) for item in shown}
-    high = max(_high(values) for values in maps.values())
-    figure = style.new_figure(6.0 * len(maps), 5.2)
-    row = _row_of_axes(figure, len(maps))
-    for axes, (view, values) in zip(row, maps.items(), strict=True):
-        image = _draw_gel_map(axes, values, pattern, high)
-        style.title(axes, f"{view} view", "mean residual of each marker over the frames")
-    style.colour_bar(image, row, "px", shrink=0.8)
-    return figure
-
-
-def truth_figure(errors: Mapping[str, NDArray[np.float64]], pattern: Pattern) -> Figure:
-    """Mean distance of each marker to the truth.  errors: (frames, rows, cols) m, by title.
-
-    Each has a scale of its own: before and after a calibration they differ by orders.
-    """
-    figure = style.new_figure(6.6 * len(errors), 5.2)
-    for axes, (name, values) in zip(_row_of_axes(figure, len(errors)), errors.items(), strict=True):
-        mean_um = np.nanmean(values, axis=0) * 1e6
-        image = _draw_gel_map(axes, mean_um, pattern, _high(mean_um))
-        whole = length_text(float(np.nanmean(values)))
-        style.title(
-            axes, name, f"mean error of each marker against the truth; all markers: {whole}"
-        )
-        style.colour_bar(image, [axes], "um", shrink=0.8)
-    return figure
-
-
-def _high(values: NDArray[np.float64]) -> float:
-    """Where the colours end: few outliers are not to leave the others pale."""
-    return max(float(np.nanpercentile(values, 99)), 1e-4)
-
-
-def _draw_gel_map(
-    axes: Axes, values: NDArray[np.float64], pattern: Pattern, high: float
-) -> AxesImage:
+def truth_figure(errors: NDArray[np.float64], pattern: Pattern) -> Figure:
+    """Mean distance of each marker to the truth.  errors: (frames, rows, cols) m."""
+    figure = style.new_figure(6.6, 5.2)
+    axes = figure.subplots()
+    mean_um = np.nanmean(errors, axis=0) * 1e6
     corners, half = pattern.corners(), pattern.pitch / 2
     x, y = corners[0, :, 0], corners[:, 0, 1]
     left, right, low, up = (1e3 * v for v in (x[0] - half, x[-1] + half, y[0] - half, y[-1] + half))
-    axes.set_xlabel("x on the gel, mm")
-    axes.set_ylabel("y, mm")
-    return axes.imshow(
-        values,
+    image = axes.imshow(
+        mean_um,
         origin="lower",
         extent=(left, right, low, up),
         cmap=style.PRESSURE_MAP,
         vmin=0.0,
-        vmax=high,
+        # Few outliers are not to leave the others pale.
+        vmax=max(float(np.nanpercentile(mean_um, 99)), 1e-4),
         interpolation="nearest",
     )
-
-
-def _per_marker(
-    item: ViewResiduals, corners: NDArray[np.float64], sensor: SensorDescription
-) -> NDArray[np.float64]:
-    """Length of each marker's mean residual, px; NaN where there is none."""
-    modelled = item.pixels - item.residuals
-    place = build_views(sensor)[item.view].project(corners.reshape(-1, 3))
-    # The model's pixels are exactly those of the corners, so the nearest one is the right one.
-    number = np.argmin(
-        ((modelled[:, None, :] - np.nan_to_num(place, nan=np.inf)) ** 2).sum(axis=-1), axis=1
-    )
-    total = np.zeros((len(place), 2))
-    count = np.zeros(len(place))
-    np.add.at(total, number, item.residuals)
-    np.add.at(count, number, 1)
-    with np.errstate(invalid="ignore"):
-        mean = total / count[:, None]
-    return np.asarray(np.linalg.norm(mean, axis=1).reshape(corners.shape[:2]))
+    axes.set_xlabel("x on the gel, mm")
+    axes.set_ylabel("y, mm")
+    whole = length_text(float(np.nanmean(errors)))
+    detail = f"mean error of each marker against the truth; all markers: {whole}"
+    style.title(axes, "3-D error", detail)
+    style.colour_bar(image, [axes], "um", shrink=0.8)
+    return figure
 
 
 def _shown(residuals: Sequence[ViewResiduals]) -> list[ViewResiduals]:

@@ -1,5 +1,0 @@
-"""Figures of the report.
-
-In: `DemoResults`.
-Out: PNG files and an animation.
-"""
