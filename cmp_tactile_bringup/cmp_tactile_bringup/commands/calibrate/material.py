@@ -5,13 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.calibrate import sources
-from cmp_tactile_bringup.commands.options import Number, argument, misuse, option, parameter_option
-from cmp_tactile_processing.calibration.material.options import MaterialOptions
+from cmp_tactile_bringup.commands.options import Number, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,7 +31,6 @@ OWN_SENSOR = f"{sources.SENSOR}; not needed if sensor.yaml is in the recording's
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
-_known = partial(parameter_option, MaterialOptions, group="Prior knowledge")
 WORDY_COLUMNS = 2
 
 
@@ -113,27 +110,20 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
             metavar="KG...",
         ),
     ] = None
-    # What a good six-axis sensor resolves.
-    wrench_std: Annotated[
-        float,
-        sources.force_sensor_option(
-            "standard deviation of the reference force", Number(1e-5, 100, "N")
-        ),
-    ] = 0.01
     every_frame: Annotated[
         bool,
         sources.force_sensor_option(
             "use frames in motion, too, not only those in which gel and force are still"
         ),
     ] = False
-    samples: Annotated[
-        int, sources.force_sensor_option("use at most N samples", Number(1, 10_000, kind=int))
-    ] = 60
-    young_factor: Annotated[float, _known("young_factor")] = MaterialOptions.young_factor
-    poisson_std: Annotated[float, _known("poisson")] = MaterialOptions.poisson
-    offset_std: Annotated[float, _known("offset")] = MaterialOptions.offset
-    model_error: Annotated[float, _known("model_error")] = MaterialOptions.model_error
-    strain_error: Annotated[float, _known("strain_error")] = MaterialOptions.strain_error
+    poisson_std: Annotated[
+        float,
+        option(
+            "standard deviation of the described Poisson's ratio, for the error bars; 0: it is "
+            "exact",
+            Number(0, 0.1),
+        ),
+    ] = 0.015
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
@@ -143,19 +133,12 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
 
         self._check_usage()
         sensor = _sensor(self)
-        options = MaterialOptions(
-            young_factor=self.young_factor,
-            poisson=self.poisson_std,
-            offset=self.offset_std,
-            model_error=self.model_error,
-            strain_error=self.strain_error,
-        )
         files = CalibrationFiles.of_sensor(self.output, ())
         files.check_free(overwrite=self.overwrite)
         samples = _samples(self, sensor)
         method = FORCE_SENSOR if self.wrench_topic else WEIGHTS
         with shown_count() as count:
-            outcome = fit_material(sensor, samples, method, options, on_progress=count)
+            outcome = fit_material(sensor, samples, method, self.poisson_std, count)
         return _conclude(outcome, files, self._source)
 
     @property

@@ -1,19 +1,21 @@
 """Calibration of the gel's material: Young's modulus from loads that are known.
 
-The force that the sensor shows goes with the modulus.  Poisson's ratio, thickness and shading layer
-stay as the description has them; what that leaves open is in the error bar of every force.
+The force that the sensor shows goes with the modulus, also under large strain, where strain goes
+with force over modulus.  So the loads are shown once, and the rest is linear: a factor, and for a
+reference sensor the offset of its zero.  Poisson's ratio, thickness and shading layer stay as the
+description has them; what that leaves open is in the error bar of every force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.one_thread import one_thread
-from cmp_tactile_processing.calibration.material import findings
 from cmp_tactile_processing.calibration.material.loads import (
     LoadResult,
     LoadSample,
@@ -21,14 +23,6 @@ from cmp_tactile_processing.calibration.material.loads import (
     check_samples,
     material_verdict,
     sample_name,
-)
-from cmp_tactile_processing.calibration.material.options import MaterialOptions
-from cmp_tactile_processing.calibration.material.scale import (
-    PoissonDoubt,
-    Readings,
-    ScaleFit,
-    fit_scale,
-    poisson_doubt,
 )
 from cmp_tactile_processing.calibration.outcome import (
     Estimate,
@@ -38,34 +32,57 @@ from cmp_tactile_processing.calibration.outcome import (
     provenance,
     silent,
 )
+from cmp_tactile_processing.elastic.mesh import MeshDensity
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.contact_regions import material_covariance
-from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import ForceField
+from cmp_tactile_processing.force.model import LINEAR_DOUBT, ForceModel
+from cmp_tactile_processing.measured import ForceField, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 
-# Young's modulus counts as determined below this share of its prior deviation.
-HELD_SHARE = 0.5
+Array = NDArray[np.float64]
+
 METHODS = ("weights", "force_sensor")
+# Standard deviations: of the described Poisson's ratio unless one is given; of the described
+# modulus, relative; of a reference sensor's zero, N; of the model's force, relative to it.
+POISSON_STD, YOUNG_STD, OFFSET_STD, MODEL_STD = 0.015, 0.55, 0.2, 0.005
+# A load is left out where it is fewer standard deviations of its noise, or more from the fit.
+LEAST_SIGNAL, OUTLIER = 5.0, 5.0
 # Of the loads, this share may be wrong before nobody knows which ones are right.
 MOST_WRONG = 1 / 3
-UNKNOWN = np.full(3, np.nan)
+# Relative standard deviation of the force in a good result, and in one that can be used.
+WANTED_STD, LARGEST_STD = 0.03, 0.2
+# Error of a linear model under large strain that is worth a word.
+STRAIN_ERROR = 0.03
+# Sideways force below this share of the normal force says nothing of sideways forces.
+LEAST_SIDEWAYS = 0.1
+# Least correlation between forces of the sensor and of the reference along the same axes.
+ALIKE = 0.8
+# A component of a load that is small beside it is modelled as well as this share of the load.
+CROSS_TALK = 0.2
+# How the response to a patch of 3 mm changes from Poisson's ratio 0.48 to 0.46, 6 % of it, comes
+# out of this mesh to 0.014 % of the response.
+COARSE = MeshDensity(across=12, rim=2, depth=3)
+LARGEST_POISSON = 0.4995
+# The deviations depend a little on the factor itself.
+ROUNDS = 3
 
 
 def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is informed, where it is kept
     sensor: SensorDescription,
     samples: Sequence[LoadSample],
     method: str,
-    options: MaterialOptions | None = None,
+    poisson_std: float = POISSON_STD,
     on_progress: Progress = silent,
     cache_dir: Path | None = None,
 ) -> MaterialOutcome:
     """Young's modulus of a sensor's gel from samples of known load.
 
     method: "weights", or "force_sensor" with a zero that may be off, which is then fitted too.
-    cache_dir: see ElasticModel.  Samples are of a gel at rest under its load; creep is taken out
-    before, see RelaxationFilter.  What is wrong with loads or result is among the findings.
+    poisson_std: of the described Poisson's ratio, for the error bars.  cache_dir: see ElasticModel.
+    Samples are of a gel at rest under its load; creep is taken out before, see RelaxationFilter.
+    What is wrong with loads or result is among the findings.
     Raises CalibrationError for no samples, samples of another shape or without a known force, and
     for another method.
     """
@@ -80,13 +97,169 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is in
         model = ForceModel(plain, cache_dir)
         on_progress("loading the elastic model", 1, 1)
         fields = [model.reconstruct(item.displacement, item.status) for item in samples]
+        reasons = {k: reason for k, shown in enumerate(fields) if (reason := _why_unusable(shown))}
+        calibration = _Calibration(sensor, samples, fields, method, reasons)
+        wrong = calibration.what_forbids_a_fit()
+        if wrong is not None:
+            return calibration.nothing(wrong)
         linear = ForceModel(
             replace(plain, force=replace(plain.force, large_press="off")), cache_dir
         )
-        calibration = _Calibration(
-            sensor, samples, fields, linear, method, options or MaterialOptions()
-        )
-        return calibration.outcome()
+        pressure = np.mean([np.abs(fields[k].force[:, 2]) for k in calibration.used], axis=0)
+        doubt = poisson_doubt(sensor, linear, pressure, poisson_std)
+    return calibration.outcome(doubt, poisson_std)
+
+
+def _why_unusable(shown: ForceField) -> str:
+    if not np.isfinite(shown.wrench).all():
+        return f"only {shown.valid_fraction:.0%} of the markers were seen"
+    if not shown.contact.any():
+        return "the sensor measures no contact"
+    signal = float(np.max(np.abs(shown.wrench[:3]) / shown.wrench_std[:3]))
+    return "" if signal >= LEAST_SIGNAL else "it is too small compared with the noise"
+
+
+@dataclass(frozen=True)
+class PoissonDoubt:
+    """What a Poisson's ratio that is wrong by one standard deviation changes at most, relative.
+
+    normal: of normal forces; Young's modulus makes up for it.  sideways: of sideways forces beside
+    the normal ones; nothing makes up for that.
+    """
+
+    normal: float
+    sideways: float
+
+
+def poisson_doubt(
+    sensor: SensorDescription, model: ForceModel, pressure: Array, std: float
+) -> PoissonDoubt:
+    """How far a Poisson's ratio that is wrong by std changes the forces of a contact.
+
+    pressure: normal forces (nodes,) N of it.  Forces of that distribution, normal and sideways,
+    move the markers of a gel with the other ratio, and the model reads them; it is one without
+    large strain.
+    """
+    if not std > 0:
+        return PoissonDoubt(0.0, 0.0)
+    problem = replace(ElasticProblem.from_sensor(sensor), density=COARSE)
+    forces = np.zeros((2, len(pressure), 3))
+    forces[0, :, 2], forces[1, :, 0] = -pressure, pressure
+    # The coarse mesh shows how the displacement changes, that of the model what changes.
+    described = _displacements(problem, forces)
+    status = np.full(described.shape[1:3], Status.MEASURED, dtype=np.uint8)
+    moved = [model.elastic.displacement(force) for force in forces]
+    before = [model.reconstruct(u, status).wrench for u in moved]
+    normal = sideways = 0.0
+    for poisson in (problem.poisson - std, min(problem.poisson + std, LARGEST_POISSON)):
+        changed = _displacements(replace(problem, poisson=poisson), forces)
+        change = (changed - described) / sensor.elastomer.young
+        after = [model.reconstruct(u, status).wrench for u in moved + change]
+        press, push = (float(a @ b / (b @ b)) - 1 for a, b in zip(after, before, strict=True))
+        normal, sideways = max(normal, abs(press)), max(sideways, abs(push - press))
+    return PoissonDoubt(normal, sideways)
+
+
+def _displacements(problem: ElasticProblem, forces: Array) -> Array:
+    """Displacements (2, rows, cols, 3) m Pa of the markers under forces (2, nodes, 3) N."""
+    columns = forces.reshape(len(forces), -1).T
+    moved = problem.expand(problem.solve(columns), of_nodes=False)
+    shape = len(forces), problem.markers.rows, problem.markers.cols, 3
+    return np.asarray(moved.T.reshape(shape), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Loads as the sensor shows them beside what they are, gel frame, N; all (n, 3).
+
+    shown, shown_std: with the description's modulus, and what noise makes of them.  reference,
+    reference_std: NaN where not known.
+    """
+
+    shown: Array
+    shown_std: Array
+    reference: Array
+    reference_std: Array
+
+    def noise(self, factor: float) -> Array:
+        """Standard deviations (n, 3) of shown times factor less reference, of noise alone."""
+        return np.asarray(np.hypot(factor * self.shown_std, self.reference_std))
+
+    def std(self, factor: float, doubt: PoissonDoubt) -> Array:
+        """The same with the errors of the model and of Poisson's ratio."""
+        size = factor * np.abs(self.shown)
+        least = CROSS_TALK * np.linalg.norm(size, axis=1, keepdims=True)
+        model = MODEL_STD * np.hypot(size, least)
+        sideways = doubt.sideways * size * (1.0, 1.0, 0.0)
+        return np.asarray(np.sqrt(self.noise(factor) ** 2 + model**2 + sideways**2))
+
+    def relative_spread(self, off: Array, factor: float, axes: slice, fitted: int) -> float:
+        """Relative error of the forces along some axes beyond the noise, 0 without any.
+
+        off (n, 3) N: residuals.  fitted: of the loads, used up by what was fitted to them.
+        """
+        size = np.linalg.norm(np.nan_to_num(self.reference), axis=1)
+        force = np.linalg.norm(self.reference[:, axes], axis=1)
+        large = force > LEAST_SIDEWAYS * size
+        count = int(large.sum()) - fitted
+        if count <= 0:
+            return 0.0
+        squares = off[large, axes] ** 2 - self.noise(factor)[large, axes] ** 2
+        beyond = max(0.0, float(squares.sum())) / count
+        return float(np.sqrt(beyond / np.mean(force[large] ** 2)))
+
+
+@dataclass(frozen=True)
+class ScaleFit:
+    """factor: of Young's modulus, std relative, of what differs between loads and of the model.
+
+    offset, offset_std (3,) N: of the reference, NaN where it has none.  misfits (n,): root mean
+    square of shown minus reference in standard deviations.  normal_std, sideways_std: of forces
+    with the new modulus, relative, with what Poisson's ratio leaves open.
+    """
+
+    factor: float
+    std: float
+    offset: Array
+    offset_std: Array
+    misfits: Array
+    normal_std: float
+    sideways_std: float
+
+
+def fit_scale(readings: Readings, doubt: PoissonDoubt, *, has_offset: bool) -> ScaleFit:
+    """The factor that makes the loads right on the whole."""
+    known = np.isfinite(readings.reference)
+    prior_std = np.array([YOUNG_STD] + 3 * [OFFSET_STD * has_offset])
+    free = prior_std > 0
+    prior = np.diag(prior_std[free] ** -2)
+    columns = np.zeros((*known.shape, 4))
+    columns[..., 0], columns[..., 1:] = readings.shown, np.eye(3)
+    x = np.array([1.0, 0.0, 0.0, 0.0])
+    for _ in range(ROUNDS):
+        weight = 1 / readings.std(float(x[0]), doubt)[known]
+        A = (columns[known] * weight[:, None])[:, free]
+        covariance = np.linalg.inv(A.T @ A + prior)
+        x[free] = covariance @ (A.T @ (weight * readings.reference[known]) + prior[:, 0])
+    factor = float(x[0])
+    off = np.where(known, columns @ x - readings.reference, np.nan)
+    variance = np.full(4, np.nan)
+    variance[free] = np.diag(covariance)
+    # What the model errs by in all loads alike is not averaged out.
+    common = MODEL_STD * np.sqrt(1 - 1 / len(known))
+    # One of the normal forces is as good as used up: the modulus makes it right.
+    normal_spread = readings.relative_spread(off, factor, slice(2, 3), fitted=1)
+    sideways_spread = readings.relative_spread(off, factor, slice(0, 2), fitted=0)
+    std = float(np.sqrt(variance[0] / factor**2 + common**2 + normal_spread**2))
+    return ScaleFit(
+        factor=factor,
+        std=std,
+        offset=np.where(free[1:], x[1:], np.nan),
+        offset_std=np.sqrt(variance[1:]),
+        misfits=np.sqrt(np.nanmean((off / readings.std(factor, doubt)) ** 2, axis=1)),
+        normal_std=float(np.hypot(std, doubt.normal)),
+        sideways_std=float(np.sqrt(std**2 + doubt.sideways**2 + sideways_spread**2)),
+    )
 
 
 @dataclass
@@ -96,49 +269,64 @@ class _Calibration:
     sensor: SensorDescription
     samples: Sequence[LoadSample]
     fields: Sequence[ForceField]
-    linear: ForceModel
     method: str
-    options: MaterialOptions
-    reasons: dict[int, str] = field(default_factory=dict)
-
-    def outcome(self) -> MaterialOutcome:
-        """Fit what can be fitted and say what is wrong."""
-        self._leave_out_unseen()
-        used = self._used
-        if not used:
-            text = "No load can be used: " + "; ".join(
-                f"{self._name(k)}: {reason}" for k, reason in self.reasons.items()
-            )
-            advice = "Press harder, inside the marker area, and check the reference at rest."
-            return self._nothing([Finding(Severity.ERROR, f"{text}.", advice)])
-        readings = self._readings(used)
-        wrong = findings.axis_findings(readings.shown, readings.reference)
-        if wrong:
-            return self._nothing(wrong)
-        pressure = np.mean([np.abs(self.fields[k].force[:, 2]) for k in used], axis=0)
-        doubt = poisson_doubt(self.sensor, self.linear, pressure, self.options.poisson)
-        fit, contradiction = self._robust_fit(doubt)
-        return self._fitted(fit, doubt, contradiction)
+    reasons: dict[int, str]
 
     @property
-    def _used(self) -> list[int]:
+    def used(self) -> list[int]:
+        """The loads that were not left out."""
         return [k for k in range(len(self.samples)) if k not in self.reasons]
+
+    def what_forbids_a_fit(self) -> Finding | None:
+        """An error for loads that were not seen, or are in another frame."""
+        if self.used:
+            readings = self._readings(self.used)
+            return axis_finding(readings.shown, readings.reference)
+        seen = "; ".join(f"{self._name(k)}: {reason}" for k, reason in self.reasons.items())
+        advice = "Press harder, inside the marker area, and check the reference at rest."
+        return Finding(Severity.ERROR, f"No load can be used: {seen}.", advice)
+
+    def nothing(self, wrong: Finding) -> MaterialOutcome:
+        """The outcome where nothing was fitted: the description as it is."""
+        unknown = np.full(3, np.nan)
+        verdict = f"Not usable. {wrong.text}"
+        return MaterialOutcome(
+            self.method, self.sensor, (), self._results(), unknown, unknown, (wrong,), verdict
+        )
+
+    def outcome(self, doubt: PoissonDoubt, poisson_std: float) -> MaterialOutcome:
+        """Fit the modulus and say what is wrong."""
+        fit, contradiction = self._robust_fit(doubt)
+        estimates = material_estimates(self.sensor, fit, poisson_std)
+        record = MaterialRecord(
+            method=self.method,
+            samples=len(self.used),
+            normal_std=fit.normal_std,
+            tangential_std=fit.sideways_std,
+            young_std=fit.normal_std if estimates[0].determined else float("nan"),
+            **provenance(estimates),
+        )
+        gel = self.sensor.elastomer
+        layer = replace(gel.shading_layer, young=fit.factor * gel.shading_layer.young)
+        gel = replace(gel, young=fit.factor * gel.young, shading_layer=layer, calibration=record)
+        outcome = MaterialOutcome(
+            method=self.method,
+            sensor=replace(self.sensor, elastomer=gel),
+            estimates=estimates,
+            loads=self._results(fit.factor, (fit.normal_std, fit.sideways_std)),
+            offset=fit.offset,
+            offset_std=fit.offset_std,
+            findings=(
+                *contradiction,
+                *self._left_out_findings(),
+                *load_findings(self.sensor, [self.samples[k] for k in self.used]),
+                *certainty_findings(fit),
+            ),
+        )
+        return replace(outcome, verdict=material_verdict(outcome))
 
     def _name(self, index: int) -> str:
         return sample_name(self.samples, index)
-
-    def _leave_out_unseen(self) -> None:
-        weak = {}
-        for index, shown in enumerate(self.fields):
-            if not np.isfinite(shown.wrench).all():
-                self.reasons[index] = f"only {shown.valid_fraction:.0%} of the markers were seen"
-            elif not shown.contact.any():
-                self.reasons[index] = "the sensor measures no contact"
-            else:
-                signal = float(np.max(np.abs(shown.wrench[:3]) / shown.wrench_std[:3]))
-                if signal < self.options.least_load:
-                    weak[index] = "it is too small compared with the noise"
-        self.reasons |= weak
 
     def _readings(self, used: Sequence[int]) -> Readings:
         return Readings(
@@ -150,60 +338,32 @@ class _Calibration:
 
     def _robust_fit(self, doubt: PoissonDoubt) -> tuple[ScaleFit, list[Finding]]:
         """Fit, leaving out loads that contradict the others."""
-        wrong, limit = 0, self.options.outlier
-        has_offset = self.method == "force_sensor"
+        wrong, has_offset = 0, self.method == "force_sensor"
         while True:
-            used = self._used
-            fit = fit_scale(self._readings(used), self.options, doubt, has_offset=has_offset)
+            used = self.used
+            fit = fit_scale(self._readings(used), doubt, has_offset=has_offset)
             worst = int(np.argmax(fit.misfits))
             misfit = float(fit.misfits[worst])
-            if misfit <= limit:
+            if misfit <= OUTLIER:
                 return fit, []
             wrong += 1
             if len(used) < 3 or wrong > MOST_WRONG * len(self.samples):
-                return fit, [findings.misfit_finding(self._name(used[worst]), misfit, limit)]
+                text = (
+                    "The loads contradict one another: no material fits all of them; "
+                    f"{self._name(used[worst])} is {misfit:.1f} standard deviations off (limit "
+                    f"{OUTLIER:g})."
+                )
+                advice = "Check the values of the loads, and that the gel was at rest under each."
+                return fit, [Finding(Severity.ERROR, text, advice)]
             reason = f"it is {misfit:.0f} standard deviations from the fit of the others"
             self.reasons[used[worst]] = reason
 
-    def _fitted(
-        self, fit: ScaleFit, doubt: PoissonDoubt, contradiction: list[Finding]
-    ) -> MaterialOutcome:
-        chosen = [self.samples[k] for k in self._used]
-        estimates = material_estimates(self.sensor, fit, doubt, self.options)
-        young, layer, *_ = estimates
-        normal_std, tangential_std = fit.force_std(doubt)
-        record = MaterialRecord(
-            method=self.method,
-            samples=len(chosen),
-            normal_std=normal_std,
-            tangential_std=tangential_std,
-            young_std=young.std / young.after if young.determined else float("nan"),
-            **provenance(estimates),
-        )
-        elastomer = replace(
-            self.sensor.elastomer,
-            young=young.after,
-            shading_layer=replace(self.sensor.elastomer.shading_layer, young=layer.after),
-            calibration=record,
-        )
-        left_out = {self._name(k): why for k, why in self.reasons.items()}
-        outcome = MaterialOutcome(
-            method=self.method,
-            sensor=replace(self.sensor, elastomer=elastomer),
-            estimates=estimates,
-            loads=self._results(fit.factor, (normal_std, tangential_std)),
-            offset=fit.offset,
-            offset_std=fit.offset_std,
-            findings=(
-                *contradiction,
-                *findings.left_out_findings(left_out),
-                *findings.offset_finding(fit.offset, fit.offset_std),
-                *findings.range_findings(self.sensor, chosen, self.options),
-                *findings.variety_findings(chosen, self.method),
-                *findings.certainty_findings(normal_std, tangential_std, self.options),
-            ),
-        )
-        return replace(outcome, verdict=material_verdict(outcome))
+    def _left_out_findings(self) -> list[Finding]:
+        advice = "Check this load, and correct or replace it: it has no effect on the result."
+        return [
+            Finding(Severity.WARNING, f"L{self._name(k)[1:]} was left out: {why}.", advice)
+            for k, why in self.reasons.items()
+        ]
 
     def _results(
         self, factor: float = 1.0, material_std: tuple[float, float] = (0.0, 0.0)
@@ -222,55 +382,112 @@ class _Calibration:
                     before=shown.wrench[:3],
                     after=after[:3],
                     after_std=np.sqrt(np.diag(covariance)[:3]),
-                    used=k not in self.reasons,
                     reason=self.reasons.get(k, ""),
                 )
             )
         return tuple(results)
 
-    def _nothing(self, wrong: list[Finding]) -> MaterialOutcome:
-        """The outcome where nothing was fitted: the description as it is."""
-        return MaterialOutcome(
-            method=self.method,
-            sensor=self.sensor,
-            estimates=(),
-            loads=self._results(),
-            offset=UNKNOWN,
-            offset_std=UNKNOWN,
-            findings=tuple(wrong),
-            verdict=f"Not usable. {wrong[0].text}",
-        )
-
 
 def material_estimates(
-    sensor: SensorDescription, fit: ScaleFit, doubt: PoissonDoubt, options: MaterialOptions
+    sensor: SensorDescription, fit: ScaleFit, poisson_std: float
 ) -> tuple[Estimate, ...]:
     """Estimates of both moduli, then of what was kept.
 
     The shading layer's modulus keeps its ratio to the gel's, which no load determines.
     """
-    gel = sensor.elastomer
-    layer = gel.shading_layer
-    std, _ = fit.force_std(doubt)
-    determined = std <= HELD_SHARE * np.log(options.young_factor) / 2
-    young, layer_young = (fit.factor * value for value in (gel.young, layer.young))
+    gel, std = sensor.elastomer, fit.normal_std
+    young, layer = (fit.factor * value for value in (gel.young, gel.shading_layer.young))
+    thickness = gel.shading_layer.thickness
     kept = (
-        ("poisson", "", gel.poisson, options.poisson),
+        ("poisson", "", gel.poisson, poisson_std),
         ("size[2]", "m", gel.size[2], 0.0),
-        ("shading_layer.thickness", "m", layer.thickness, 0.0),
+        ("shading_layer.thickness", "m", thickness, 0.0),
     )
+    name = "elastomer.shading_layer.young"
     return (
-        Estimate("elastomer.young", "Pa", gel.young, young, std * young, determined),
-        Estimate(
-            "elastomer.shading_layer.young",
-            "Pa",
-            layer.young,
-            layer_young,
-            std * layer_young,
-            determined=False,
-        ),
+        Estimate("elastomer.young", "Pa", gel.young, young, std * young, std <= YOUNG_STD / 2),
+        Estimate(name, "Pa", gel.shading_layer.young, layer, std * layer, determined=False),
         *(
-            Estimate(f"elastomer.{name}", unit, value, value, deviation, determined=False)
-            for name, unit, value, deviation in kept
+            Estimate(f"elastomer.{key}", unit, value, value, deviation, determined=False)
+            for key, unit, value, deviation in kept
         ),
     )
+
+
+def axis_finding(shown: Array, given: Array) -> Finding | None:
+    """Does the reference point where the sensor does?  shown, given (n, 3) N; given may be NaN."""
+    scale = float(np.nanmax(np.abs(given)))
+    if _likeness(shown[:, 2:], given[:, 2:], scale) < -ALIKE:
+        text = "The reference has the wrong sign: along z, it is opposite to the sensor's force."
+    elif _likeness(shown[:, :2], given[:, :2], scale) < ALIKE:
+        text = "The reference's sideways forces have another direction than the sensor's."
+    else:
+        return None
+    advice = (
+        "Give forces on the gel, in the gel frame: z points out of the gel, so a press is "
+        "negative. Rotate the reference into this frame (--wrench-rotation, --wrench-reaction)."
+    )
+    return Finding(Severity.ERROR, text, advice)
+
+
+def _likeness(a: Array, b: Array, scale: float) -> float:
+    """Correlation of forces about 0, 1 where they are too small to say."""
+    known = np.isfinite(b).all(axis=1)
+    a, b = a[known], b[known]
+    power = float(np.sqrt((a**2).sum() * (b**2).sum()))
+    return float((a * b).sum()) / power if power > (LEAST_SIDEWAYS * scale) ** 2 else 1.0
+
+
+def load_findings(sensor: SensorDescription, samples: Sequence[LoadSample]) -> list[Finding]:
+    """Do the loads show what they should, and are they small enough for a linear gel?"""
+    findings = []
+    forces = np.array([np.nan_to_num(sample.force) for sample in samples])
+    if len(samples) == 1:
+        advice = "Give three loads or more over the range in which you use the sensor."
+        text = "There is only one load, so it cannot be checked."
+        findings.append(Finding(Severity.WARNING, text, advice))
+    sideways = np.linalg.norm(forces[:, :2], axis=1) > LEAST_SIDEWAYS * np.abs(forces[:, 2])
+    if not sideways.any():
+        text = (
+            "All loads are presses, so the accuracy of sideways forces depends on Poisson's ratio."
+        )
+        advice = "Add a sideways load: a weight on the tilted sensor, or a sideways pull."
+        findings.append(Finding(Severity.WARNING, text, advice))
+    choice, neo_hookean = sensor.force.large_press, sensor.elastomer.model == "neo_hookean"
+    depth = max(float(np.nanmax(np.abs(sample.displacement[..., 2]))) for sample in samples)
+    share = depth / sensor.elastomer.size[2]
+    corrected = choice == "on" or (choice == "auto" and neo_hookean)
+    if not corrected and LINEAR_DOUBT * share > STRAIN_ERROR:
+        text = (
+            f"Loads press the gel by up to {depth * 1e3:.2g} mm, {share:.1%} of its thickness, and "
+            "the gel is modelled as linear. If it is rubber-like, forces are wrong by up to "
+            f"{LINEAR_DOUBT * share:.0%} (limit {STRAIN_ERROR:.0%})."
+        )
+        advice = (
+            "For a silicone gel set elastomer.model to neo_hookean and do not set "
+            "force.large_press to off, or use smaller loads."
+        )
+        findings.append(Finding(Severity.WARNING, text, advice))
+    return findings
+
+
+def certainty_findings(fit: ScaleFit) -> list[Finding]:
+    """Is the force known well enough with this material?"""
+    findings = []
+    if fit.normal_std > WANTED_STD:
+        error = fit.normal_std > LARGEST_STD
+        limit = LARGEST_STD if error else WANTED_STD
+        text = f"The normal force is known only to {fit.normal_std:.1%} (limit {limit:.0%})."
+        advice = (
+            "Add loads, or give larger or more certain ones, on a foot or ball that is narrower "
+            "than the gel is thick; or set --poisson-std."
+        )
+        findings.append(Finding.graded(text, advice, error=error))
+    if fit.sideways_std > WANTED_STD:
+        text = f"The sideways force is known only to {fit.sideways_std:.1%} (limit 3%)."
+        advice = (
+            "If you know Poisson's ratio better, set --poisson-std. If a sideways load was measured"
+            " wrongly, correct elastomer.poisson and elastomer.size."
+        )
+        findings.append(Finding(Severity.WARNING, text, advice))
+    return findings

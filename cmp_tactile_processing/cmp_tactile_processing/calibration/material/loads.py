@@ -81,7 +81,7 @@ class LoadResult:
 
     reference, reference_std (3,): as given, NaN where not known.  before, after (3,): the force
     that ForceModel shows with the material before and after; after_std (3,): its standard
-    deviation, of noise and of the material.  used: False where it was left out, with `reason`.
+    deviation, of noise and of the material.  reason: why it was left out, empty where it was used.
     """
 
     name: str
@@ -90,8 +90,12 @@ class LoadResult:
     before: NDArray[np.float64]
     after: NDArray[np.float64]
     after_std: NDArray[np.float64]
-    used: bool = True
     reason: str = ""
+
+    @property
+    def used(self) -> bool:
+        """Whether it counted in the fit."""
+        return not self.reason
 
     @property
     def residual_after(self) -> NDArray[np.float64]:
