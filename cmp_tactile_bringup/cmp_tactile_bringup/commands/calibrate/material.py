@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 OWN_SENSOR = f"{sources.SENSOR}; not needed if sensor.yaml is in the recording's folder"
 KILOGRAMS = Number(1e-4, 100, "kg")
 LIVE_FRAMES = 20
+# Samples that are taken of a recording with a force sensor, and what a good six-axis one resolves.
+MOST_SAMPLES, WRENCH_STD_N = 60, 0.01
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
 WORDY_COLUMNS = 2
 
@@ -223,8 +225,8 @@ def _sensor_samples(
     sampling = SensorSampling(
         steady=not arguments.every_frame,
         least_frames=arguments.frames,
-        most=arguments.samples,
-        std=arguments.wrench_std,
+        most=MOST_SAMPLES,
+        std=WRENCH_STD_N,
     )
     return samples_of_sensor(motion, on_gel, sampling)
 

@@ -139,7 +139,7 @@ class _Record:
         time, shown, force = _checked(time_s, reading, reference)
         highest = float(np.abs(shown).max())
         loaded = np.abs(shown) > LOADED_SHARE * highest
-        from_sensor = np.ndim(reference) > 0
+        from_sensor = reference is not None and np.ndim(reference) > 0
         if from_sensor:
             known = np.isfinite(force)
         else:
