@@ -27,7 +27,7 @@ setup(
         ("bin", ["bin/cmp_tactile"]),
         *shared_files("launch", "config", "rviz", "foxglove"),
     ],
-    install_requires=["setuptools", "jinja2", "mcap", "typer>=0.9"],
+    install_requires=["setuptools", "jinja2", "joblib>=1.4", "mcap", "typer>=0.9"],
     # What `cmp_tactile process` needs for --scheduler and --parquet.
     extras_require={"cluster": ["distributed"], "parquet": ["pyarrow"]},
     zip_safe=False,

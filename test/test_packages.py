@@ -44,6 +44,7 @@ COME_WITH = {"llvmlite": "numba"}
 WITHOUT_ROSDEP_KEY = {
     "linuxpy": "linuxpy",
     "distributed": "distributed",
+    "joblib": "joblib",
     "mcap": "mcap",
     "pyarrow": "pyarrow",
     "simplejpeg": "simplejpeg",

@@ -18,7 +18,7 @@ NS_PER_S = 10**9
 LONGEST_GAP_S = 60.0
 """A longer time between two messages is a jump of the clock or a pause: nobody waits for it."""
 # A clock that was set back stays so; a message that came late is one of a few.
-FEW = 4
+FEW = 6
 SURELY_SET_BACK_S = 1.0
 DEFAULT_STEP_S = 1 / 30
 
@@ -69,7 +69,7 @@ def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
     stamps = _filled_stamps(places)
     ordered: list[int] = []
     begins = []
-    for part in _between_restarts(stamps):
+    for part in _between_restarts(places, stamps):
         begins.append(len(ordered))
         ordered += sorted(part, key=lambda number: stamps[number])
     # In ns: a sum of seconds misses a frame at 0.2 s by its last digit.
@@ -92,28 +92,56 @@ def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
 
 
 def _filled_stamps(places: Sequence[Place]) -> list[int]:
-    """Stamps; for a message without one, its receipt less the usual time until a receipt."""
-    delays = [place.time_ns - place.stamp_ns for place in places if place.stamp_ns]
-    delay = round(median(delays)) if delays else 0
-    return [place.stamp_ns or place.time_ns - delay for place in places]
+    """Stamps; for a message without one, its neighbour's and the time between their receipts."""
+    stamped = [number for number, place in enumerate(places) if place.stamp_ns]
+    if not stamped:
+        return [place.time_ns for place in places]
+    stamps = [place.stamp_ns for place in places]
+    for number, place in enumerate(places):
+        if place.stamp_ns:
+            continue
+        at = bisect_left(stamped, number)
+        after = stamped[at] if at < len(stamped) else None
+        if at == 0:
+            near = places[stamped[0]]
+            stamps[number] = near.stamp_ns - (near.time_ns - place.time_ns)
+            continue
+        near = places[stamped[at - 1]]
+        stamps[number] = near.stamp_ns + place.time_ns - near.time_ns
+        if after is not None:
+            # Between its neighbours, whatever the receipts say.
+            stamps[number] = min(stamps[number], max(near.stamp_ns, places[after].stamp_ns))
+    return stamps
 
 
-def _between_restarts(stamps: Sequence[int]) -> list[range]:
+def _between_restarts(places: Sequence[Place], stamps: Sequence[int]) -> list[range]:
     """Parts in which the clock of the stamps runs on; it was set back between them.
 
-    There, the stamps that follow are all behind.  A message that came late is alone behind, and
-    belongs before those that came sooner.
+    Where it was, stamps stay behind the receipts by as much.  A message that came late is alone
+    behind, and belongs before those that came sooner.
     """
+    delays = [place.time_ns - stamp for place, stamp in zip(places, stamps, strict=True)]
+    least_after = _least_until_jump(delays)
     parts = []
     begin, newest = 0, stamps[0]
     for number, stamp in enumerate(stamps):
-        following = stamps[number : number + FEW]
-        surely = len(following) == FEW or newest - stamp >= SURELY_SET_BACK_S * NS_PER_S
-        if surely and max(following) < newest:
-            parts.append(range(begin, number))
-            begin, newest = number, stamp
+        fall = newest - stamp
+        if fall > 0 and (len(stamps) - number >= FEW or fall >= SURELY_SET_BACK_S * NS_PER_S):
+            before = median(delays[max(begin, number - FEW) : number])
+            if least_after[number] >= before + fall / 2:
+                parts.append(range(begin, number))
+                begin, newest = number, stamp
         newest = max(newest, stamp)
     return [*parts, range(begin, len(stamps))]
+
+
+def _least_until_jump(delays: Sequence[int]) -> list[int]:
+    """The least of each delay and those after it, up to where the clock was set forward."""
+    least = list(delays)
+    for number in range(len(delays) - 2, -1, -1):
+        if delays[number] - delays[number + 1] <= LONGEST_GAP_S * NS_PER_S:
+            least[number] = min(least[number], least[number + 1])
+    return least
 
 
 def _gaps_text(gaps: Sequence[float], places: Sequence[Place]) -> str:

@@ -28,9 +28,9 @@ LOGGER = logging.getLogger(__name__)
 FINEST_STEP_SHARE = 0.125
 # Share of the first step below which it is not shortened.
 LEAST_STEP_SHARE = 1 / 64
-# How far gap and slip may miss their conditions where no shorter step helps, m, and the share to
-# which a step is then shortened.
-LAST_RESORT, LAST_STEP_SHARE = 5e-6, 1 / 4096
+# How far gap and slip may miss their conditions where no shorter step helps, m, the smaller one if
+# that is enough, and the share to which a step is then shortened.
+LAST_RESORTS, LAST_STEP_SHARE = (5e-6, 1e-5), 1 / 4096
 # A place that touches may be inside by this much, m.
 TOUCH_TOLERANCE = 1e-9
 MAX_TOUCH_STEPS = 1000
@@ -61,7 +61,9 @@ class ContactSimulation:
     ) -> None:
         self.elastomer, self.indenter, self.friction = elastomer, indenter, float(friction)
         self._step = ContactStep(elastomer, indenter, self.friction)
-        self._lenient_step = ContactStep(elastomer, indenter, self.friction, LAST_RESORT)
+        self._lenient_steps = [
+            ContactStep(elastomer, indenter, self.friction, accepted) for accepted in LAST_RESORTS
+        ]
 
     def rest(self, pose: Pose) -> ContactState:
         """The undeformed gel, with the indenter at a pose that does not reach into it.
@@ -184,18 +186,16 @@ class ContactSimulation:
         ends: shares of the way that are tried, in this order.
         """
         failures = []
-        for end in ends:
-            try:
-                reached = self._lenient_step(state, way[0].towards(way[1], end))
-            except solver.NotConvergedError as error:
-                failures.append(error)
-                continue
-            LOGGER.info(
-                "%s: the residual of a step is %.1g m",
-                self.indenter.name,
-                LAST_RESORT,
-            )
-            return reached, end
+        for step, accepted in zip(self._lenient_steps, LAST_RESORTS, strict=True):
+            for end in ends:
+                try:
+                    reached = step(state, way[0].towards(way[1], end))
+                except solver.NotConvergedError as error:
+                    failures.append(error)
+                    continue
+                name = self.indenter.name
+                LOGGER.info("%s: the residual of a step is up to %.1g m", name, accepted)
+                return reached, end
         nearest = min(failures, key=lambda error: error.residual)
         raise self._unsolved(way[0].towards(way[1], ends[0]), nearest) from None
 
@@ -223,7 +223,7 @@ class ContactSimulation:
         return ContactError(
             f"{self.indenter.name}: the contact at ({x:.3f}, {y:.3f}, {z:.3f}) mm has no "
             f"solution: found a residual of {error.residual:.3g} m, expected below "
-            f"{LAST_RESORT:.3g} m; change contact_nodes, or indenter.friction slightly"
+            f"{LAST_RESORTS[-1]:.3g} m; change contact_nodes, or indenter.friction slightly"
         )
 
 
