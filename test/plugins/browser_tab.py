@@ -76,6 +76,10 @@ PIXEL = """place => {
     .applyMatrix4(gel.matrixWorld).project(window.camera);
   return [left + width * (1 + x) / 2, top + height * (1 - y) / 2];
 }"""
+ON_TOP = """element => {
+  const {x, y, width, height} = element.getBoundingClientRect();
+  return element.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+}"""
 
 
 class Tab:
@@ -117,6 +121,10 @@ class Tab:
         self.wait(found, "the first gel")
         x, y = places[0]
         return x, y
+
+    def is_on_top(self, text: str) -> bool:
+        """Whether a text is seen, and nothing covers it."""
+        return bool(self.tab.get_by_text(text).first.evaluate(ON_TOP))
 
     def sees(self, text: str) -> None:
         """Wait until a text is on the page."""
