@@ -139,6 +139,7 @@ class RecordingButton:
             return ""
         if self._node.executor is not None:
             self._node.executor.remove_node(recorder)
+        recorder.stop()
         bag, progress = recorder.bag, recorder.progress
         recorder.destroy_node()
         if progress is None:

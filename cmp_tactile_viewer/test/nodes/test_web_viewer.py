@@ -260,7 +260,7 @@ def test_a_recording_has_what_came_while_it_ran(rig, ros, snapshots, tmp_path, m
     monkeypatch.chdir(tmp_path)
     press = rig.action["record"]
     assert rig.do(press).startswith(f"into {tmp_path}/thumb_")
-    publisher = ros.publisher(Image, "image_raw", subscribers=2)  # the page and the recorder
+    publisher = ros.publisher(Image, "image_raw")
     frame = snapshots[0].frame
     for number in range(3):
         publisher.publish(image_to_msg(frame, "mono8", _header(10**9 + number)))
