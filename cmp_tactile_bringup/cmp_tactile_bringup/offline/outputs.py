@@ -33,6 +33,7 @@ from cmp_tactile_bringup.terminal.output import installed_version
 from cmp_tactile_driver.bags.reader import Recorded
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
+from cmp_tactile_processing.cache.files import locked
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
@@ -87,23 +88,26 @@ def partial_folder(job: Job) -> Path:
 def whole_results(job: Job, options: Options, *, overwrite: bool) -> Iterator[Path]:
     """A folder for the files of a job: they move to their places when all are written.
 
-    What an interrupted run left there is removed.  Raises OutputError where results are there and
-    overwrite does not allow to replace them.
+    What an interrupted run left there is removed; another run that writes them is waited for.
+    Raises OutputError where results are there and overwrite does not allow to replace them.
     """
-    if not overwrite:
-        check_free(Path(job.folder), job.name, options.suffixes)
     partial = partial_folder(job)
-    if partial.exists():
-        shutil.rmtree(partial)
-    partial.mkdir(parents=True)
-    try:
-        yield partial
-        for suffix in OPTIONAL_SUFFIXES:
-            job.path(suffix).unlink(missing_ok=True)
-        for made in sorted(partial.iterdir()):
-            made.replace(Path(job.folder) / made.name)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    partial.parent.mkdir(parents=True, exist_ok=True)
+    with locked(partial.with_suffix(".lock")):
+        if not overwrite:
+            check_free(Path(job.folder), job.name, options.suffixes)
+        if partial.exists():
+            shutil.rmtree(partial)
+        partial.mkdir()
+        try:
+            yield partial
+            for suffix in OPTIONAL_SUFFIXES:
+                job.path(suffix).unlink(missing_ok=True)
+            # The bag last: where it is, the tables are.
+            for made in sorted(partial.iterdir(), key=lambda path: path.suffix == ".mcap"):
+                made.replace(Path(job.folder) / made.name)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
 
 
 class ResultBag:

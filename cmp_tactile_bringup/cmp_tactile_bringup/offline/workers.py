@@ -54,8 +54,8 @@ def run_in_processes(tasks: Sequence[Task], processes: int) -> Generator[Result,
             yield number, TaskError(f"{tasks[number].job.label}: {reason}")
     finally:
         # A process that is killed leaves its own.
-        for task in tasks:
-            shutil.rmtree(partial_folder(task.job), ignore_errors=True)
+        for number in left:
+            shutil.rmtree(partial_folder(tasks[number].job), ignore_errors=True)
 
 
 def _run_numbered(number: int, task: Task) -> Result:

@@ -10,7 +10,13 @@ from typing import cast
 
 import zstandard
 from rosbags.interfaces import Connection, Qos
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
+    Writer,
+    WriterError,
+)
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from cmp_tactile_driver.errors import BagWriteError
@@ -60,7 +66,7 @@ class BagWriter:
         self.folder = folder
         self.path = folder / f"{folder.name}.mcap"
         self._topics: dict[str, Connection] = {}
-        self._has_failed = False
+        self._has_failed, self._size = False, 0
         if folder.exists():
             msg = f"{folder}: exists already, expected a new name for the bag"
             raise BagWriteError(msg)
@@ -83,8 +89,10 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
-        return self.path.stat().st_size
+        """Bytes in the file; what it had last where it is gone."""
+        with suppress(OSError):
+            self._size = self.path.stat().st_size
+        return self._size
 
     def add_topic(
         self,
@@ -136,9 +144,9 @@ class BagWriter:
     def _write_errors(self, place: Path) -> Iterator[None]:
         try:
             yield
-        except OSError as error:
+        except (OSError, WriterError) as error:
             self._has_failed = True
             with suppress(OSError):
                 self._writer.abort()
-            msg = f"{place}: cannot be written: {error.strerror}"
+            msg = f"{place}: cannot be written: {getattr(error, 'strerror', error)}"
             raise BagWriteError(msg) from None

@@ -187,17 +187,21 @@ LEAST_DIGITS = 3
 
 def write_images(
     folder: Path, frames: Iterable[RecordedFrame], count: int, on_frame: Callable[[int], None]
-) -> None:
+) -> int:
     """Write NNN.png and NNN.npz of each frame into a folder; docs/scenes.md lists the arrays.
 
     count: of the whole scene's frames.  on_frame: called with the number of frames done.
+    Returns how many were written.
     """
+    written = 0
     digits = max(LEAST_DIGITS, len(str(count - 1)))
     for number, frame in enumerate(frames):
         path = folder / f"{number:0{digits}d}.png"
         path.write_bytes(frame.png)
         np.savez_compressed(path.with_suffix(".npz"), allow_pickle=False, **_true_arrays(frame))
-        on_frame(number + 1)
+        written = number + 1
+        on_frame(written)
+    return written
 
 
 def _true_arrays(frame: RecordedFrame) -> dict[str, NDArray[Any]]:

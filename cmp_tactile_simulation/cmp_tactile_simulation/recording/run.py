@@ -139,7 +139,12 @@ def _write_pictures(scene: Scene, folder: Path, options: RunOptions, progress: P
         write_video(folder / VIDEO_FILE, frames, scene, lambda done: progress(VIDEO, done / count))
     if options.format == "png":
         frames = recorded_frames(folder, scene.sensor)
-        write_images(folder, frames, scene.frame_count, lambda done: progress(IMAGES, done / count))
+        done = write_images(
+            folder, frames, scene.frame_count, lambda done: progress(IMAGES, done / count)
+        )
+        if done != count:
+            msg = f"{folder}: found {done} whole frames in the bag, expected {count}; it is kept"
+            raise OutputError(msg)
         for name in (f"{folder.name}.mcap", "metadata.yaml"):
             (folder / name).unlink()
 

@@ -13,6 +13,8 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, SentF
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01
+# So many reports without a frame are a silent source.
+SILENT_PERIODS = 3
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class StageDiagnostics:
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self._before = dict.fromkeys(self._counts(), 0)
+        self._silent_periods = 0
 
     @property
     def lost(self) -> int:
@@ -124,7 +127,9 @@ class StageDiagnostics:
         if self.failure:
             yield Finding(ERROR, self.failure)
             return
-        if not new["frames in"]:
+        self._silent_periods = 0 if new["frames in"] else self._silent_periods + 1
+        # Sources of less than one frame a second are silent in some.
+        if self._silent_periods >= SILENT_PERIODS or not self.frames_in:
             why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
             yield Finding(WARN, f"no frames received{why}")
             return
