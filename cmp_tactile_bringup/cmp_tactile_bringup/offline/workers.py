@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Generator, Sequence
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from cmp_tactile_bringup.offline.jobs import Outcome, Task
 from cmp_tactile_bringup.offline.outputs import partial_folder
 from cmp_tactile_bringup.offline.processor import run_guarded
 from cmp_tactile_bringup.terminal.output import OnStage
+from cmp_tactile_processing.cache.files import locked
 
 Result = tuple[int, Outcome | TaskError]
+LOCK_WAIT_S = 1.0
 SECONDS_TO_CONNECT = 10
 SECONDS_FOR_WORKERS = 30
 
@@ -53,9 +56,11 @@ def run_in_processes(tasks: Sequence[Task], processes: int) -> Generator[Result,
         for number in sorted(left):
             yield number, TaskError(f"{tasks[number].job.label}: {reason}")
     finally:
-        # A process that is killed leaves its own.
+        # A process that is killed leaves its own; what another run writes stays.
         for number in left:
-            shutil.rmtree(partial_folder(tasks[number].job), ignore_errors=True)
+            folder = partial_folder(tasks[number].job)
+            with suppress(OSError), locked(folder.with_suffix(".lock"), LOCK_WAIT_S):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run_numbered(number: int, task: Task) -> Result:

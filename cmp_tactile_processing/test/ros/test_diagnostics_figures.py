@@ -18,7 +18,11 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import (
     Stamp,
     StampWatch,
 )
-from cmp_tactile_processing.ros.diagnostics.status import StageDiagnostics, summary
+from cmp_tactile_processing.ros.diagnostics.status import (
+    SILENT_PERIODS,
+    StageDiagnostics,
+    summary,
+)
 from cmp_tactile_processing.ros.wiring import Input
 
 pytestmark = pytest.mark.ros
@@ -160,6 +164,8 @@ def test_bad_frames_are_warned_of_in_their_second_and_the_last_one_is_remembered
     values, findings = diagnostics.report()
     assert summary(findings, "running") == (OK, "running")
     assert values["last error"] == "/rig/image_raw: step: found 3, expected 4"
+    for _ in range(SILENT_PERIODS - 1):
+        assert _reported(diagnostics)[0] == OK
     assert _reported(diagnostics) == (WARN, "no frames received")
 
 
