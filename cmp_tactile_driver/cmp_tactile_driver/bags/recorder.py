@@ -118,6 +118,8 @@ class BagRecorder:
         """Hand a message over, which nobody may change any more."""
         size = max(len(getattr(message, "data", ())), tap.size)
         with self._condition:
+            if self._state is RecorderState.FAILED:
+                self._dropped[tap.topic] += 1
             if self._state is not RecorderState.RECORDING or self._stopping:
                 return
             queued = self._queued_bytes + size

@@ -241,7 +241,6 @@ class Recorder(ReportingNode):
         state = progress.state if progress is not None else None
         if progress is not None and state is not self._reported:
             if state is RecorderState.FAILED:
-                self.stop()
                 self.get_logger().error(f"recording ended: {progress.problem}")
             elif state is RecorderState.FINISHED:
                 self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")
