@@ -98,6 +98,7 @@ class StageDiagnostics:
         counts = self._counts()
         new = {key: count - self._before[key] for key, count in counts.items()}
         self._before = counts
+        self._silent_periods = 0 if new["frames in"] else self._silent_periods + 1
         values = {
             **counts,
             **self.sent.close_period(),
@@ -127,8 +128,7 @@ class StageDiagnostics:
         if self.failure:
             yield Finding(ERROR, self.failure)
             return
-        self._silent_periods = 0 if new["frames in"] else self._silent_periods + 1
-        # Sources of less than one frame a second are silent in some.
+        # Sources of less than one frame a second are silent in some periods.
         if self._silent_periods >= SILENT_PERIODS or not self.frames_in:
             why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
             yield Finding(WARN, f"no frames received{why}")
