@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
@@ -130,7 +131,8 @@ def _draw_surface(axes: Axes, surface: Surface) -> None:
     levels = np.linspace(0.0, float(depth.max()) or 0.01, 41)
     x, y = position[seen][:, 0], position[seen][:, 1]
     image = axes.tricontourf(x, y, depth[seen], levels=levels, cmap=style.DEPTH_MAP)
-    style.colour_bar(image, [axes], "depth, mm", shrink=0.8)
+    # By itself a bar of contours has its ticks at their levels, which are no round numbers.
+    style.colour_bar(image, [axes], "depth, mm", shrink=0.8, ticks=MaxNLocator(8))
     shown = (slice(ARROW_STEP // 2, None, ARROW_STEP),) * 2
     start, moved = reference[shown][..., :2], (position - reference)[shown][..., :2]
     style.arrows(axes, start, moved, color=style.INK, width=0.004, minlength=0.0, headwidth=4.5)
