@@ -154,6 +154,20 @@ def test_losses_are_warned_of_and_a_newer_frame_in_the_place_of_another_is_no_lo
         assert _reported(diagnostics) == (OK, "running")
 
 
+@pytest.mark.parametrize("silent", [0, 1, 3, 9])
+def test_a_slow_source_is_not_a_silent_one(silent):
+    """As in ros/diagnostics 45: a topic of 0.3 Hz has no message in most seconds."""
+    diagnostics = StageDiagnostics()
+    diagnostics.frames_in = 1
+    for _ in range(3):
+        # The first pause is not known to be usual yet.
+        levels = [_reported(diagnostics)[0] for _ in range(silent + 1)]
+        diagnostics.frames_in += 1
+    assert levels == [OK] * (silent + 1)
+    levels = [_reported(diagnostics)[0] for _ in range(5 + 3 * silent)]
+    assert levels[-1] == WARN
+
+
 def test_bad_frames_are_warned_of_in_their_second_and_the_last_one_is_remembered():
     diagnostics = StageDiagnostics()
     diagnostics.frames_in = 30

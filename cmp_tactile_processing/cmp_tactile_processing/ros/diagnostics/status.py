@@ -13,8 +13,9 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, SentF
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01
-# So many reports without a frame are a silent source.
-SILENT_PERIODS = 3
+# So many reports without a frame are a silent source, and of a slow one this many times those that
+# were without a frame before its last.
+SILENT_PERIODS, TIMES_USUAL = 3, 2
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class StageDiagnostics:
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self._before = dict.fromkeys(self._counts(), 0)
-        self._silent_periods = 0
+        self._silent_periods = self._usual_silence = 0
 
     @property
     def lost(self) -> int:
@@ -98,7 +99,10 @@ class StageDiagnostics:
         counts = self._counts()
         new = {key: count - self._before[key] for key, count in counts.items()}
         self._before = counts
-        self._silent_periods = 0 if new["frames in"] else self._silent_periods + 1
+        if new["frames in"]:
+            self._usual_silence, self._silent_periods = self._silent_periods, 0
+        else:
+            self._silent_periods += 1
         values = {
             **counts,
             **self.sent.close_period(),
@@ -128,8 +132,8 @@ class StageDiagnostics:
         if self.failure:
             yield Finding(ERROR, self.failure)
             return
-        # Sources of less than one frame a second are silent in some periods.
-        if self._silent_periods >= SILENT_PERIODS or not self.frames_in:
+        longest = SILENT_PERIODS + TIMES_USUAL * self._usual_silence
+        if self._silent_periods >= longest or not self.frames_in:
             why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
             yield Finding(WARN, f"no frames received{why}")
             return
