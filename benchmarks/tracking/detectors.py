@@ -242,15 +242,23 @@ def run_sequence(detector: Ours, frames: Sequence[PatternFrame]) -> list[Result]
 
 
 def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> NDArray[np.float64]:
-    """Errors of the displacement from the first to the second frame, px, of both views."""
+    """Errors of the displacement from the first to the second frame, px, of both views.
+
+    cmp_tactile inspects the print in the first frame.
+    """
     errors = [np.empty(0)]
     for view, truth in first.truth.items():
+        tracker = detector.tracker(first.sensor, view) if isinstance(detector, Ours) else None
+        if tracker is not None:
+            tracker.inspect_print([view_image(first, view)])
         grids = [
             (detector.detect(frame.sensor, view, view_image(frame, view), at).grid, at)
             for frame, at in ((first, truth), (second, second.truth[view]))
         ]
         visible = first.visible[view] & second.visible[view]
         errors.append(displacement_errors(grids[0], grids[1], visible))
+        if tracker is not None:
+            tracker.use_print_defects(None)
     return np.concatenate(errors)
 
 

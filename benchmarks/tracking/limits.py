@@ -177,7 +177,7 @@ class TrackingLimits(LimitRun):
         for name, (first, second) in pairs.items():
             errors = run_pair(self._fresh, first, second)
             rms = float(np.sqrt(np.mean(errors**2))) if len(errors) else float("nan")
-            yield _below(f"displacement RMS, {name}, px", rms, 0.08)
+            yield _below(f"displacement RMS, {name}, px", rms, 0.04)
 
     def _bad_input(self) -> Iterable[Limit]:
         frame = self._studio.photograph(cases_of("clean", self.sensor)[0])

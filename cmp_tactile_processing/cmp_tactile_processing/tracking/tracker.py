@@ -272,6 +272,9 @@ class GridTracker:
         bends.add_markers(position, rows.position, cols.position)
         position = bends.corrected()
         position, std = self._fused(position, std, predicted | corners.off_model)
+        if self._defects is not None and self._defects.flawed.known.any():
+            position, std, found = self._defects.flawed.measured(image, position, std)
+            predicted = predicted & ~found
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(

@@ -58,7 +58,7 @@ def spotted(sample) -> tuple[np.ndarray, tuple[int, int]]:
     return frame, (10, 10)
 
 
-def test_flaws_are_reported_and_trusted_less(ros, sample):
+def test_flaws_are_reported_and_known_again(ros, sample):
     rig = Rig(ros, print_frames=2)
     frame, corner = spotted(sample)
     before = np.array(rig.send(frame).corner_std_px).reshape(20, 20)
@@ -70,7 +70,8 @@ def test_flaws_are_reported_and_trusted_less(ros, sample):
     assert answer.result().success
     assert "1 spot without ink" in answer.result().message
     after = np.array(rig.send(frame).corner_std_px).reshape(20, 20)
-    assert after[corner] > 3 * before[corner]
+    # The spot is where it was: its picture fits, far better than the model of a corner.
+    assert after[corner] < before[corner] / 3
     far = np.ones((20, 20), bool)
     far[7:14, 7:14] = False
     np.testing.assert_allclose(after[far], before[far], rtol=0.2)

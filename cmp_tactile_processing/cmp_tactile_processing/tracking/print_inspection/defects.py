@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.tracking.print_inspection.flawed_corners import FlawedCorners
 from cmp_tactile_processing.tracking.print_inspection.picture import SMOOTHING_PX, Departure
 
 # So many defects are named one by one in a report.
@@ -62,6 +63,7 @@ class PrintDefects:
     raggedness_px: the same over all segments.
     judged: share of the print that could be inspected, 0 to 1; what was not counts as sound.
     frames: number of frames averaged.
+    flawed: pictures of the corners that are measured by these; all corners where edges are ragged.
     """
 
     corner_weight: NDArray[np.float64]
@@ -73,6 +75,7 @@ class PrintDefects:
     defects: Sequence[Defect]
     judged: float
     frames: int
+    flawed: FlawedCorners
 
     @property
     def report(self) -> str:

@@ -17,6 +17,7 @@ from cmp_tactile_processing.tracking.print_inspection.defects import (
     PrintDefects,
     Spot,
 )
+from cmp_tactile_processing.tracking.print_inspection.flawed_corners import FlawedCorners
 from cmp_tactile_processing.tracking.print_inspection.picture import PrintPlaces
 from cmp_tactile_processing.tracking.print_inspection.view import (
     LineScatter,
@@ -29,6 +30,9 @@ from cmp_tactile_processing.tracking.print_inspection.view import (
 # A segment is a defect of its own where it strays so many times as far as the others and so far,
 # seen in so many markers.
 RAGGED_RATIO, LEAST_RAGGED_PX, LEAST_MARKERS = 2.5, 0.3, 3
+# Where edges stray by more than this, rms, no corner is as the model has it, px; where they do not,
+# none is whose deviation is so many times the others'.
+RAGGED_PX, FAR_OFF = 0.08, 4.0
 
 
 class PrintInspection:
@@ -92,16 +96,19 @@ def _judged(frame: MeanFrame) -> PrintDefects:
         lines, std = frame.line(index)
         scatters.append(seen.scatter(lines - low, std, along_rows=index == 0))
     spots = [_spot(spot, seen.places, first) for spot in seen.spots.spots]
+    weight, raggedness = seen.corner_weight(), overall_raggedness(scatters)
+    flawed = (weight < 1) | frame.far_off | (raggedness > RAGGED_PX)
     return PrintDefects(
-        corner_weight=seen.corner_weight(),
+        corner_weight=weight,
         row_line_doubtful=scatters[0].doubtful,
         col_line_doubtful=scatters[1].doubtful,
         row_raggedness=scatters[0].raggedness,
         col_raggedness=scatters[1].raggedness,
-        raggedness_px=overall_raggedness(scatters),
+        raggedness_px=raggedness,
         defects=(*spots, *_ragged_edges(scatters, seen, first)),
         judged=seen.judged,
         frames=frame.frames,
+        flawed=frame.pictures(flawed),
     )
 
 
@@ -117,6 +124,7 @@ def _unjudged(frame: MeanFrame) -> PrintDefects:
         defects=(),
         judged=0.0,
         frames=frame.frames,
+        flawed=frame.pictures(np.zeros(shape.corners, bool)),
     )
 
 
@@ -176,12 +184,13 @@ class MeanFrame:
 
     def __init__(self, shape: GridShape, size: tuple[int, int]) -> None:
         self.shape = shape
-        self._sum = np.zeros(size, dtype=np.float32)
+        self._sum, self._smooth = np.zeros((2, *size), dtype=np.float32)
+        self._smoothing_px = 0.0
         self.frames = 0
         self.origin = np.zeros(2)
         self._noise2 = 0.0
         self._first: NDArray[np.float64] | None = None
-        self._corners = _Mean((*shape.corners, 2))
+        self._corners, self._stds = _Mean((*shape.corners, 2)), _Mean((*shape.corners, 1))
         self._lines = [_Mean((*lines, 2)) for lines in (shape.row_lines, shape.col_lines)]
         self._variances = [_Mean((*lines, 1)) for lines in (shape.row_lines, shape.col_lines)]
 
@@ -196,9 +205,14 @@ class MeanFrame:
         corners = np.where((grid.corner_status == Status.MEASURED)[..., None], grid.corners, np.nan)
         self._check_rest(corners, origin)
         self._sum += image.grey
+        self._smooth += image.smooth
+        self._smoothing_px = image.smoothing_px
         self._noise2 += image.noise**2 + ROUNDING_NOISE**2
         self.frames += 1
-        self._corners.add(corners - self.origin, np.isfinite(corners[..., 0]))
+        seen = np.isfinite(corners[..., 0])
+        self._corners.add(corners - self.origin, seen)
+        if grid.corner_std is not None:
+            self._stds.add(grid.corner_std[..., None], seen)
         lines = (
             (grid.row_lines, grid.row_line_status, grid.row_line_std),
             (grid.col_lines, grid.col_line_status, grid.col_line_std),
@@ -241,10 +255,21 @@ class MeanFrame:
         """Standard deviation of the mean image's noise, grey levels."""
         return float(np.sqrt(self._noise2) / self.frames)
 
+    def pictures(self, flawed: NDArray[np.bool_]) -> FlawedCorners:
+        """Pictures of some corners (rows, cols), as far as they were measured."""
+        smooth = self._smooth / np.float32(self.frames)
+        return FlawedCorners.at_rest(smooth, self._smoothing_px, self.corners, flawed)
+
     @property
     def corners(self) -> NDArray[np.float64]:
         """Mean corners (rows, cols, 2), NaN where never measured."""
         return self._corners.value
+
+    @property
+    def far_off(self) -> NDArray[np.bool_]:
+        """Corners (rows, cols) of a much larger deviation than most."""
+        std = self._stds.value[..., 0]
+        return np.asarray(std > FAR_OFF * np.nanmedian(std))
 
     def line(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean markers (a, b, n, 2) along rows (0) or columns (1) and their std, NaN if unknown."""

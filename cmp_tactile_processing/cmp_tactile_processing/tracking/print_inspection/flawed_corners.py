@@ -1,0 +1,168 @@
+"""Corners on flaws of the print, found again by what their surroundings look like at rest.
+
+Where ink is missing or edges are ragged, the model of a corner is off by another amount in each
+frame, and a displacement by both.  The flaw itself moves with the gel: the picture of a corner at
+rest, shifted until it fits a frame, gives its displacement (Lucas and Kanade; Baker and Matthews
+2004).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.image.prepared import PreparedImage, sample
+
+Array = NDArray[np.float64]
+Single = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+# Points of a picture along a side, and how far they reach from the corner, in checkers.
+POINTS, REACH = 13, 0.5
+# Weight of the points that are farthest along a gridline; 1 at the corner.
+WEIGHT_AT_REACH = 0.6
+# The picture's slopes are differences between places so many checkers to both sides.
+SLOPE_STEP = 0.03
+ROUNDS, ARRIVED_PX = 4, 0.01
+# Farther from the model's corner than this share of a checker it is another one.
+FARTHEST = 0.15
+# What the best shift may leave: so many times the noise, and a share of the picture's contrast.
+NOISES_LEFT, SHARE_LEFT = 3.0, 0.06
+# Error of a shift without noise, px per coordinate (measured on the pairs of flawed prints of
+# benchmarks/hard_frames).
+BIAS_PX = 0.015
+# An image is taken to be smoothed by this much at least, px.
+LEAST_SMOOTHING_PX = 0.5
+
+
+def _lattice() -> tuple[Array, Array]:
+    """Points (k, 2) of a picture in checkers from the corner, and their weights (k,)."""
+    along = np.linspace(-REACH, REACH, POINTS)
+    points = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    return points, 1 - (1 - WEIGHT_AT_REACH) * (points**2).sum(axis=1) / REACH**2
+
+
+LATTICE, WEIGHT = _lattice()
+
+
+@dataclass(frozen=True)
+class FlawedCorners:
+    """The pictures of the flawed corners of a print at rest.
+
+    known (rows, cols): which corners have one, n in all.  basis (n, 4, k): how grey levels of the
+    picture change by a shift along both gridlines, contrast, and brightness; solution (n, 4, k): of
+    these four, from the grey levels of a frame.  gain (n,): deviation of the corner, px per
+    coordinate, for one grey level of noise.
+    """
+
+    known: Mask
+    basis: Single
+    solution: Single
+    gain: Array
+
+    @classmethod
+    def at_rest(
+        cls, image: Single, smoothing_px: float, corners: Array, flawed: Mask
+    ) -> FlawedCorners:
+        """Of a smoothed image (H, W); corners (rows, cols, 2) px in it, of which some are flawed.
+
+        None of those without neighbours, or too near the image's edge.
+        """
+        steps = _steps(corners)
+        known = flawed & np.isfinite(steps).all(axis=(2, 3)) & np.isfinite(corners).all(axis=2)
+        place, way = corners[known], steps[known]
+        picture = pictures(image, place, way, LATTICE)
+        slopes = []
+        for along in range(2):
+            step = SLOPE_STEP * way[:, :, along]
+            ahead, back = (pictures(image, at, way, LATTICE) for at in (place + step, place - step))
+            slopes.append((ahead - back) / (2 * SLOPE_STEP))
+        basis = np.stack([*slopes, picture, np.ones_like(picture)], axis=1, dtype=np.float64)
+        weighted = basis * WEIGHT
+        normal = weighted @ basis.swapaxes(1, 2)
+        whole = np.isfinite(normal).all(axis=(1, 2))
+        whole[whole] = np.linalg.matrix_rank(normal[whole], hermitian=True) == normal.shape[1]
+        known[known] = whole
+        solution = np.linalg.solve(normal[whole], weighted[whole])
+        gain = _gains(max(smoothing_px, LEAST_SMOOTHING_PX), way[whole], solution[:, :2])
+        return cls(known, basis[whole].astype(np.float32), solution.astype(np.float32), gain)
+
+    def measured(
+        self, image: PreparedImage, corners: Array, std: Array
+    ) -> tuple[Array, Array, Mask]:
+        """Corners (rows, cols, 2) px and their deviations (rows, cols) px in a frame, with those
+        whose pictures fit, and which these are (rows, cols); the others stay as they are.
+        """
+        steps = _steps(corners)[self.known]
+        seen = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(std[self.known])
+        place, fits = self._found(image, corners[self.known][seen], steps[seen], seen)
+        found = self.known.copy()
+        seen[seen] = fits
+        found[self.known] = seen
+        corners, std = corners.copy(), std.copy()
+        corners[found] = place[fits]
+        std[found] = np.hypot(image.noise * self.gain[seen], BIAS_PX)
+        return corners, std, found
+
+    def _found(
+        self, image: PreparedImage, start: Array, steps: Array, which: Mask
+    ) -> tuple[Array, Mask]:
+        """Where some pictures (n,) fit best (m, 2) px, and whether they do (m,)."""
+        place, solution, basis = start.copy(), self.solution[which], self.basis[which]
+        side = np.sqrt(np.abs(np.linalg.det(steps)))
+        left = np.full(len(start), np.inf)
+        for _ in range(ROUNDS):
+            picture = pictures(image.smooth, place, steps, LATTICE)
+            found = solution @ picture[:, :, None]
+            rest = picture - (found.swapaxes(1, 2) @ basis)[:, 0]
+            left = np.sqrt(np.mean(rest**2, axis=1))
+            shift = (steps @ (found[:, :2] / found[:, 2:3]))[..., 0]
+            place -= shift
+            if not np.abs(shift).max(initial=0.0) > ARRIVED_PX:
+                break
+        smoothing = max(image.smoothing_px, LEAST_SMOOTHING_PX)
+        noise = image.noise / (2 * np.sqrt(np.pi) * smoothing)
+        near = np.linalg.norm(place - start, axis=1) < FARTHEST * side
+        return place, near & (left < NOISES_LEFT * noise + SHARE_LEFT * basis[:, 2].std(axis=1))
+
+
+def _steps(corners: Array) -> Array:
+    """Ways (rows, cols, 2, 2) px to the next corner of the row and of the column, as columns."""
+    ways = [np.gradient(corners, axis=axis) for axis in (1, 0)]
+    return np.stack(ways, axis=-1)
+
+
+def _gains(smoothing: float, steps: Array, solution: Array) -> Array:
+    """Deviations (n,) of corners, px per coordinate, for one grey level of noise.
+
+    steps (n, 2, 2) px; solution (n, 2, k): shifts by grey levels of the smoothed image, whose noise
+    is much the same in neighbouring points.
+    """
+    if not len(steps):
+        return np.zeros(0)
+    side = float(np.sqrt(np.abs(np.linalg.det(steps)).mean()))
+    apart = side * np.linalg.norm(LATTICE[:, None] - LATTICE, axis=-1)
+    alike = np.exp(-((apart / (2 * smoothing)) ** 2)) / (4 * np.pi * smoothing**2)
+    moved = steps @ solution
+    variance = np.einsum("nxk,kl,nxl->n", moved, alike, moved, optimize=True)
+    # Of both coordinates together.
+    return np.asarray(np.sqrt(variance / 2))
+
+
+@kernel
+def pictures(image: Single, place: Array, steps: Array, lattice: Array) -> Single:
+    """Grey levels (n, k) of a smoothed image at points (k, 2) of a lattice around places (n, 2).
+
+    steps (n, 2, 2) px: per unit of the lattice.  NaN outside of the image.
+    """
+    found = np.empty((len(place), len(lattice)), np.float32)
+    for n in range(len(place)):
+        for k in range(len(lattice)):
+            u, v = lattice[k, 0], lattice[k, 1]
+            x = place[n, 0] + steps[n, 0, 0] * u + steps[n, 0, 1] * v
+            y = place[n, 1] + steps[n, 1, 0] * u + steps[n, 1, 1] * v
+            found[n, k] = sample(image, x, y)
+    return found
