@@ -38,15 +38,13 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
-    turned_reason,
-)
-from cmp_tactile_processing.tracking.numbering.result import Numbering
-from cmp_tactile_processing.tracking.numbering.torn_view import (
     continues,
     cut_at,
     is_torn,
     suspected_tears,
+    turned_reason,
 )
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 
 # A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
