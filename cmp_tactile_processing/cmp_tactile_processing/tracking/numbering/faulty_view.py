@@ -1,7 +1,7 @@
 """Views that do not show the pattern as described: mirrored, turned, or torn across.
 
 A transfer that breaks off leaves the upper part of one frame above the lower part of another; lost
-bytes roll all rows below. In such a torn view everything jumps alike along one image row, by whole
+bytes roll all rows below.  In such a torn view everything jumps alike along one image row, by whole
 checkers or by a part of one, and what lies on one side of it says nothing about the other side.
 Grey values that change from one row to the next tell where that may be, and are no proof: a
 gridline along a row, or the edge of what covers the gel, changes them too.

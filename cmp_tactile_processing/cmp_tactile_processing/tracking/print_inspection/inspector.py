@@ -55,6 +55,15 @@ MARKER_DEVIATIONS, LEAST_ASTRAY_PX = 5.0, 0.25
 # seen in so many markers.
 RAGGED_RATIO, LEAST_RAGGED_PX, LEAST_MARKERS = 2.5, 0.3, 3
 
+# Step along a gridline over which its direction is taken, checkers.
+DIRECTION_STEP = 0.05
+# Frames in which the corners lie farther apart than this, in the median, are not of one rest, px.
+SAME_REST_PX = 0.5
+# What shows less of the pattern says nothing about the print.
+LEAST_SEEN = 0.5
+# Rounding to whole grey levels is noise, too.
+ROUNDING_NOISE = 12**-0.5
+
 
 @dataclass(frozen=True)
 class PrintView:
@@ -228,9 +237,6 @@ def sampled(image: NDArray[np.float32], q: NDArray[np.float64]) -> NDArray[np.fl
 
 
 # How far printed edges stray from the smooth curves that they should follow.
-
-# Step along a gridline over which its direction is taken, checkers.
-DIRECTION_STEP = 0.05
 
 
 @dataclass(frozen=True)
@@ -431,13 +437,6 @@ def _ragged_edges(
 
 
 # The mean of several frames of one print at rest.
-
-# Frames in which the corners lie farther apart than this, in the median, are not of one rest, px.
-SAME_REST_PX = 0.5
-# What shows less of the pattern says nothing about the print.
-LEAST_SEEN = 0.5
-# Rounding to whole grey levels is noise, too.
-ROUNDING_NOISE = 12**-0.5
 
 
 class _Mean:

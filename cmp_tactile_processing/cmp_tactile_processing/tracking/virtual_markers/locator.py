@@ -54,6 +54,21 @@ UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
 # An image is taken to be smoothed by this much at least, px.
 LEAST_SMOOTHING_PX = 0.5
 
+# How far from the curve through the corners the gradient's peak is looked for, px.
+SEARCH_PX = 2
+REACH = SEARCH_PX + 2
+# Closer to a corner than this many standard deviations of the edges' blur the crossing gridline
+# bends the gradient's ridge.
+CORNER_CLEARANCE = 3.0
+# A gradient below this share of the median on all gridlines is not an edge.
+WEAKEST_GRADIENT = 0.25
+# Grid-line points of one zone that differ by more lie on different edges, px.
+LARGEST_STEP = 2.0
+# A quadratic through three pixels of a bell is this much off without any noise, px.
+MODEL_ERROR = 0.006
+# Standard deviation of the curve between corners as a share of the segment's length.
+CURVE_ERROR = 0.0008
+
 
 class Markers(NamedTuple):
     """position (a, b, n, 2) px, status (a, b, n), std (a, b, n): across the gridline, px."""
@@ -358,21 +373,6 @@ def fit_curves(corners: Array, tangent: Array, curve: Array) -> None:
 
 
 # The paper's local sub-pixel correction of virtual markers (III.C), compiled.
-
-# How far from the curve through the corners the gradient's peak is looked for, px.
-SEARCH_PX = 2
-REACH = SEARCH_PX + 2
-# Closer to a corner than this many standard deviations of the edges' blur the crossing gridline
-# bends the gradient's ridge.
-CORNER_CLEARANCE = 3.0
-# A gradient below this share of the median on all gridlines is not an edge.
-WEAKEST_GRADIENT = 0.25
-# Grid-line points of one zone that differ by more lie on different edges, px.
-LARGEST_STEP = 2.0
-# A quadratic through three pixels of a bell is this much off without any noise, px.
-MODEL_ERROR = 0.006
-# Standard deviation of the curve between corners as a share of the segment's length.
-CURVE_ERROR = 0.0008
 
 
 class Zone(NamedTuple):
