@@ -33,12 +33,12 @@ from cmp_tactile_processing.tracking.detector import (
     spoilt_pictures,
 )
 from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering, filled
+from cmp_tactile_processing.tracking.numbering.components import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     lattice_graph,
     proven_tears,
     torn_rows,
 )
-from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection

@@ -30,6 +30,7 @@ from cmp_tactile_processing.tracking.numbering.component_placement import (
     without_blurred,
 )
 from cmp_tactile_processing.tracking.numbering.components import (
+    Numbering,
     drop_loose_corners,
     in_order,
     joined,
@@ -44,7 +45,6 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     suspected_tears,
     turned_reason,
 )
-from cmp_tactile_processing.tracking.numbering.result import Numbering
 
 # A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1

@@ -17,16 +17,14 @@ from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.tracking.print_inspection.defects import (
     Defect,
     DefectKind,
-    PrintDefects,
-    Spot,
-    Spots,
-    find_spots,
-)
-from cmp_tactile_processing.tracking.print_inspection.picture import (
     Departure,
+    PrintDefects,
     PrintPlaces,
     SmoothLattice,
+    Spot,
+    Spots,
     departure,
+    find_spots,
     places_in_image,
 )
 

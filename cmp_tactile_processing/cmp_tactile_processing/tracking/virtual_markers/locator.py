@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -70,7 +69,7 @@ MODEL_ERROR = 0.006
 CURVE_ERROR = 0.0008
 
 
-class Markers(NamedTuple):
+class VirtualMarkers(NamedTuple):
     """position (a, b, n, 2) px, status (a, b, n), std (a, b, n): across the gridline, px."""
 
     position: Array
@@ -78,7 +77,7 @@ class Markers(NamedTuple):
     std: Array
 
     @classmethod
-    def from_segment(cls, a: int, b: int, n: int) -> Markers:
+    def from_segment(cls, a: int, b: int, n: int) -> VirtualMarkers:
         """Buffers for n markers on each of a x b segments."""
         status = np.empty((a, b, n), dtype=np.uint8)
         return cls(np.empty((a, b, n, 2)), status, np.empty((a, b, n)))
@@ -103,7 +102,7 @@ def place_markers(
     counts: Index,
     columns: Single,
     fits: Fits,
-    markers: Markers,
+    markers: VirtualMarkers,
 ) -> None:
     """Fill the markers from the cubics (a, b, 4, 2), `measure`'s columns and `Fits`."""
     n = markers.std.shape[2]
@@ -131,15 +130,6 @@ def place_markers(
                 markers.std[i, j, marker] = true_std(spread, MARKER_BIAS_PX)
                 is_measured = _is_near(columns, counts[s], s, t, near)
                 markers.status[i, j, marker] = MEASURED if is_measured else PREDICTED
-
-
-@dataclass(frozen=True)
-class VirtualMarkers:
-    """position (a, b, n, 2) px, status (a, b, n), std (a, b, n): across the gridline, px."""
-
-    position: NDArray[np.float64]
-    status: NDArray[np.uint8]
-    std: NDArray[np.float64]
 
 
 class VirtualMarkerLocator:
@@ -265,7 +255,7 @@ class _Gridlines:
         self._fits = Fits.from_shape(segments, n)
         self._work = FitScratch.new()
         self._turned, self._normals = np.empty((4, 2)), np.empty((2, 3))
-        self._markers = Markers.from_segment(a, b - 1, n)
+        self._markers = VirtualMarkers.from_segment(a, b - 1, n)
 
     def load(self, corners: NDArray[np.float64], corner_std: NDArray[np.float64]) -> None:
         self.corners[:] = corners
@@ -311,8 +301,7 @@ class _Gridlines:
     def result(self, transposed: bool = False) -> VirtualMarkers:
         """Fresh arrays; transposed: gridlines run along the first axis."""
         arrays = (item.swapaxes(0, 1) if transposed else item for item in self._markers)
-        position, status, std = (item.copy() for item in arrays)
-        return VirtualMarkers(position, status, std)
+        return VirtualMarkers(*(item.copy() for item in arrays))
 
 
 # Cubic curves through the corners of a grid, compiled: where the gridlines about run.
@@ -436,7 +425,11 @@ def _corrected(
 
 @kernel_part
 def _correct_segment(
-    pixels: Pixels, segments: Segments, zone: Zone, at: tuple[int, int, float], markers: Markers
+    pixels: Pixels,
+    segments: Segments,
+    zone: Zone,
+    at: tuple[int, int, float],
+    markers: VirtualMarkers,
 ) -> None:
     """at: the segment's indices and the standard deviation of its curve, px."""
     i, j, curve_std = at
@@ -466,7 +459,7 @@ def _correct_segment(
 
 @kernel
 def correct_markers(
-    pixels: Pixels, segments: Segments, corner_std: Array, zone: Zone, markers: Markers
+    pixels: Pixels, segments: Segments, corner_std: Array, zone: Zone, markers: VirtualMarkers
 ) -> None:
     """Fill the markers of the segments; corner_std (a, b+1) px.
 
