@@ -79,10 +79,10 @@ def light_checker_contours(pattern: Pattern) -> list[Contour]:
     return [_on_gel(pattern, contour) for contour in (_comb(pattern)[::-1], *inner)]
 
 
-def dot_contours(centres: NDArray[np.float64], diameter: float, tolerance: float) -> list[Contour]:
-    """Dots of that diameter around centres (n, 2); m, as polygons within `tolerance`."""
+def dot_contours(centres: NDArray[np.float64], diameter: float) -> list[Contour]:
+    """Dots of that diameter around centres (n, 2); m, as polygons within CHORD_TOLERANCE."""
     radius = diameter / 2
-    count = max(12, math.ceil(math.pi / math.acos(1 - min(tolerance / radius, 0.5))))
+    count = max(12, math.ceil(math.pi / math.acos(1 - min(CHORD_TOLERANCE / radius, 0.5))))
     angles = np.arange(count) * (2 * math.pi / count)
     circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return [centre + circle for centre in centres]
@@ -92,20 +92,15 @@ def code_contours(pattern: Pattern, *, dark_ink: bool) -> list[Contour]:
     """Dots of the code: ink in checkers without ink, holes in those of ink; m."""
     dots, inked = pattern.dots(), pattern.dark_checkers() == dark_ink
     middles, diameter = pattern.checker_middles(), DOT_DIAMETER * pattern.pitch
-    ink, holes = (
-        dot_contours(middles[dots & chosen], diameter, CHORD_TOLERANCE)
-        for chosen in (~inked, inked)
-    )
+    ink, holes = (dot_contours(middles[dots & chosen], diameter) for chosen in (~inked, inked))
     return [*ink, *without(holes)]
 
 
 def on_print(
-    contours: list[Contour],
-    flat: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    tolerance: float,
+    contours: list[Contour], flat: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> list[Contour]:
-    """Contours laid flat, with so many corners that straight sides bend within `tolerance`."""
-    return [flat(_divided(contour, flat, tolerance)) for contour in contours]
+    """Contours laid flat, with so many corners that sides bend within CHORD_TOLERANCE."""
+    return [flat(_divided(contour, flat)) for contour in contours]
 
 
 def inset(contour: Contour, by: float) -> Contour:
@@ -163,11 +158,9 @@ def _on_gel(pattern: Pattern, checkers: Contour) -> Contour:
 
 
 def _divided(
-    contour: Contour,
-    flat: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    tolerance: float,
+    contour: Contour, flat: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> Contour:
-    """With sides halved until each one's image lies within `tolerance` of its chord."""
+    """With sides halved until each one's image lies within CHORD_TOLERANCE of its chord."""
     for _ in range(MOST_HALVINGS):
         ends = np.roll(contour, -1, axis=0)
         begin = flat(contour)
@@ -177,7 +170,7 @@ def _divided(
             away = flat(contour * (1 - share) + ends * share) - begin
             bend = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
             across = np.maximum(across, bend)
-        bent = np.flatnonzero(across > tolerance * np.linalg.norm(chord, axis=1))
+        bent = np.flatnonzero(across > CHORD_TOLERANCE * np.linalg.norm(chord, axis=1))
         if not len(bent):
             break
         contour = np.insert(contour, bent + 1, (contour[bent] + ends[bent]) / 2, axis=0)
@@ -289,14 +282,14 @@ def printed_pattern(
     clear = rectangle(half[0] + around, half[1] + around)
     with_margin = np.array(half) + options.margin
     gel = rectangle(sensor.elastomer.size[0] / 2, sensor.elastomer.size[1] / 2)
-    laid = on_print(_ink(pattern, options, clear), flat, CHORD_TOLERANCE)
+    laid = on_print(_ink(pattern, options, clear), flat)
     fits = with_margin <= np.array(sensor.elastomer.size[:2]) / 2 * (1 + 1e-9)
     return PrintedPattern(
         pattern=pattern,
         options=options,
         process=process,
         ink=tuple(inset(contour, options.ink_gain) * 1e3 for contour in laid),
-        clear=on_print([clear], flat, CHORD_TOLERANCE)[0] * 1e3,
+        clear=on_print([clear], flat)[0] * 1e3,
         gel=_outline(gel, pattern, process),
         rim_strain=rim_strain(pattern.surface, process, rectangle(*with_margin)),
         fits_gel=bool(fits.all()) or pattern.border == "beyond_view",
@@ -311,7 +304,7 @@ def _ink(pattern: Pattern, options: PrintOptions, clear: Contour) -> list[Contou
             return [clear, *light_checker_contours(pattern), *code]
         return [*checker_contours(pattern), *code]
     places = pattern.corners()[..., :2].reshape(-1, 2)
-    dots = dot_contours(places, options.dot_diameter * pattern.pitch, CHORD_TOLERANCE)
+    dots = dot_contours(places, options.dot_diameter * pattern.pitch)
     return [clear, *without(dots)] if options.invert else dots
 
 
@@ -319,7 +312,7 @@ def _outline(gel: Contour, pattern: Pattern, process: str) -> Contour | None:
     flat = partial(flat_print, pattern.surface, process)
     if not np.isfinite(flat(gel)).all():
         return None
-    return on_print([gel], flat, CHORD_TOLERANCE)[0] * 1e3
+    return on_print([gel], flat)[0] * 1e3
 
 
 def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> None:
