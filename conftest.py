@@ -118,7 +118,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
     if gives_out_work(session.config):
         session.config.get_terminal_writer().line("compiling ahead of the workers")
-        from cmp_tactile_processing.python_command import python_command
+        from cmp_tactile_processing.processes import python_command
 
         command = python_command("cmp_tactile_processing.prepare", "sample_rig", "--only")
         parts = (["trackers", "stereo"], ["forces"])

@@ -34,7 +34,7 @@ from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Surface
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import python_command
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference

@@ -19,7 +19,7 @@ from markers import look_of, mounts, moved
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
-from cmp_tactile_processing.ros.rviz.markers import (
+from cmp_tactile_processing.ros.rviz import (
     force_markers,
     surface_markers,
 )

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.image.prefilter import ImpulseFilter, noise_of
+from cmp_tactile_processing.image.prepared import ImpulseFilter, noise_of
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from paper.sequence import DOT_DIAMETER
 

@@ -44,7 +44,7 @@ from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.sources.frames import encoding_of
 from cmp_tactile_processing.cache.compiled import use_cache_of_these_sources
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import python_command
 from cmp_tactile_processing.ros.messages.conversions import header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 

@@ -57,7 +57,7 @@ from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import python_command
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
     grid_to_msg,

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tables import head, line
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.printing.advice import checker_sides_px
+from cmp_tactile_processing.printing.pattern import checker_sides_px
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.sensor.parts import FEWEST_CODED

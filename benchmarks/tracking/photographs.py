@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
 from cmp_tactile_processing.sensor.yaml_section import parse_yaml

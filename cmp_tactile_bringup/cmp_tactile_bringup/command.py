@@ -8,7 +8,7 @@ import signal
 import sys
 from typing import TYPE_CHECKING
 
-from cmp_tactile_processing.stop_signal import Interruption, ignore_signals
+from cmp_tactile_processing.processes import Interruption, ignore_signals
 
 # Nothing that takes time to load: `main` handles signals first.
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import python_command
 from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
     grid_from_msg,

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
-from cmp_tactile_processing.cache.one_thread import one_thread
-from cmp_tactile_processing.cache.view_threads import ViewThreads
+from cmp_tactile_processing.cache.threads import ViewThreads, one_thread
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.geometry.optics import ViewGeometry

@@ -20,7 +20,7 @@ from cmp_tactile_processing.cache.compiled import installing, when_compiling
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import python_command
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference

@@ -17,7 +17,7 @@ import yaml
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker
+from cmp_tactile_processing.ros.rviz import DrawnMarker
 
 SETTINGS = Path(__file__).parents[2] / "cmp_tactile_bringup" / "rviz"
 # RViz's camera sees 45 degrees of height.

@@ -22,7 +22,7 @@ from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
+from cmp_tactile_processing.surface.reference_keeping import RestParameters, rest_shape, why_touched
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # Nine neighbouring markers are averaged where the motion of one place is judged.

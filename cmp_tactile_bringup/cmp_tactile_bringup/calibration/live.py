@@ -23,8 +23,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import size_text
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.image.compressed import COMPRESSED
-from cmp_tactile_processing.image.raw import BitDepth
+from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.measured import Markers3D
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.process import Listener

@@ -131,7 +131,7 @@ def _record(
 
 def _started(beside: ExitStack, module: str, *arguments: str) -> subprocess.Popen[bytes]:
     """A process that compiles; it ends with the stack."""
-    from cmp_tactile_processing.python_command import python_command
+    from cmp_tactile_processing.processes import python_command
 
     command = python_command(module, *arguments)
     process = beside.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE))

@@ -177,7 +177,7 @@ class Focus(Looking):
         from rich.live import Live
 
         from cmp_tactile_bringup.terminal.output import output_console, print_line
-        from cmp_tactile_processing.stop_signal import StopSignal
+        from cmp_tactile_processing.processes import StopSignal
 
         meter = _Meter(self.views or "", self.pitch_m())
         console, shown = output_console(), -LINE_S

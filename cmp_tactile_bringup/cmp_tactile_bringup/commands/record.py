@@ -69,8 +69,8 @@ class Record(Command):
         from rich.live import Live
 
         from cmp_tactile_bringup.terminal.output import output_console
+        from cmp_tactile_processing.processes import StopSignal
         from cmp_tactile_processing.ros.process import init_beside, joining_ros
-        from cmp_tactile_processing.stop_signal import StopSignal
 
         stop = StopSignal()
         context = Context()

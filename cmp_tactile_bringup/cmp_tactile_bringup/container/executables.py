@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from cmp_tactile_processing.stop_signal import StopSignal
+from cmp_tactile_processing.processes import StopSignal
 
 M_ARENA_MAX = -8
 """Of mallopt in glibc: how many heaps threads may have."""

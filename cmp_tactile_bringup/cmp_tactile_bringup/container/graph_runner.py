@@ -25,9 +25,8 @@ from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordi
 from cmp_tactile_bringup.graphs.running import RunningLine
 from cmp_tactile_bringup.terminal.output import shown_stages
 from cmp_tactile_processing.errors import CmpTactileError, printable
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import StopSignal, python_command
 from cmp_tactile_processing.ros.process import leave_process, split_ros_args
-from cmp_tactile_processing.stop_signal import StopSignal
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"

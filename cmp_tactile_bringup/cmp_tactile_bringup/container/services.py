@@ -23,7 +23,7 @@ from cmp_tactile_bringup.container.components import ComponentContainer, LoadedC
 from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
-from cmp_tactile_processing.ros.diagnostics.status import ERROR, OK, status_message, status_name
+from cmp_tactile_processing.ros.diagnostics import ERROR, OK, status_message, status_name
 from cmp_tactile_processing.ros.process import LastingExecutor, joining_ros
 
 INTRA_PROCESS = "use_intra_process_comms"

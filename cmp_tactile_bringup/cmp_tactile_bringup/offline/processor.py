@@ -35,8 +35,8 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.python_command import python_command
-from cmp_tactile_processing.ros.diagnostics import frame_watch
+from cmp_tactile_processing.processes import python_command
+from cmp_tactile_processing.ros import diagnostics
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
@@ -44,9 +44,9 @@ NOMINAL = "nominal surface of the sensor description"
 AS_RECORDED = "reference of the recorded surfaces; without images there are no grids"
 NS_PER_S = 10**9
 STAMP_FAULTS = {
-    frame_watch.Stamp.BACK: "went back; tracking started again there",
-    frame_watch.Stamp.REPEATED: "came twice",
-    frame_watch.Stamp.ZERO: "were 0",
+    diagnostics.Stamp.BACK: "went back; tracking started again there",
+    diagnostics.Stamp.REPEATED: "came twice",
+    diagnostics.Stamp.ZERO: "were 0",
 }
 # Of all frames, what may be missing without a word.
 MISSING_SHARE = 0.1
@@ -93,7 +93,7 @@ class Processor:
         with Outputs(folder, self._job, self._sensor, self._options) as files:
             for frame in self._frames():
                 stamp_fault = stamps.add(frame)
-                if stamp_fault == frame_watch.Stamp.BACK.value:
+                if stamp_fault == diagnostics.Stamp.BACK.value:
                     # As the nodes do: what came before may be another recording.
                     pipeline.reset()
                 result = pipeline.process(frame.content, frame.stamp_ns)
@@ -164,7 +164,7 @@ class _Stamps:
     """Counts the frames of a recording with stamps out of order, as the nodes do."""
 
     def __init__(self) -> None:
-        self._watch = frame_watch.StampWatch()
+        self._watch = diagnostics.StampWatch()
         self._frames, self._last_ns, self._longest_ns = 0, 0, 0
 
     def add(self, frame: Recorded) -> str:
@@ -179,7 +179,7 @@ class _Stamps:
         if self._watch.missing > missing:
             self._longest_ns = max(self._longest_ns, passed)
             return "gap"
-        return "" if kind is frame_watch.Stamp.LATER else kind.value
+        return "" if kind is diagnostics.Stamp.LATER else kind.value
 
     @property
     def doubts(self) -> Iterator[str]:

@@ -6,13 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.printing.advice import (
+from cmp_tactile_processing.printing.pattern import (
+    CHORD_TOLERANCE,
     PatternAdvice,
+    PrintedPattern,
+    PrintOptions,
     advise,
     checker_sides_px,
     code_advice,
 )
-from cmp_tactile_processing.printing.pattern import CHORD_TOLERANCE, PrintedPattern, PrintOptions
 from cmp_tactile_processing.printing.sheet import PrintedCopy, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription
 

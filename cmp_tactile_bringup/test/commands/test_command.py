@@ -177,7 +177,7 @@ def test_an_error_is_one_though_nobody_reads_the_output(tmp_path):
 
 UNTIL_STOPPED = """
 import signal, sys
-from cmp_tactile_processing.stop_signal import StopSignal
+from cmp_tactile_processing.processes import StopSignal
 
 if sys.argv[1:] == ["nohup"]:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -106,7 +106,7 @@ def test_a_scene_is_shown_until_a_signal_comes(capsys, monkeypatch):
         def wait(self, _timeout):
             return next(stops)
 
-    monkeypatch.setattr("cmp_tactile_processing.stop_signal.StopSignal", Stop)
+    monkeypatch.setattr("cmp_tactile_processing.processes.StopSignal", Stop)
     assert main(["focus", "grasp", *PITCH]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
 

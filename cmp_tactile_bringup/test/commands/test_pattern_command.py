@@ -14,11 +14,11 @@ from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import description, parse
 from cmp_tactile_bringup.printing.files import FORMATS
 from cmp_tactile_bringup.printing.svg import svg_bytes
-from cmp_tactile_processing.printing.advice import advise
 from cmp_tactile_processing.printing.pattern import (
     PATTERN_TYPES,
     PROCESSES,
     PrintOptions,
+    advise,
     printed_pattern,
 )
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy

@@ -26,8 +26,12 @@ from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
-from cmp_tactile_processing.image.compressed import COMPRESSED, decode_compressed
-from cmp_tactile_processing.image.raw import BitDepth, decode_raw
+from cmp_tactile_processing.image.encodings import (
+    COMPRESSED,
+    BitDepth,
+    decode_compressed,
+    decode_raw,
+)
 from cmp_tactile_processing.measured import GridShape, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE, whole_frame_info

@@ -24,8 +24,7 @@ from cmp_tactile_driver.sources.timing import on_clock
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.frame_watch import SentFrames
-from cmp_tactile_processing.ros.diagnostics.status import Finding
+from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
 from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters

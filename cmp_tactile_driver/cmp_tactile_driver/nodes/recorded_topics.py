@@ -19,7 +19,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.bags.recorder import EncodedMessage
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import COMPRESSED
+from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 
 SUBSCRIPTION_DEPTH = 100

@@ -29,8 +29,7 @@ from cmp_tactile_driver.nodes.recorded_topics import (
 )
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.frame_watch import LossWatch, SentFrames
-from cmp_tactile_processing.ros.diagnostics.status import Finding
+from cmp_tactile_processing.ros.diagnostics import Finding, LossWatch, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import message_class
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node

@@ -31,8 +31,7 @@ from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qo
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics.frame_watch import SentFrames
-from cmp_tactile_processing.ros.diagnostics.status import Finding
+from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import (
     frame_to_msg,
     header_at,

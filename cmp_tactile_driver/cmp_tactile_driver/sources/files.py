@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from cmp_tactile_driver.errors import FrameSourceError, WrongSizeError
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_image
-from cmp_tactile_processing.image.raw import BitDepth
+from cmp_tactile_processing.image.encodings import BitDepth, decode_image
 
 
 def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:

@@ -18,8 +18,7 @@ from cmp_tactile_driver.v4l2 import devices
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, V4L2Camera
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_jpeg
-from cmp_tactile_processing.image.raw import decode_raw
+from cmp_tactile_processing.image.encodings import decode_jpeg, decode_raw
 
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
 

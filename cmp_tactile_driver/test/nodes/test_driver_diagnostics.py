@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_driver.nodes.recorder import Recorder
 from cmp_tactile_driver.nodes.replay import Replay
-from cmp_tactile_processing.ros.diagnostics.status import StageDiagnostics
+from cmp_tactile_processing.ros.diagnostics import StageDiagnostics
 
 pytestmark = pytest.mark.ros
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.sensor import parts
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides

@@ -19,8 +19,9 @@ from cmp_tactile_processing.errors import CalibrationError
 HELD_SHARE = 0.25
 # The way over which a derivative is taken, in standard deviations of the prior.
 STEP = 1e-3
-# The fit ends where the sum of squares falls by less than this share of it.
+# The fit ends where the sum of squares falls by less than this share of it, or after so many steps.
 LEAST_GAIN = 1e-7
+MOST_STEPS = 100
 
 Residuals = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -82,14 +83,13 @@ class MapFit:
         return tuple(Combination(directions[:, k], float(shares[k])) for k in np.argsort(-shares))
 
 
-def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be given
+def map_fit(
     residuals: Residuals,
     prior_std: NDArray[np.float64],
     *,
     start: NDArray[np.float64] | None = None,
     jacobian: Residuals | None = None,
     robust_scale: float | None = 3.0,
-    max_steps: int = 100,
 ) -> MapFit:
     """Fit parameters x (n,) to whitened residuals(x) (m,), each with the prior N(0, prior_std^2).
 
@@ -123,7 +123,7 @@ def map_fit(  # noqa: PLR0913 - one keyword for each thing that a fit may be giv
         whole_slope,
         method="trf",
         loss=loss,
-        max_nfev=max_steps,
+        max_nfev=MOST_STEPS,
         ftol=LEAST_GAIN,
         xtol=1e-9,
     )

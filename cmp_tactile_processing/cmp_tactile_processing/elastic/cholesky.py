@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.linalg import blas, cho_solve, lapack
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.mesh import BlockMesh, element_stiffness
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
 

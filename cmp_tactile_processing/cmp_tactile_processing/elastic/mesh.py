@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.cholesky import RestInverse
 from cmp_tactile_processing.elastic.equilibrium import (
     WITHOUT_END,

@@ -23,7 +23,7 @@ from scipy.linalg import eigh, solve_triangular
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.mirror_symmetry import (
     PARITIES,

@@ -78,21 +78,6 @@ def smoothness(nodes: SurfaceGrid, length: float) -> NDArray[np.float64]:
     return np.asarray(precision * np.linalg.solve(precision, unit)[middle])
 
 
-def gradient_penalty(nodes: SurfaceGrid, length: float) -> NDArray[np.float64]:
-    """Integral of |t|^2 + length^2 |grad t|^2 over the coefficients, (3 n, 3 n) 1/m^2.
-
-    t is the traction of coefficients of 1 N, which falls to zero one spacing outside the grid;
-    length: m.
-    """
-    slopes = [
-        (2 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)) * (length / spacing) ** 2
-        for count, spacing in zip((nodes.rows, nodes.cols), nodes.spacing[::-1], strict=True)
-    ]
-    mass_y, mass_x = _mass(nodes.rows), _mass(nodes.cols)
-    one = np.kron(mass_y, mass_x) + np.kron(slopes[0], mass_x) + np.kron(mass_y, slopes[1])
-    return np.asarray(np.kron(one / (nodes.spacing[0] * nodes.spacing[1]), np.eye(3)))
-
-
 def _mass(count: int) -> NDArray[np.float64]:
     """Integrals of products of neighbouring hats, over their spacing."""
     return np.asarray(2 / 3 * np.eye(count) + (np.eye(count, k=1) + np.eye(count, k=-1)) / 6)

@@ -18,8 +18,8 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.force.advice import ADVICE
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceFlag, Surface
+from cmp_tactile_processing.nodes.health import ForceHealth
 from cmp_tactile_processing.ros.base_nodes import StageNode
-from cmp_tactile_processing.ros.diagnostics.health import ForceHealth
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.reading import check_shape, stamp_ns, surface_from_msg
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters

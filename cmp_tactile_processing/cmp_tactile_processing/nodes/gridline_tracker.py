@@ -12,17 +12,17 @@ from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
-from cmp_tactile_processing.drawing.gridlines import draw_grid
+from cmp_tactile_processing.drawing import draw_grid
 from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
-from cmp_tactile_processing.image.raw import BitDepth
+from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import Grid
+from cmp_tactile_processing.nodes.health import GridHealth
 from cmp_tactile_processing.ros.base_nodes import (
     IMAGE_DEPTH,
     FrameCollection,
     FrameService,
     StageNode,
 )
-from cmp_tactile_processing.ros.diagnostics.health import GridHealth
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.making import view_frame
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
@@ -32,7 +32,7 @@ from cmp_tactile_processing.ros.parameters import (
     declare_parameters,
 )
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz.drawing import DrawingRate, OverlayParameters
+from cmp_tactile_processing.ros.rviz import DrawingRate, OverlayParameters
 from cmp_tactile_processing.sensor.parameters import Parameters, TrackingParameters, parameter
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker

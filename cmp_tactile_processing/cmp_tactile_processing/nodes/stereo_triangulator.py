@@ -16,12 +16,12 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
+from cmp_tactile_processing.nodes.health import reference_figures
 from cmp_tactile_processing.ros.base_nodes import (
     FrameCollection,
     FrameService,
     StageNode,
 )
-from cmp_tactile_processing.ros.diagnostics.health import reference_figures
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
@@ -31,7 +31,7 @@ from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationPa
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
-from cmp_tactile_processing.surface.stillness import RestParameters
+from cmp_tactile_processing.surface.reference_keeping import RestParameters
 
 
 @dataclass(frozen=True)

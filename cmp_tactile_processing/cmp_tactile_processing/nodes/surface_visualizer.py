@@ -12,13 +12,13 @@ from visualization_msgs.msg import MarkerArray
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.ros import rviz
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.conversions import organised_cloud
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz import drawing
-from cmp_tactile_processing.ros.rviz.markers import MarkerParameters, force_markers, surface_markers
+from cmp_tactile_processing.ros.rviz import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
@@ -83,7 +83,7 @@ class SurfaceVisualizer(StageNode):
         # The newest of each topic, what came last at the end.
         self._shown: dict[str, Shown] = {}
         self._look = StageParameters(self, MarkerParameters(), self._draw_again)
-        self._rate = drawing.DrawingRate(self, self._draw, self._look.value.max_rate)
+        self._rate = rviz.DrawingRate(self, self._draw, self._look.value.max_rate)
         self._dense = StageParameters(self, DenseParameters(), self._prepare)
         self._prepare(self._dense.value)
         self._marker_publisher = self.add_publisher(MarkerArray, "markers")
@@ -161,7 +161,7 @@ class SurfaceVisualizer(StageNode):
         if not (self._shown and self._anybody_looks()):
             return
         newest = next(reversed(self._shown.values()))
-        markers: list[drawing.DrawnMarker] = []
+        markers: list[rviz.DrawnMarker] = []
         for topic, shown in self._shown.items():
             if abs(shown.stamp_ns - newest.stamp_ns) <= KEPT_NS:
                 # What cannot be drawn is reported as a message that cannot be used.
@@ -169,11 +169,11 @@ class SurfaceVisualizer(StageNode):
                 self._run_guarded(name, lambda each: markers.extend(self._markers(each)), shown)
         if markers:
             lifetime = self._look.value.lifetime
-            data = drawing.marker_array_bytes(markers, newest.header, lifetime)
+            data = rviz.marker_array_bytes(markers, newest.header, lifetime)
             self._marker_publisher.publish(data)
             self.frame_out(newest.header)
 
-    def _markers(self, shown: Shown) -> list[drawing.DrawnMarker]:
+    def _markers(self, shown: Shown) -> list[rviz.DrawnMarker]:
         look, value = self._look.value, shown.value
         if isinstance(value, Surface):
             return surface_markers(laid_on_known_surface(value, self.sensor.pattern.surface), look)

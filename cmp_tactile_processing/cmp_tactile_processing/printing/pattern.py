@@ -1,4 +1,4 @@
-"""The pattern of a sensor as ink on a flat print, to scale."""
+"""Which pattern to print for a sensor, and its ink on a flat print, to scale."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
-from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import MAX_CORNERS, MIN_CORNERS, Pattern, PatternSurface
 
 MOST_HALVINGS = 20
 # Where an image is compared with its chord, as shares of the side.
 LOOKED_AT = (0.25, 0.5, 0.75)
-
 Contour = NDArray[np.float64]
 """(N, 2) corners of a closed polygon, the last joined to the first.
 
@@ -31,6 +31,24 @@ PROCESSES = ("along_axis", "unrolled")
 # Curved edges are polygons within this, m: a tenth of what the best printers resolve.
 CHORD_TOLERANCE = 5e-7
 PATTERN_TYPES = ("cmp", "dmp")
+# Measured by a sweep of prints, resolutions and lights, with tables in
+# benchmarks/results/pattern_choice.md and the source, benchmarks/paper/pattern_choice.py, in commit
+# 43949c8.  Sides are the smallest of both views.  Of checkers of RECOMMENDED_SIDE_PX the field
+# between the markers is off by less than a third more than of the best ones, whatever the
+# resolution and the light; below LEAST_SIDE_PX markers are lost in dim light or behind a soft lens.
+LEAST_SIDE_PX = 6.0
+RECOMMENDED_SIDE_PX = 7.0
+# Dots of a code are read from this side on, and from the second on gridlines are as exact as
+# without dots, to 5 %; both in focus: benchmarks/tracking/coded.py.
+LEAST_CODED_SIDE_PX, EXACT_CODED_SIDE_PX = 7.5, 16.0
+# A finer pitch than this share of the skin's thickness shows no more of a contact, however fine the
+# camera's pixels.  Measured with a skin of 0.3 mm and beads of 1.2 mm; that it goes with the skin
+# is assumed.
+LEAST_PITCH_OVER_SKIN = 1.3
+# More than these lower the error by less than 3 %, and cost time.
+POINTS_PER_SEGMENT = 2
+# A print of the same size as before is not larger in spite of rounding.
+ROUNDING = 1e-6
 
 
 def rectangle(half_x: float, half_y: float) -> Contour:
@@ -61,10 +79,10 @@ def light_checker_contours(pattern: Pattern) -> list[Contour]:
     return [_on_gel(pattern, contour) for contour in (_comb(pattern)[::-1], *inner)]
 
 
-def dot_contours(centres: NDArray[np.float64], diameter: float, tolerance: float) -> list[Contour]:
-    """Dots of that diameter around centres (n, 2); m, as polygons within `tolerance`."""
+def dot_contours(centres: NDArray[np.float64], diameter: float) -> list[Contour]:
+    """Dots of that diameter around centres (n, 2); m, as polygons within CHORD_TOLERANCE."""
     radius = diameter / 2
-    count = max(12, math.ceil(math.pi / math.acos(1 - min(tolerance / radius, 0.5))))
+    count = max(12, math.ceil(math.pi / math.acos(1 - min(CHORD_TOLERANCE / radius, 0.5))))
     angles = np.arange(count) * (2 * math.pi / count)
     circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return [centre + circle for centre in centres]
@@ -74,20 +92,15 @@ def code_contours(pattern: Pattern, *, dark_ink: bool) -> list[Contour]:
     """Dots of the code: ink in checkers without ink, holes in those of ink; m."""
     dots, inked = pattern.dots(), pattern.dark_checkers() == dark_ink
     middles, diameter = pattern.checker_middles(), DOT_DIAMETER * pattern.pitch
-    ink, holes = (
-        dot_contours(middles[dots & chosen], diameter, CHORD_TOLERANCE)
-        for chosen in (~inked, inked)
-    )
+    ink, holes = (dot_contours(middles[dots & chosen], diameter) for chosen in (~inked, inked))
     return [*ink, *without(holes)]
 
 
 def on_print(
-    contours: list[Contour],
-    flat: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    tolerance: float,
+    contours: list[Contour], flat: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> list[Contour]:
-    """Contours laid flat, with so many corners that straight sides bend within `tolerance`."""
-    return [flat(_divided(contour, flat, tolerance)) for contour in contours]
+    """Contours laid flat, with so many corners that sides bend within CHORD_TOLERANCE."""
+    return [flat(_divided(contour, flat)) for contour in contours]
 
 
 def inset(contour: Contour, by: float) -> Contour:
@@ -145,11 +158,9 @@ def _on_gel(pattern: Pattern, checkers: Contour) -> Contour:
 
 
 def _divided(
-    contour: Contour,
-    flat: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    tolerance: float,
+    contour: Contour, flat: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 ) -> Contour:
-    """With sides halved until each one's image lies within `tolerance` of its chord."""
+    """With sides halved until each one's image lies within CHORD_TOLERANCE of its chord."""
     for _ in range(MOST_HALVINGS):
         ends = np.roll(contour, -1, axis=0)
         begin = flat(contour)
@@ -159,7 +170,7 @@ def _divided(
             away = flat(contour * (1 - share) + ends * share) - begin
             bend = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
             across = np.maximum(across, bend)
-        bent = np.flatnonzero(across > tolerance * np.linalg.norm(chord, axis=1))
+        bent = np.flatnonzero(across > CHORD_TOLERANCE * np.linalg.norm(chord, axis=1))
         if not len(bent):
             break
         contour = np.insert(contour, bent + 1, (contour[bent] + ends[bent]) / 2, axis=0)
@@ -271,14 +282,14 @@ def printed_pattern(
     clear = rectangle(half[0] + around, half[1] + around)
     with_margin = np.array(half) + options.margin
     gel = rectangle(sensor.elastomer.size[0] / 2, sensor.elastomer.size[1] / 2)
-    laid = on_print(_ink(pattern, options, clear), flat, CHORD_TOLERANCE)
+    laid = on_print(_ink(pattern, options, clear), flat)
     fits = with_margin <= np.array(sensor.elastomer.size[:2]) / 2 * (1 + 1e-9)
     return PrintedPattern(
         pattern=pattern,
         options=options,
         process=process,
         ink=tuple(inset(contour, options.ink_gain) * 1e3 for contour in laid),
-        clear=on_print([clear], flat, CHORD_TOLERANCE)[0] * 1e3,
+        clear=on_print([clear], flat)[0] * 1e3,
         gel=_outline(gel, pattern, process),
         rim_strain=rim_strain(pattern.surface, process, rectangle(*with_margin)),
         fits_gel=bool(fits.all()) or pattern.border == "beyond_view",
@@ -293,7 +304,7 @@ def _ink(pattern: Pattern, options: PrintOptions, clear: Contour) -> list[Contou
             return [clear, *light_checker_contours(pattern), *code]
         return [*checker_contours(pattern), *code]
     places = pattern.corners()[..., :2].reshape(-1, 2)
-    dots = dot_contours(places, options.dot_diameter * pattern.pitch, CHORD_TOLERANCE)
+    dots = dot_contours(places, options.dot_diameter * pattern.pitch)
     return [clear, *without(dots)] if options.invert else dots
 
 
@@ -301,7 +312,7 @@ def _outline(gel: Contour, pattern: Pattern, process: str) -> Contour | None:
     flat = partial(flat_print, pattern.surface, process)
     if not np.isfinite(flat(gel)).all():
         return None
-    return on_print([gel], flat, CHORD_TOLERANCE)[0] * 1e3
+    return on_print([gel], flat)[0] * 1e3
 
 
 def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> None:
@@ -355,3 +366,131 @@ def _check_surface(sensor: SensorDescription, around: float) -> None:
             f"expected more than {needed * 1e3:.6g} mm: the print, with margin and bleed, is "
             f"{size[0] * 1e3:.6g} x {size[1] * 1e3:.6g} mm"
         )
+
+
+@dataclass(frozen=True)
+class PatternAdvice:
+    """rows, cols: inner corners; pitch m; least_side_px: shortest checker side of both views.
+
+    reason: a sentence that says why.
+    """
+
+    rows: int
+    cols: int
+    pitch: float
+    points_per_segment: int
+    least_side_px: float
+    reason: str
+
+
+def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]]:
+    """Sides (N,) px of all checkers between inner corners at rest, by view.
+
+    NaN where a view's lens has no pixel for a corner.  Raises DescriptionError where a view does
+    not show the pattern, and where there is none.
+    """
+    return _sides(sensor.pattern, _views_of(sensor))
+
+
+def _views_of(sensor: SensorDescription) -> dict[str, ViewGeometry]:
+    if not sensor.views:
+        msg = f"{sensor.origin}: views: found none, expected at least one that shows the pattern"
+        raise DescriptionError(msg)
+    return build_views(sensor)
+
+
+def code_advice(sensor: SensorDescription) -> str:
+    """What the dots of a code are like in this sensor's views, a sentence.
+
+    Raises DescriptionError where a view does not show the pattern.
+    """
+    side = _least(sensor.pattern, _views_of(sensor))
+    checkers = f"in checkers of {side:.1f} px (the smallest) dots"
+    if side < LEAST_CODED_SIDE_PX:
+        return f"{checkers} cannot be read: at least {LEAST_CODED_SIDE_PX:g} px are needed"
+    if side < EXACT_CODED_SIDE_PX:
+        return (
+            f"{checkers} can be read in focus, but make gridlines less exact; from "
+            f"{EXACT_CODED_SIDE_PX:g} px on they do not"
+        )
+    return f"{checkers} can be read, and gridlines are as exact as without dots"
+
+
+def advise(sensor: SensorDescription) -> PatternAdvice:
+    """The pattern to print on this sensor's gel, as large as the present one with its margin.
+
+    The sensor's camera, optics, skin and size of the print count, not its present rows, columns
+    and pitch.  Raises DescriptionError where a view does not show the present pattern.
+    """
+    views = _views_of(sensor)
+    least_pitch = LEAST_PITCH_OVER_SKIN * sensor.elastomer.shading_layer.thickness
+    chosen, side = sensor.pattern, _least(sensor.pattern, views)
+    by_skin = False
+    for checkers in range(MAX_CORNERS + 1, MIN_CORNERS, -1):
+        pattern = _on_print(sensor.pattern, checkers)
+        if min(pattern.rows, pattern.cols) < MIN_CORNERS:
+            break
+        chosen, side = pattern, _least(pattern, views)
+        if side >= RECOMMENDED_SIDE_PX:
+            if pattern.pitch >= least_pitch:
+                break
+            by_skin = True
+    return PatternAdvice(
+        rows=chosen.rows,
+        cols=chosen.cols,
+        pitch=chosen.pitch,
+        points_per_segment=POINTS_PER_SEGMENT,
+        least_side_px=side,
+        reason=_reason(chosen, side, by_skin=by_skin),
+    )
+
+
+def _reason(pattern: Pattern, side: float, *, by_skin: bool) -> str:
+    """by_skin: the camera would see more checkers well."""
+    if side < LEAST_SIDE_PX:
+        return (
+            f"even with {pattern.rows} x {pattern.cols} corners the smallest checker is only "
+            f"{side:.1f} px wide, and below {LEAST_SIDE_PX:g} px markers are lost: the camera has "
+            "too few pixels, or is too far from the gel"
+        )
+    if side < RECOMMENDED_SIDE_PX:
+        return (
+            f"the smallest allowed number of corners gives checkers of {side:.1f} px (the "
+            f"smallest); {RECOMMENDED_SIDE_PX:g} px would be better"
+        )
+    if by_skin:
+        return (
+            f"the camera could see smaller checkers than these of {side:.1f} px, but the skin "
+            f"over the pattern blurs details below {pattern.pitch * 1e3:.2f} mm"
+        )
+    if max(pattern.rows, pattern.cols) == MAX_CORNERS:
+        return (
+            f"the largest allowed number of corners still gives checkers of {side:.1f} px (the "
+            f"smallest); {RECOMMENDED_SIDE_PX:g} px are enough"
+        )
+    return (
+        f"the smallest checker of both views is then {side:.1f} px wide: below "
+        f"{RECOMMENDED_SIDE_PX:g} px, markers are less exact; with larger checkers there are "
+        "fewer markers"
+    )
+
+
+def _on_print(pattern: Pattern, checkers: int) -> Pattern:
+    """So many checkers along the longer side of a print that is not larger than before."""
+    width, height = ((count + 1) * pattern.pitch for count in (pattern.cols, pattern.rows))
+    pitch = max(width, height) / checkers
+    cols, rows = (int(length / pitch + ROUNDING) - 1 for length in (width, height))
+    return replace(pattern, rows=rows, cols=cols, pitch=pitch)
+
+
+def _least(pattern: Pattern, views: dict[str, ViewGeometry]) -> float:
+    return min(float(np.min(sides)) for sides in _sides(pattern, views).values())
+
+
+def _sides(pattern: Pattern, views: dict[str, ViewGeometry]) -> dict[str, NDArray[np.float64]]:
+    found = {}
+    for name, view in views.items():
+        corners = view.project(pattern.corners())
+        steps = [np.linalg.norm(np.diff(corners, axis=axis), axis=-1).ravel() for axis in (0, 1)]
+        found[name] = np.concatenate(steps)
+    return found

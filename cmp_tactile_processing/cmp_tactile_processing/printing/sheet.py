@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,14 +80,9 @@ class Drawing:
         return Drawing(
             ink=tuple(tuple(contour + step for contour in copy) for copy in self.ink),
             solids=tuple(contour + step for contour in self.solids),
-            lines=tuple(Line(line.points + step, line.layer, line.closed) for line in self.lines),
+            lines=tuple(replace(line, points=line.points + step) for line in self.lines),
             labels=tuple(
-                Label(
-                    label.text,
-                    (label.place[0] + by[0], label.place[1] + by[1]),
-                    label.size,
-                    label.anchor,
-                )
+                replace(label, place=(label.place[0] + by[0], label.place[1] + by[1]))
                 for label in self.labels
             ),
         )

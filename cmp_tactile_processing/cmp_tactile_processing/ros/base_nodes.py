@@ -23,10 +23,11 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, Stamp
-from cmp_tactile_processing.ros.diagnostics.status import (
+from cmp_tactile_processing.ros.diagnostics import (
     Finding,
+    InputWatch,
     StageDiagnostics,
+    Stamp,
     status_message,
     status_name,
     summary,

@@ -26,7 +26,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
-from cmp_tactile_processing.stop_signal import Interruption
+from cmp_tactile_processing.processes import Interruption
 
 LOGGED_S = 5.0
 

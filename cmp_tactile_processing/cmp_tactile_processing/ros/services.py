@@ -78,7 +78,7 @@ def settled(ask: Callable[[], T], search_s: float = SEARCH_S, settled_s: float =
     return answer
 
 
-def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str, str]:
+def find_service(node: Node, name: str) -> tuple[str, str]:
     """Full name and type of the only service of that name, or whose name ends so.
 
     That of a node stands for its parameters.  Raises ServiceError, with what there is, for none and
@@ -97,7 +97,7 @@ def find_service(node: Node, name: str, search_s: float = SEARCH_S) -> tuple[str
             if not name.startswith("/") and full.endswith((ends, ends + SET_PARAMETERS))
         }
 
-    found = settled(called_so, search_s)
+    found = settled(called_so)
     if len(found) > 1:
         named = ", ".join(full.removesuffix(SET_PARAMETERS) for full in sorted(found))
         msg = f"{name}: found several, expected the name of one of: {named}"

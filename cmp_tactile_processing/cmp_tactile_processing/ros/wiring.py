@@ -22,8 +22,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy
 
-from cmp_tactile_processing.cache.one_thread import one_thread
-from cmp_tactile_processing.cache.view_threads import ViewThreads
+from cmp_tactile_processing.cache.threads import ViewThreads, one_thread
 
 Info = Mapping[str, Any]
 """Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""

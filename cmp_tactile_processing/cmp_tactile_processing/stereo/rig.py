@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -269,19 +268,3 @@ def _count_gaps(
             known += 1
             plausible += gap <= most
     return known, plausible
-
-
-def reprojection_errors(markers: Markers3D, grid: Grid, view: ViewGeometry) -> NDArray[np.float64]:
-    """(N, 2) px, seen minus projected, of the measured markers; none where depth is not known."""
-    used = (markers.status == Status.MEASURED) & np.isfinite(markers.position).all(axis=-1)
-    errors = grid.corners[used] - view.project(markers.position[used])
-    return np.asarray(errors[np.isfinite(errors).all(axis=-1)])
-
-
-def reprojection_rms(
-    markers: Markers3D, grids: Mapping[str, Grid], views: Mapping[str, ViewGeometry]
-) -> float:
-    """Root mean square over both views and their x and y, px; NaN where depth is not known."""
-    errors = [reprojection_errors(markers, grid, views[name]) for name, grid in grids.items()]
-    every = np.concatenate(errors)
-    return float(np.sqrt(np.mean(every**2))) if every.size else math.nan

@@ -8,20 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
-from cmp_tactile_processing.image.prefilter import Prefilter
-from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.image.prepared import Prefilter, PreparedImage
 from cmp_tactile_processing.measured import Grid, GridFault, NumberingKind, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching
 from cmp_tactile_processing.tracking.corners.bends import GridlineBends
-from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
-from cmp_tactile_processing.tracking.corners.measured_markers import MeasuredMarkers
+from cmp_tactile_processing.tracking.corners.measured_markers import (
+    MeasuredCorners,
+    MeasuredMarkers,
+)
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import (
     GridlineDetector,
@@ -32,8 +33,8 @@ from cmp_tactile_processing.tracking.detector import (
     spoilt_pictures,
 )
 from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering, filled
-from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
-from cmp_tactile_processing.tracking.numbering.torn_view import (
+from cmp_tactile_processing.tracking.numbering.components import Numbering, without_strays
+from cmp_tactile_processing.tracking.numbering.faulty_view import (
     lattice_graph,
     proven_tears,
     torn_rows,

@@ -11,7 +11,7 @@ import cv2
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 
 
 def allowed() -> set[int]:
@@ -51,7 +51,7 @@ def test_opencv_has_its_threads_back_afterwards() -> None:
 
 LATE = """
 import numpy
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 with one_thread():
     pass
 import scipy.linalg

@@ -10,7 +10,7 @@ import time
 import pytest
 from waiting import wait_until
 
-from cmp_tactile_processing.cache.view_threads import ViewThreads
+from cmp_tactile_processing.cache.threads import ViewThreads
 
 # Long enough for a thread of a busy machine to be scheduled.
 PATIENCE_S = 20.0

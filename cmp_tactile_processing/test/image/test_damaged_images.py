@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_compressed, decode_image, decode_jpeg
+from cmp_tactile_processing.image.encodings import decode_compressed, decode_image, decode_jpeg
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,13 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_compressed, decode_image
-from cmp_tactile_processing.image.raw import ENCODINGS, BitDepth, decode_raw
+from cmp_tactile_processing.image.encodings import (
+    ENCODINGS,
+    BitDepth,
+    decode_compressed,
+    decode_image,
+    decode_raw,
+)
 
 WIDTH, HEIGHT = 16, 12
 RED, GREEN, BLUE = 210, 120, 40

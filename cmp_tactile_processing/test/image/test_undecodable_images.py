@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.compressed import decode_compressed, decode_image
-from cmp_tactile_processing.image.raw import decode_raw
+from cmp_tactile_processing.image.encodings import decode_compressed, decode_image, decode_raw
 
 
 def _colour(height: int = 6, width: int = 8) -> np.ndarray:

@@ -23,7 +23,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, SlipState, Surface
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
-from cmp_tactile_processing.ros.rviz.drawing import DrawnMarker, marker_array_bytes
+from cmp_tactile_processing.ros.rviz import DrawnMarker, marker_array_bytes
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.printing.advice import (
+from cmp_tactile_processing.printing.pattern import (
     LEAST_PITCH_OVER_SKIN,
     LEAST_SIDE_PX,
     RECOMMENDED_SIDE_PX,

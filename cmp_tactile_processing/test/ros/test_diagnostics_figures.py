@@ -10,17 +10,15 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from cmp_tactile_processing.ros.diagnostics import frame_watch
-from cmp_tactile_processing.ros.diagnostics.frame_watch import (
+from cmp_tactile_processing.ros import diagnostics
+from cmp_tactile_processing.ros.diagnostics import (
+    SILENT_PERIODS,
     InputWatch,
     LossWatch,
     SentFrames,
+    StageDiagnostics,
     Stamp,
     StampWatch,
-)
-from cmp_tactile_processing.ros.diagnostics.status import (
-    SILENT_PERIODS,
-    StageDiagnostics,
     summary,
 )
 from cmp_tactile_processing.ros.wiring import Input
@@ -34,7 +32,7 @@ MS = 1_000_000
 @pytest.fixture
 def clock(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(frame_watch.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(diagnostics.time, "monotonic", lambda: now[0])
     return now
 
 

@@ -20,7 +20,7 @@ from cmp_tactile_processing.measured import (
     GridShape,
     Status,
 )
-from cmp_tactile_processing.ros.diagnostics.health import (
+from cmp_tactile_processing.nodes.health import (
     FAULT_LEVELS,
     WARNED_OF,
     ForceHealth,

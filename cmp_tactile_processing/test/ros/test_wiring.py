@@ -23,7 +23,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from waiting import wait_until
 
-from cmp_tactile_processing.cache.view_threads import ViewThreads
+from cmp_tactile_processing.cache.threads import ViewThreads
 from cmp_tactile_processing.ros.wiring import (
     Given,
     Input,

@@ -13,7 +13,7 @@ import yaml
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.printing.advice import checker_sides_px
+from cmp_tactile_processing.printing.pattern import checker_sides_px
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     load_sensor,

@@ -21,11 +21,9 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.reference_keeping import (
     DriftParameters,
     ReferenceKeeper,
-    ZeroParameters,
-)
-from cmp_tactile_processing.surface.stillness import (
     RestParameters,
     StillnessWatch,
+    ZeroParameters,
     judge_frames,
 )
 

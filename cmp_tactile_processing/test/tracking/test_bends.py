@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.tracking.corners.bends import GridlineBends
-from cmp_tactile_processing.tracking.corners.measured_corners import MeasuredCorners
+from cmp_tactile_processing.tracking.corners.measured_markers import MeasuredCorners
 
 SIDE_PX = 20.0
 # How far a corner moves for each 1/px of its edges' bends, px^2: as of a window of 8 px.

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
     ContourStitching,
     largest_set,

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.tracking.virtual_markers.crossings import (
-    ENTRIES,
-    fused_corners,
-    gather_lines,
-)
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     CORNER_BIAS_PX,
+    LINE_ENTRIES,
     SHARED_PIXELS,
     Fits,
+    fused_corners,
+    gather_lines,
 )
 
 STD, LINE_STD, LENGTH_PX = 0.01, 0.005, 20.0
@@ -30,7 +28,7 @@ def _gathered(offsets: tuple[float, float], slope: float = 0.0) -> np.ndarray:
     fits.spread[:] = 1 / (weight + own)
     fits.mean[:] = 0.0
     fits.mean[-1, 0], fits.mean[0, 1] = np.array(offsets) * weight / (weight + own)
-    found = np.empty((1, 3, ENTRIES))
+    found = np.empty((1, 3, LINE_ENTRIES))
     counts, size = np.array([5, 5]), np.array([[LENGTH_PX] * 2, [1.0] * 2])
     gather_lines(curve, counts, size, np.full((2, 2), STD), fits, np.empty((1, 3, 2, 4)), found)
     return found
@@ -49,7 +47,7 @@ def test_a_line_moves_a_corner_across_itself_alone():
 
 
 def test_a_corner_of_which_no_line_says_anything_stays_as_it_is():
-    nothing = np.zeros((1, 3, ENTRIES))
+    nothing = np.zeros((1, 3, LINE_ENTRIES))
     corners, std = fused_corners(np.ones((1, 3, 2)), np.full((1, 3), STD), AT_LINE, nothing)
     assert (corners == 1).all()
     assert (std == STD).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import STEPS, NominalGrid, draw_nominal
 

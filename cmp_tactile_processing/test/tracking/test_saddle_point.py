@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.image.prefilter import Prefilter
+from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit
 
 # Largest error on an image without noise, px per coordinate.  Rounding to grey levels makes

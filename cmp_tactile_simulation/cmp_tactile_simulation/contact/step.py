@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import ContactState, Pose, Problem, bulge
 from cmp_tactile_simulation.errors import ContactError, MaterialError

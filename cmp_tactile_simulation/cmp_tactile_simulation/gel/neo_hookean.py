@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium, NoEquilibriumError
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,

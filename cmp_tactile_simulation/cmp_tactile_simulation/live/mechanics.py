@@ -17,7 +17,7 @@ from cmp_tactile_driver.sources.timing import Pacer, Worker
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
-from cmp_tactile_processing.surface.stillness import RestParameters
+from cmp_tactile_processing.surface.reference_keeping import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SimulationError
 from cmp_tactile_simulation.scenes.description import Press, Scene, load_between

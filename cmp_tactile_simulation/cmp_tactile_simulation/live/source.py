@@ -20,7 +20,7 @@ from typing import Any
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import NodeExtension, SourceHealth, SourceOptions
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing.processes import python_command
 from cmp_tactile_simulation.live.mechanics import Command, LiveSettings, LiveStatus, check_command
 from cmp_tactile_simulation.live.sensor import LiveFrame, LiveSensor, TruthWanted
 from cmp_tactile_simulation.scenes.description import Scene

@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_processing.image.raw import BitDepth
+from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.services import answer_of
 from cmp_tactile_viewer.errors import ViewerError

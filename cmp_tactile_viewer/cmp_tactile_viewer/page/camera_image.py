@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.drawing.gridlines import draw_grid
+from cmp_tactile_processing.drawing import draw_grid
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_viewer.snapshot import Snapshot

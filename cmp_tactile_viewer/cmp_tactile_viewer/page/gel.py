@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.drawing.looks import FORCE_COLOUR, contact_lines
+from cmp_tactile_processing.drawing import FORCE_COLOUR, contact_lines
 from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 from cmp_tactile_viewer.scene import forces, surface_mesh

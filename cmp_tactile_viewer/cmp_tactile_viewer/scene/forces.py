@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.drawing.looks import SLIP_COLOURS
-from cmp_tactile_processing.drawing.shapes import closed, turning_arrow
+from cmp_tactile_processing.drawing import SLIP_COLOURS, closed, turning_arrow
 from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
 from cmp_tactile_viewer.scene.surface_mesh import MM
 

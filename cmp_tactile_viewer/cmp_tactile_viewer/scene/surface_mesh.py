@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.drawing.looks import DEPTH_PALETTE
-from cmp_tactile_processing.drawing.shapes import mesh_vertices
+from cmp_tactile_processing.drawing import DEPTH_PALETTE, mesh_vertices
 from cmp_tactile_processing.measured import ForceField, Surface
 
 MM = 1e3

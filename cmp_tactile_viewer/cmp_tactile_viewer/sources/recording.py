@@ -18,8 +18,7 @@ from cmp_tactile_driver.bags.storage import BagStorage, is_bag_file, open_storag
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
-from cmp_tactile_processing.image.compressed import COMPRESSED
-from cmp_tactile_processing.image.raw import BitDepth
+from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.sensor.description import SensorDescription

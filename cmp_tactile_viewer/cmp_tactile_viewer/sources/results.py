@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.raw import BitDepth
+from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.sensor.description import SensorDescription
 

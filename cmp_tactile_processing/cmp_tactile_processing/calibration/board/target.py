@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.split import to_grey
-from cmp_tactile_processing.image.prefilter import Prefilter, contrast_of
+from cmp_tactile_processing.image.prepared import Prefilter, contrast_of
 from cmp_tactile_processing.tracking.corners.saddle_point import MODEL_PER_SIDE, SaddlePointFit
 
 KINDS = ("chessboard", "charuco")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.one_thread import one_thread
+from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.calibration.material.loads import (
     LoadResult,
     LoadSample,

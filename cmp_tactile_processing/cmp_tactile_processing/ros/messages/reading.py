@@ -18,8 +18,7 @@ from cmp_tactile_processing import measured
 from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.split import LUMINANCE
-from cmp_tactile_processing.image.compressed import decode_compressed
-from cmp_tactile_processing.image.raw import BitDepth, decode_raw
+from cmp_tactile_processing.image.encodings import BitDepth, decode_compressed, decode_raw
 from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
 
 Name = TypeVar("Name", bound=Enum)

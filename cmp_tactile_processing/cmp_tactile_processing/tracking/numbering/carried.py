@@ -25,10 +25,16 @@ from cmp_tactile_processing.tracking.detector import (
     NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.component_placement import ConnectedCorners
-from cmp_tactile_processing.tracking.numbering.components import drop_loose_corners, placed
-from cmp_tactile_processing.tracking.numbering.faulty_view import turned_reason
-from cmp_tactile_processing.tracking.numbering.result import Numbering
-from cmp_tactile_processing.tracking.numbering.torn_view import cut_at, proven_tears
+from cmp_tactile_processing.tracking.numbering.components import (
+    Numbering,
+    drop_loose_corners,
+    placed,
+)
+from cmp_tactile_processing.tracking.numbering.faulty_view import (
+    cut_at,
+    proven_tears,
+    turned_reason,
+)
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]

@@ -30,6 +30,7 @@ from cmp_tactile_processing.tracking.numbering.component_placement import (
     without_blurred,
 )
 from cmp_tactile_processing.tracking.numbering.components import (
+    Numbering,
     drop_loose_corners,
     in_order,
     joined,
@@ -38,14 +39,11 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
     OtherViews,
-    turned_reason,
-)
-from cmp_tactile_processing.tracking.numbering.result import Numbering
-from cmp_tactile_processing.tracking.numbering.torn_view import (
     continues,
     cut_at,
     is_torn,
     suspected_tears,
+    turned_reason,
 )
 
 # A component that is to be anchored by itself has this share of the corners at least.

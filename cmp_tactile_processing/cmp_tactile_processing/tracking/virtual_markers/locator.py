@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,28 +11,24 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.measured import GridShape
-from cmp_tactile_processing.tracking.virtual_markers.crossings import (
-    ENTRIES,
-    fused_corners,
-    gather_lines,
-)
+from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LANES,
+    LINE_ENTRIES,
+    MARKER_BIAS_PX,
+    Array,
     Fits,
     FitScratch,
+    Index,
     MarkerBasis,
+    Single,
     blocks_of,
     fit_segments,
+    fused_corners,
+    gather_lines,
     set_sizes,
     share_of_models,
-)
-from cmp_tactile_processing.tracking.virtual_markers.placing import (
-    MEASURED,
-    MISSING,
-    PREDICTED,
-    Markers,
-    place_markers,
+    true_std,
 )
 from cmp_tactile_processing.tracking.virtual_markers.ridge import (
     BOX,
@@ -47,6 +42,9 @@ from cmp_tactile_processing.tracking.virtual_markers.ridge import (
     measure,
 )
 
+# A marker farther than this from every measured column along the gridline is predicted, px.
+NEAR_PX = 2.0
+MISSING, MEASURED, PREDICTED = (int(status) for status in Status)
 METHODS = ("fused", "local_correction")
 # Rounding to grey levels alone is as much noise as this, grey levels.
 QUANTISATION = 0.29
@@ -55,14 +53,83 @@ UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
 # An image is taken to be smoothed by this much at least, px.
 LEAST_SMOOTHING_PX = 0.5
 
+# How far from the curve through the corners the gradient's peak is looked for, px.
+SEARCH_PX = 2
+REACH = SEARCH_PX + 2
+# Closer to a corner than this many standard deviations of the edges' blur the crossing gridline
+# bends the gradient's ridge.
+CORNER_CLEARANCE = 3.0
+# A gradient below this share of the median on all gridlines is not an edge.
+WEAKEST_GRADIENT = 0.25
+# Grid-line points of one zone that differ by more lie on different edges, px.
+LARGEST_STEP = 2.0
+# A quadratic through three pixels of a bell is this much off without any noise, px.
+MODEL_ERROR = 0.006
+# Standard deviation of the curve between corners as a share of the segment's length.
+CURVE_ERROR = 0.0008
 
-@dataclass(frozen=True)
-class VirtualMarkers:
+
+class VirtualMarkers(NamedTuple):
     """position (a, b, n, 2) px, status (a, b, n), std (a, b, n): across the gridline, px."""
 
-    position: NDArray[np.float64]
+    position: Array
     status: NDArray[np.uint8]
-    std: NDArray[np.float64]
+    std: Array
+
+    @classmethod
+    def from_segment(cls, a: int, b: int, n: int) -> VirtualMarkers:
+        """Buffers for n markers on each of a x b segments."""
+        status = np.empty((a, b, n), dtype=np.uint8)
+        return cls(np.empty((a, b, n, 2)), status, np.empty((a, b, n)))
+
+
+@kernel_part(forceinline=True)
+def _is_near(columns: Single, count: int, s: int, t: float, near: float) -> bool:
+    seen = column = 0
+    block, lane = s // LANES, s % LANES
+    while seen < count:
+        if columns[block, 2, column, lane] > 0:
+            seen += 1
+            if abs(columns[block, 0, column, lane] - t) < near:
+                return True
+        column += 1
+    return False
+
+
+@kernel
+def place_markers(
+    curve: Array,
+    counts: Index,
+    columns: Single,
+    fits: Fits,
+    markers: VirtualMarkers,
+) -> None:
+    """Fill the markers from the cubics (a, b, 4, 2), `measure`'s columns and `Fits`."""
+    n = markers.std.shape[2]
+    for i in range(curve.shape[0]):
+        for j in range(curve.shape[1]):
+            c = curve[i, j]
+            x = c[1, 0] + c[2, 0] + c[3, 0]
+            y = c[1, 1] + c[2, 1] + c[3, 1]
+            if not (math.isfinite(x) and math.isfinite(y)):
+                markers.position[i, j] = math.nan
+                markers.std[i, j] = math.nan
+                markers.status[i, j] = MISSING
+                continue
+            s = i * curve.shape[1] + j
+            axis = 1 if abs(y) > abs(x) else 0
+            tilt = math.hypot(x, y) / max(abs(x), abs(y), 1e-9)
+            near = NEAR_PX / max(abs(x), abs(y), 1e-9)
+            for marker in range(n):
+                t = (marker + 1) / (n + 1)
+                for k in range(2):
+                    value = ((c[3, k] * t + c[2, k]) * t + c[1, k]) * t + c[0, k]
+                    markers.position[i, j, marker, k] = value
+                markers.position[i, j, marker, 1 - axis] += fits.mean[marker + 1, s]
+                spread = fits.spread[marker + 1, s] / tilt**2
+                markers.std[i, j, marker] = true_std(spread, MARKER_BIAS_PX)
+                is_measured = _is_near(columns, counts[s], s, t, near)
+                markers.status[i, j, marker] = MEASURED if is_measured else PREDICTED
 
 
 class VirtualMarkerLocator:
@@ -176,7 +243,7 @@ class _Gridlines:
         self.crossing = np.empty((a, b, 2))
         self.curve = np.empty((a, b - 1, 4, 2))
         self.half_way = np.empty((2, a, b - 1))
-        self.at_corners, self._sides = np.zeros((a, b, ENTRIES)), np.empty((a, b, 2, 4))
+        self.at_corners, self._sides = np.zeros((a, b, LINE_ENTRIES)), np.empty((a, b, 2, 4))
         self._doubt = np.zeros((a, b - 1, n), dtype=np.bool_)
         self._no_doubt = np.zeros((a, b - 1, 0), dtype=np.bool_)
         self._doubtful = self._no_doubt
@@ -188,7 +255,7 @@ class _Gridlines:
         self._fits = Fits.from_shape(segments, n)
         self._work = FitScratch.new()
         self._turned, self._normals = np.empty((4, 2)), np.empty((2, 3))
-        self._markers = Markers.from_segment(a, b - 1, n)
+        self._markers = VirtualMarkers.from_segment(a, b - 1, n)
 
     def load(self, corners: NDArray[np.float64], corner_std: NDArray[np.float64]) -> None:
         self.corners[:] = corners
@@ -234,13 +301,10 @@ class _Gridlines:
     def result(self, transposed: bool = False) -> VirtualMarkers:
         """Fresh arrays; transposed: gridlines run along the first axis."""
         arrays = (item.swapaxes(0, 1) if transposed else item for item in self._markers)
-        position, status, std = (item.copy() for item in arrays)
-        return VirtualMarkers(position, status, std)
+        return VirtualMarkers(*(item.copy() for item in arrays))
 
 
 # Cubic curves through the corners of a grid, compiled: where the gridlines about run.
-
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -298,21 +362,6 @@ def fit_curves(corners: Array, tangent: Array, curve: Array) -> None:
 
 
 # The paper's local sub-pixel correction of virtual markers (III.C), compiled.
-
-# How far from the curve through the corners the gradient's peak is looked for, px.
-SEARCH_PX = 2
-REACH = SEARCH_PX + 2
-# Closer to a corner than this many standard deviations of the edges' blur the crossing gridline
-# bends the gradient's ridge.
-CORNER_CLEARANCE = 3.0
-# A gradient below this share of the median on all gridlines is not an edge.
-WEAKEST_GRADIENT = 0.25
-# Grid-line points of one zone that differ by more lie on different edges, px.
-LARGEST_STEP = 2.0
-# A quadratic through three pixels of a bell is this much off without any noise, px.
-MODEL_ERROR = 0.006
-# Standard deviation of the curve between corners as a share of the segment's length.
-CURVE_ERROR = 0.0008
 
 
 class Zone(NamedTuple):
@@ -376,7 +425,11 @@ def _corrected(
 
 @kernel_part
 def _correct_segment(
-    pixels: Pixels, segments: Segments, zone: Zone, at: tuple[int, int, float], markers: Markers
+    pixels: Pixels,
+    segments: Segments,
+    zone: Zone,
+    at: tuple[int, int, float],
+    markers: VirtualMarkers,
 ) -> None:
     """at: the segment's indices and the standard deviation of its curve, px."""
     i, j, curve_std = at
@@ -406,7 +459,7 @@ def _correct_segment(
 
 @kernel
 def correct_markers(
-    pixels: Pixels, segments: Segments, corner_std: Array, zone: Zone, markers: Markers
+    pixels: Pixels, segments: Segments, corner_std: Array, zone: Zone, markers: VirtualMarkers
 ) -> None:
     """Fill the markers of the segments; corner_std (a, b+1) px.
 

@@ -1,21 +1,45 @@
-"""Gridlines, markers and faults, drawn into the image of a view."""
+"""Colours, words, arrows, outlines and gridlines of what was measured, for RViz and the browser."""
 
 from __future__ import annotations
 
+import math
 import textwrap
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.force.advice import SLIP_WORDS
 from cmp_tactile_processing.measured import (
+    Contact,
     Grid,
     GridFault,
     NumberingKind,
+    SlipState,
     Status,
     gridline_points,
 )
 
+# Digits after the point of forces, N.
+LEAST_DIGITS, MOST_DIGITS = 2, 4
+MESH_ALPHA = 0.85
+DISPLACEMENT_COLOUR = (1.0, 1.0, 1.0, 1.0)
+FORCE_COLOUR = (1.0, 0.25, 0.1, 1.0)
+UNKNOWN_COLOUR = (0.75, 0.85, 1.0, 1.0)
+LEGEND_COLOUR = (0.9, 0.9, 0.9, 1.0)
+SLIP_COLOURS = {
+    SlipState.UNKNOWN: UNKNOWN_COLOUR,
+    SlipState.NO_CONTACT: UNKNOWN_COLOUR,
+    SlipState.STICK: (0.2, 1.0, 0.2, 1.0),
+    SlipState.INCIPIENT: (1.0, 0.75, 0.1, 1.0),
+    SlipState.FULL: (1.0, 0.1, 0.5, 1.0),
+}
+HEAD_LENGTH, HEAD_HALF_WIDTH = 0.25, 0.1
+# Arrows shorter than this, as drawn, would only be dots.
+SHORTEST_ARROW_M = 2e-5
+# The arc around the arrow of a moment: its radius and place in lengths of the arrow.
+TURN_RADIUS, TURN_PLACE, TURN_SIDES = 0.35, 0.5, 18
+TURN_ANGLE = 1.5 * np.pi
 # BGR.
 ROW_COLOUR = (80, 200, 255)
 COL_COLOUR = (255, 180, 60)
@@ -33,6 +57,112 @@ ORIGIN_RADIUS_PX = 5.0
 CROSS_PX = 7
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 CHARACTER_PX, LINE_PX, TEXT_MARGIN_PX = 8, 17, 8
+
+
+def _palette() -> NDArray[np.float32]:
+    bgr = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_VIRIDIS)
+    rgb = bgr.reshape(-1, 3)[:, ::-1] / 255.0
+    return np.hstack([rgb, np.full((256, 1), MESH_ALPHA)]).astype(np.float32)
+
+
+# (256, 4): from no indentation to that of depth_range.
+DEPTH_PALETTE = _palette()
+
+
+def depth_colours(shares: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Colours (..., 4) RGBA, 0 to 1, for shares of the largest depth; those outside are clipped."""
+    last = len(DEPTH_PALETTE) - 1
+    return DEPTH_PALETTE[np.rint(last * np.clip(shares, 0.0, 1.0)).astype(np.intp)]
+
+
+def with_deviation(value: float, variance: float) -> str:
+    """A value, and its standard deviation with one digit that is not 0 where it is known."""
+    deviation = math.sqrt(variance) if variance > 0 else 0.0
+    digits = LEAST_DIGITS
+    while digits < MOST_DIGITS and float(f"{deviation:.{digits}f}") == 0.0:
+        digits += 1
+    if float(f"{deviation:.{digits}f}") == 0.0:
+        return f"{value:.{LEAST_DIGITS}f}"
+    return f"{value:.{digits}f} +/- {deviation:.{digits}f}"
+
+
+def contact_lines(contact: Contact) -> list[str]:
+    """What is written at a contact: normal force and its deviation, area and slip state.
+
+    ASCII: RViz has no other letters.
+    """
+    force = with_deviation(float(contact.wrench[2]), float(contact.covariance[2, 2]))
+    lines = [f"Fz {force} N", f"{contact.area * 1e6:.1f} mm^2"]
+    if contact.at_border:
+        lines[-1] += ", at the border"
+    if contact.slip.state not in (SlipState.UNKNOWN, SlipState.NO_CONTACT):
+        lines.append(SLIP_WORDS[contact.slip.state])
+    return lines
+
+
+def arrows(
+    tails: NDArray[np.float64],
+    vectors: NDArray[np.float64],
+    shortest: float = SHORTEST_ARROW_M,
+) -> NDArray[np.float64]:
+    """Ends (3 A, 2, 3) of shaft and two barbs of each arrow that is finite and over `shortest`.
+
+    tails, vectors: (N, 3).
+    """
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    drawn = np.isfinite(tails).all(axis=-1) & (length > shortest)
+    tails, vectors, length = tails[drawn], vectors[drawn], length[drawn, None]
+    side = np.stack([vectors[:, 1], -vectors[:, 0], np.zeros(len(vectors))], axis=-1)
+    across = np.hypot(side[:, 0], side[:, 1])
+    # An arrow along z has no side in the xy plane; x serves as well.
+    flat = across < 1e-6 * length[:, 0]
+    side[flat], across[flat] = (1.0, 0.0, 0.0), 1.0
+    side *= HEAD_HALF_WIDTH * length / across[:, None]
+    tips = tails + vectors
+    back = tips - HEAD_LENGTH * vectors
+    ends = np.stack([tails, tips, tips, back + side, tips, back - side], axis=1)
+    return ends.reshape(-1, 2, 3)
+
+
+def turning_arrow(centre: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ends (S, 2, 3) of an arrow along the axis (3,) of a moment, and an arc in its sense.
+
+    It stands on `centre` (3,), on the side of greater z, and is empty where not finite or tiny.
+    """
+    tail = centre if vector[2] >= 0 else centre - vector
+    shaft = arrows(tail[None], vector[None])
+    if not len(shaft):
+        return shaft
+    length = np.linalg.norm(vector)
+    axis = vector / length
+    across = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    angle = np.linspace(0.0, TURN_ANGLE, TURN_SIDES + 1)[:, None]
+    radius = TURN_RADIUS * length
+    arc = radius * (np.cos(angle) * across + np.sin(angle) * np.cross(axis, across))
+    arc += tail + TURN_PLACE * vector
+    sides = np.stack([arc[:-1], arc[1:]], axis=1)
+    along = arc[-1] - arc[-2]
+    along *= 2 * radius / np.linalg.norm(along)
+    barbs = arrows(arc[-1:] - along, along[None])[1:]
+    return np.concatenate([shaft, sides, barbs])
+
+
+def closed(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sides (S, 2, 3) of a closed polygon (S, 3), those with NaN left out."""
+    sides = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)
+    return np.asarray(sides[np.isfinite(sides).all(axis=(1, 2))])
+
+
+def mesh_vertices(known: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Numbers of grid points, three a triangle, that face +z where rows go +y and columns +x.
+
+    known (rows, cols): a cell of the grid has two triangles if all its corners are known.
+    """
+    number = np.arange(known.size).reshape(known.shape)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+    return np.stack([a, b, c, a, c, d], axis=-1)[whole].ravel()
 
 
 def draw_grid(image: NDArray[np.uint8], grid: Grid) -> NDArray[np.uint8]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.image.prefilter import Prefilter, contrast_of, noise_of
+from cmp_tactile_processing.image.prepared import Prefilter, contrast_of, noise_of
 
 
 @pytest.fixture(scope="module")

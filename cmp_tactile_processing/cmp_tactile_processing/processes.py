@@ -1,8 +1,4 @@
-"""SIGINT, SIGTERM or, as a terminal or ssh is closed, SIGHUP: waited for, or raised.
-
-rclpy's own handlers end the ROS context at once, under the feet of running callbacks.  These
-only inform the main thread, which then destroys what there is in order and ends the context last.
-"""
+"""How processes of this software are started, and how signals end them."""
 
 from __future__ import annotations
 
@@ -16,10 +12,26 @@ from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Any
 
+# For Python 3.10, which has no option -P.  Only sys, which is built in, is imported before the
+# current folder is taken off the path.  Python 3.13 imports more before it runs such a line.
+RUN_MODULE = (
+    "import sys; sys.path[:] = filter(None, sys.path); import runpy; "
+    "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+)
 NUMBERS = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
 LONGEST_SLEEP = 1.0  # s
 # After which an interrupt that Python dropped is repeated.
 REPEAT_S = 0.05
+
+
+def python_command(module: str, *arguments: str) -> list[str]:
+    """The command that runs a module as `python -m` does, without the current folder's modules.
+
+    `python -m` looks for every module in the current folder first: a numpy.py beside a downloaded
+    recording would be run.  Option -I would ignore PYTHONPATH, too, by which ROS is found.
+    """
+    run = ["-P", "-m"] if sys.version_info >= (3, 11) else ["-c", RUN_MODULE]
+    return [sys.executable, *run, module, *arguments]
 
 
 def stopping_signals() -> list[int]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.drawing.gridlines import CORNER_COLOURS, ROW_COLOUR, draw_grid
+from cmp_tactile_processing.drawing import CORNER_COLOURS, ROW_COLOUR, draw_grid
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status
 
 SHAPE = GridShape(4, 5, 3)

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from cmp_tactile_processing import python_command as module
-from cmp_tactile_processing.python_command import python_command
+from cmp_tactile_processing import processes as module
+from cmp_tactile_processing.processes import python_command
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ("cmp_tactile_*/cmp_tactile_*", "cmp_tactile_bringup/launch", "benchmarks/paper")
@@ -75,4 +75,4 @@ def test_all_processes_are_started_so():
         for text in [path.read_text(encoding="utf-8")]
         if any(word in text for word in wrong)
     }
-    assert found == {"python_command.py": ["sys.executable"]}
+    assert found == {"processes.py": ["sys.executable"]}

@@ -1,0 +1,310 @@
+"""The status of a node on /diagnostics: level, a sentence, and figures of frames in and out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from cmp_tactile_processing.ros.wiring import Input
+
+# An interval is a gap where it exceeds the usual one by this factor.
+GAP_FACTOR = 1.6
+# Gaps in a row after which they are the usual interval.
+NEW_PACE = 5
+SMOOTHING = 0.1
+# A longer gap is to another recording, or of a clock that was set: no frames are missing in it.
+LONGEST_GAP_NS = 60 * 10**9
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+# Share of a second's frames above which losses are warned of.
+DROPPED_WARN = 0.01
+# So many reports without a frame are a silent source, and of a slow one this many times those that
+# were without a frame before its last.
+SILENT_PERIODS, TIMES_USUAL = 3, 2
+
+# No queue of ours holds a frame that long: such stamps are of another clock.
+OLDEST_S = 10.0
+# A simulated clock may come after the frame that it belongs to.
+EARLIEST_S = -0.1
+MOST_FRAMES = 4096
+# A report between two others, as after a change of state, has too few frames for a rate.
+SHORTEST_S = 0.5
+
+
+class Stamp(Enum):
+    """What a message's stamp is to that of the message before."""
+
+    LATER = "later"
+    BACK = "back"
+    REPEATED = "repeated"
+    ZERO = "zero"
+
+
+class StampWatch:
+    """Counts the stamps of one stream; `take` once per frame, in the order in which they come.
+
+    stamps: how often each kind of stamp came.  missing: frames that should have been in the gaps
+    between stamps.
+    """
+
+    def __init__(self) -> None:
+        self.missing = 0
+        self.stamps = dict.fromkeys(Stamp, 0)
+        self._stamp_ns = 0
+        self._interval_ns = 0.0
+        self._gaps = 0
+
+    def take(self, stamp_ns: int) -> Stamp:
+        """Take a frame into account."""
+        kind = self._kind(stamp_ns)
+        self.stamps[kind] += 1
+        return kind
+
+    def _kind(self, stamp_ns: int) -> Stamp:
+        if stamp_ns == 0:
+            return Stamp.ZERO
+        passed, self._stamp_ns = stamp_ns - self._stamp_ns, stamp_ns
+        if passed == 0:
+            return Stamp.REPEATED
+        if passed < 0:
+            self._gaps = 0
+            return Stamp.BACK
+        if passed < min(stamp_ns, LONGEST_GAP_NS):  # before the first frame is no interval
+            self._pace(passed)
+        return Stamp.LATER
+
+    def _pace(self, passed_ns: int) -> None:
+        usual = self._interval_ns
+        if usual and passed_ns > usual * GAP_FACTOR:
+            self.missing += round(passed_ns / usual) - 1
+            self._gaps += 1
+            if self._gaps < NEW_PACE:
+                return
+            usual = 0.0
+        self._gaps = 0
+        self._interval_ns = usual + SMOOTHING * (passed_ns - usual) if usual else float(passed_ns)
+
+
+class LossWatch:
+    """Counts the messages that were sent to an input and never got to it.
+
+    They show as gaps in the numbers that the middleware gives to the messages of a publisher, if
+    it does.  Where frames come by a plain call, the entrance counts those that it pushed out.
+    """
+
+    def __init__(self, end: Input) -> None:
+        self.end = end
+        self._lost = 0
+        self._numbers: dict[bytes, int] = {}
+        self._in_order = True
+
+    @property
+    def lost(self) -> int:
+        """Messages, since the start."""
+        return self._lost + self.end.dropped
+
+    def take(self, info: Mapping[str, Any] | None) -> None:
+        """Take a message into account; info: rclpy's, None for what came by a plain call."""
+        number = info.get("publication_sequence_number") if info is not None else None
+        if info is None or number is None:
+            return
+        # ROS 2 Jazzy does not name the publisher: numbers of two of them go up and down by turns.
+        publisher = (info.get("publisher_gid") or {}).get("data", b"")
+        last = self._numbers.get(publisher)
+        if last is not None:
+            if number > last + 1 and self._in_order:
+                self._lost += number - last - 1
+            self._in_order = number > last and (self._in_order or number == last + 1)
+        self._numbers[publisher] = number
+
+
+class InputWatch(LossWatch):
+    """Counts for one subscription of a stage.  newest: only the newest message is wanted."""
+
+    def __init__(self, end: Input, *, newest: bool = False) -> None:
+        super().__init__(end)
+        self.stamps = StampWatch()
+        self.newest = newest
+
+
+class SentFrames:
+    """Counts what is sent; the figures have the same names in every node.
+
+    `sent` may be called by another thread than the rest.
+    """
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self._ages: deque[float] = deque(maxlen=MOST_FRAMES)
+        self._frames_before, self._since = 0, time.monotonic()
+        self._figures: dict[str, object] = {}
+
+    def sent(self, age_s: float = math.nan) -> None:
+        """A frame was sent, so long after its stamp; NaN: not known."""
+        self.frames += 1
+        if not math.isnan(age_s):
+            self._ages.append(age_s)
+
+    def close_period(self) -> dict[str, object]:
+        """Rate, and median and 99th percentile of the latency, since the last call."""
+        now = time.monotonic()
+        if self._figures and now - self._since < SHORTEST_S:
+            return self._figures
+        rate = (self.frames - self._frames_before) / max(now - self._since, 1e-9)
+        ages = [self._ages.popleft() for _ in range(len(self._ages))]
+        self._frames_before, self._since = self.frames, now
+        self._figures = {"rate (Hz)": f"{rate:.2f}", **_latency(ages)}
+        return self._figures
+
+
+def _latency(ages_s: list[float]) -> dict[str, object]:
+    median = high = "no frames"
+    if ages_s:
+        middle, late = np.percentile(ages_s, (50, 99))
+        median, high = f"{middle * 1e3:.1f}", f"{late * 1e3:.1f}"
+        if not EARLIEST_S < middle < OLDEST_S:
+            median = high = (
+                f"not known: stamps differ from the clock by {-middle:+.0f} s, as in a replay "
+                "without /clock"
+            )
+    return {"latency median (ms)": median, "latency p99 (ms)": high}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something to be reported, with its level; without text nothing is."""
+
+    level: bytes
+    text: str
+
+
+def summary(findings: Iterable[Finding], otherwise: str) -> tuple[bytes, str]:
+    """The worst level, and the texts, worst first; `otherwise` where there are none."""
+    found = [item for item in findings if item.text]
+    ordered = sorted(found, key=lambda item: item.level, reverse=True)
+    level = ordered[0].level if ordered else OK
+    return level, "; ".join(dict.fromkeys(item.text for item in ordered)) or otherwise
+
+
+def status_name(node: Node) -> str:
+    """Under which a node reports: its full name without the slash that it begins with."""
+    return node.get_fully_qualified_name().lstrip("/")
+
+
+def status_message(
+    name: str, hardware_id: str, summary: tuple[bytes, str], values: Mapping[str, object]
+) -> DiagnosticStatus:
+    """A status; summary: level and message."""
+    return DiagnosticStatus(
+        level=summary[0],
+        name=name,
+        message=summary[1],
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+
+
+STAMP_FAULTS = {Stamp.REPEATED: "came twice", Stamp.ZERO: "were 0"}
+
+
+class StageDiagnostics:
+    """Counts frames and remembers the last error; `report` closes one period.
+
+    inputs: what is known of each input.  `failure` holds the text of a lasting failure, empty while
+    the stage can work; `note` and `note_level` what the stage makes of its results; `extra` further
+    figures of it by name; `unpublished` input topics that nobody publishes.
+    """
+
+    def __init__(self) -> None:
+        self.inputs: list[InputWatch] = []
+        self.sent = SentFrames()
+        self.frames_in = 0
+        self.bad_frames = 0
+        self.passed_over = 0
+        self.started_again = 0
+        self.last_error = ""
+        self.failure = ""
+        self.note = ""
+        self.note_level: bytes = OK
+        self.unpublished: list[str] = []
+        self.extra: dict[str, object] = {}
+        self._before = dict.fromkeys(self._counts(), 0)
+        self._silent_periods = self._usual_silence = 0
+
+    @property
+    def lost(self) -> int:
+        """Messages that were sent to this node and never got to it."""
+        return sum(item.lost for item in self.inputs if not item.newest)
+
+    @property
+    def frames_out(self) -> int:
+        """Results that were published."""
+        return self.sent.frames
+
+    def bad_frame(self, error: str) -> None:
+        """A message could not be used."""
+        self.bad_frames += 1
+        self.last_error = error
+
+    def report(self) -> tuple[dict[str, object], list[Finding]]:
+        """Figures of the stage by name, and what is to be reported."""
+        counts = self._counts()
+        new = {key: count - self._before[key] for key, count in counts.items()}
+        self._before = counts
+        if new["frames in"]:
+            self._usual_silence, self._silent_periods = self._silent_periods, 0
+        else:
+            self._silent_periods += 1
+        values = {
+            **counts,
+            **self.sent.close_period(),
+            "started again": self.started_again,
+            "last error": self.last_error,
+            **self.extra,
+        }
+        return values, list(self._findings(new))
+
+    def _counts(self) -> dict[str, int]:
+        newer = sum(item.lost for item in self.inputs if item.newest)
+        stamps = [item.stamps for item in self.inputs]
+        return {
+            "frames in": self.frames_in,
+            "frames out": self.frames_out,
+            "bad frames": self.bad_frames,
+            "lost on the way": self.lost,
+            "passed over": self.passed_over + newer,
+            "missing frames": sum(item.missing for item in stamps),
+            **{
+                f"stamps {kind.value}": sum(item.stamps[kind] for item in stamps)
+                for kind in (Stamp.BACK, *STAMP_FAULTS)
+            },
+        }
+
+    def _findings(self, new: Mapping[str, int]) -> Iterator[Finding]:
+        if self.failure:
+            yield Finding(ERROR, self.failure)
+            return
+        longest = SILENT_PERIODS + TIMES_USUAL * self._usual_silence
+        if self._silent_periods >= longest or not self.frames_in:
+            why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
+            yield Finding(WARN, f"no frames received{why}")
+            return
+        if new["bad frames"]:
+            yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
+        yield Finding(self.note_level, self.note)
+        for kind, fault in STAMP_FAULTS.items():
+            if count := new[f"stamps {kind.value}"]:
+                yield Finding(WARN, f"stamps {fault} ({count} in the last second)")
+        lost, passed_over = new["lost on the way"], new["passed over"]
+        if lost + passed_over > DROPPED_WARN * (new["frames in"] + lost):
+            received = new["frames in"]
+            text = f"{lost} frames lost on the way, {passed_over} passed over, {received} received"
+            yield Finding(WARN, text)

@@ -1,5 +1,0 @@
-"""What RViz shows.
-
-In: `Surface`, `ForceField`, `Grid`.
-Out: markers and overlays, without NaN.
-"""
