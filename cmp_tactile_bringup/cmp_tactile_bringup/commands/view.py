@@ -82,7 +82,7 @@ class View(Command):
             with shown_stages() as on_stage:
                 path = recorded_source(self.source, on_stage)
         from cmp_tactile_viewer.page.server import Access
-        from cmp_tactile_viewer.sources.recording import open_source
+        from cmp_tactile_viewer.recording import open_source
 
         source = open_source(path, sensor, self.topic)
         if source.playback is not None:
