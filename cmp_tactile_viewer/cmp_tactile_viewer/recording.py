@@ -6,15 +6,21 @@ import threading
 import time
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
-from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
+from cmp_tactile_driver.bags.reader import (
+    COMPRESSED_IMAGE,
+    IMAGE,
+    Recorded,
+    RecordedSurface,
+    is_bag,
+    open_recording_of,
+)
 from cmp_tactile_driver.bags.storage import BagStorage, is_bag_file, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
@@ -243,15 +249,17 @@ def _frames(
     return ProcessedFrames(path, sensor, topic)
 
 
-@dataclass
 class RecordingSource(PassiveSource):
     """Plays a recording to the page, at its own pace or as its slider says."""
 
-    frames: Frames | None = None
-    indenter: IndenterPoses | None = None
+    playback: Playback
 
-    def __post_init__(self) -> None:
-        assert self.playback is not None  # noqa: S101  `open_source` gives one
+    def __init__(
+        self, sensor: ShownSensor, frames: Frames, indenter: IndenterPoses | None = None
+    ) -> None:
+        playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
+        super().__init__((sensor,), playback)
+        self.frames, self.indenter = frames, indenter
         self._player = threading.Thread(target=self._play, name="recording", daemon=True)
         self._looked_at, self._ended = threading.Event(), threading.Event()
         self._touch = Touch()
@@ -297,7 +305,7 @@ class RecordingSource(PassiveSource):
     def _play_on(self) -> None:
         """Play from the place that was asked for, until another one is or the recording ends."""
         playback, frames, audience = self.playback, self.frames, self.audience
-        assert playback is not None and frames is not None and audience is not None  # noqa: S101, PT018
+        assert audience is not None  # noqa: S101  `start` came before
         start_s = playback.seek_s or 0.0
         playback.seek_s, playback.ended = None, False
         clock = _Clock()
@@ -348,12 +356,11 @@ class RecordingSource(PassiveSource):
 
     def _step_back(self, playback: Playback) -> None:
         """Ask for the last frame before the one on show."""
-        assert self.frames is not None  # noqa: S101  as in `_play_on`
         playback.steps += 1
         back_s, before = BACK_S, None
         while before is None:
             begin = max(playback.position_s - back_s, 0.0)
-            for time_s in self._times(begin):
+            for time_s, _ in self.frames.read(begin):
                 if time_s >= playback.position_s - 1e-6:
                     break
                 before = time_s
@@ -362,15 +369,10 @@ class RecordingSource(PassiveSource):
             back_s *= 4
         playback.seek_s = before or 0.0
 
-    def _times(self, start_s: float) -> Iterator[float]:
-        assert self.frames is not None  # noqa: S101  as in `_play_on`
-        return (time_s for time_s, _ in self.frames.read(start_s))
-
     def _report_frame(self, snapshot: Snapshot) -> None:
         lines = list(snapshot_health(snapshot))
-        problem = self.frames.problem if self.frames is not None else ""
-        if problem:
-            lines.append(HealthLine(Level.WARN, "recording:", problem))
+        if self.frames.problem:
+            lines.append(HealthLine(Level.WARN, "recording:", self.frames.problem))
         self._show_lines(lines or [HealthLine(Level.OK, "recording:", "all markers as expected")])
 
     def _report(self, level: Level, text: str) -> None:
@@ -419,6 +421,4 @@ def open_source(
     storage = _bag(path)
     frames = _frames(path, storage, sensor, topic)
     shown = ShownSensor(name or sensor.ros_name, sensor)
-    playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
-    indenter = None if storage is None else IndenterPoses(storage)
-    return RecordingSource((shown,), playback, frames, indenter)
+    return RecordingSource(shown, frames, IndenterPoses(storage) if storage else None)

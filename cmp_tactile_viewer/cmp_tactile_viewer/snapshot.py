@@ -157,13 +157,13 @@ class Audience(Protocol):
 
 
 class Source(Protocol):
-    """Where snapshots come from.
-
-    sensors: what is shown.  playback: of a recording, None for what is live.
-    """
+    """Where snapshots come from.  sensors: what is shown."""
 
     sensors: tuple[ShownSensor, ...]
-    playback: Playback | None
+
+    @property
+    def playback(self) -> Playback | None:
+        """Of a recording; None for what is live."""
 
     def actions(self) -> Mapping[str, tuple[Action, ...]]:
         """The buttons of each sensor."""

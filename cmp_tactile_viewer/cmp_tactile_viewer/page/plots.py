@@ -62,12 +62,6 @@ class History:
         self._count = 0
         self._begin_ns: int | None = None
 
-    @property
-    def length_s(self) -> float:
-        """From the oldest kept to the newest, s."""
-        times = self._ordered()[:, 0]
-        return float(times[-1] - times[0]) if len(times) > 1 else 0.0
-
     def add(self, snapshot: Snapshot) -> None:
         """Take a snapshot in; one that is not later than the last begins a new history.
 
@@ -93,10 +87,6 @@ class History:
         place = self._count % self._capacity
         self._table[[place, place + self._capacity]] = row
         self._count += 1
-
-    def clear(self) -> None:
-        """Forget all."""
-        self._count, self._begin_ns = 0, None
 
     def window(self, length_s: float, back_s: float = 0.0) -> dict[str, NDArray[np.float64]]:
         """The figures from `length_s` before the end, which lies `back_s` before the newest.
