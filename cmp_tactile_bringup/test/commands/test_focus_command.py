@@ -15,7 +15,7 @@ from waiting import wait_until
 
 from cmp_tactile_bringup import terminal
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import camera
+from cmp_tactile_bringup.commands import camera as camera_commands
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard
@@ -39,7 +39,7 @@ def rendered():
 @pytest.fixture(autouse=True)
 def _every_frame(monkeypatch, own_signals):
     """A line for each frame, however quick."""
-    monkeypatch.setattr(camera, "LINE_S", 0.0)
+    monkeypatch.setattr(camera_commands, "LINE_S", 0.0)
 
 
 def taken(rendered, **settings):
@@ -130,7 +130,7 @@ def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, cap
     machine.install(monkeypatch)
     camera = fake.FakeCamera(modes={"GREY": {(1024, 768): (30,)}})
     node = machine.plug(camera)
-    monkeypatch.setattr(camera, "DEVICES", f"{node.parent}/")
+    monkeypatch.setattr(camera_commands, "DEVICES", f"{node.parent}/")
     pixels = taken(rendered).tobytes()
 
     def feed():
