@@ -21,7 +21,7 @@ import pytest
 from documents import blocks
 
 from cmp_tactile_bringup.calibration.loads import read_known_loads
-from cmp_tactile_bringup.graphs.arguments import PARAMETERS, parameters_of_nodes
+from cmp_tactile_bringup.graphs.description import PARAMETERS, parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_section import read_yaml

@@ -17,9 +17,8 @@ import pytest
 import speed_tables
 from documents import assert_printed
 
-from cmp_tactile_bringup.recordings.simulated import find_recording
 from cmp_tactile_bringup.report.evaluation import Evaluation, evaluate
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts, find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
 from cmp_tactile_processing.sensor.description import load_sensor

@@ -10,9 +10,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.printing.dxf import dxf_bytes
-from cmp_tactile_bringup.printing.pdf import pdf_bytes
-from cmp_tactile_bringup.printing.svg import svg_bytes
+from cmp_tactile_bringup.printing.files import dxf_bytes, pdf_bytes, svg_bytes
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy

@@ -27,8 +27,7 @@ from cmp_tactile_bringup.demo import (
     gather,
     run_replay,
 )
-from cmp_tactile_bringup.recordings.simulated import find_recording
-from cmp_tactile_bringup.report.results import DemoResults
+from cmp_tactile_bringup.report.results import DemoResults, find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.ros.messages.reading import stamp_ns

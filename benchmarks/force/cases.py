@@ -24,7 +24,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.gel import ContactProblem, LinearElastomer, NeoHookeanElastomer
-from cmp_tactile_simulation.indenters.shapes import (
+from cmp_tactile_simulation.indenters import (
     Cylinder,
     FlatProbe,
     Indenter,

@@ -27,7 +27,7 @@ from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.gel import elastomer_of
-from cmp_tactile_simulation.indenters.shapes import Sphere
+from cmp_tactile_simulation.indenters import Sphere
 
 Array = NDArray[np.float64]
 Act = Callable[[ContactState], ContactState]

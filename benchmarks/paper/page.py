@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import yaml
 
-from cmp_tactile_bringup.terminal.output import machine_facts
+from cmp_tactile_bringup.terminal import machine_facts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from cmp_tactile_bringup.graphs.arguments import Argument
-from cmp_tactile_bringup.graphs.description import Component, graph
+from cmp_tactile_bringup.graphs.description import Argument, Component, graph
 from cmp_tactile_bringup.graphs.one_sensor import sensor_components
 
 

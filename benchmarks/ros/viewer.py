@@ -53,7 +53,7 @@ from real_time import (
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from cmp_tactile_bringup.recordings.simulated import find_recording
+from cmp_tactile_bringup.report.results import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult

@@ -57,7 +57,7 @@ def _run(words: Sequence[str], interruption: Interruption) -> int:
             raise KeyboardInterrupt from None
         if isinstance(error, SystemExit):
             raise
-        from cmp_tactile_bringup.terminal.output import error_line
+        from cmp_tactile_bringup.terminal import error_line
 
         if debug:
             import traceback

@@ -23,9 +23,8 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from cmp_tactile_bringup.recordings.simulated import Recording
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts
-from cmp_tactile_bringup.terminal.output import machine_facts, ros_facts
+from cmp_tactile_bringup.report.results import DemoResults, FrameResult, Recording, RunFacts
+from cmp_tactile_bringup.terminal import machine_facts, ros_facts
 from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError

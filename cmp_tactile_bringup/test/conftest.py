@@ -11,8 +11,13 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.recordings.simulated import Recording, find_recording
-from cmp_tactile_bringup.report.results import DemoResults, FrameResult, RunFacts
+from cmp_tactile_bringup.report.results import (
+    DemoResults,
+    FrameResult,
+    Recording,
+    RunFacts,
+    find_recording,
+)
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import load_sensor

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
+from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 NO_TURN = (1.0, 0.0, 0.0, 0.0)
@@ -154,13 +157,13 @@ class Audience(Protocol):
 
 
 class Source(Protocol):
-    """Where snapshots come from.
-
-    sensors: what is shown.  playback: of a recording, None for what is live.
-    """
+    """Where snapshots come from.  sensors: what is shown."""
 
     sensors: tuple[ShownSensor, ...]
-    playback: Playback | None
+
+    @property
+    def playback(self) -> Playback | None:
+        """Of a recording; None for what is live."""
 
     def actions(self) -> Mapping[str, tuple[Action, ...]]:
         """The buttons of each sensor."""
@@ -211,3 +214,25 @@ class PassiveSource:
 
     def close(self) -> None:
         """Nothing is to be done."""
+
+
+class ResultReader:
+    """Reads messages, of ROS or of `rosbags`, by the field of a `Snapshot` that they fill.
+
+    placements: of the sensor's views, by name.
+    """
+
+    def __init__(self, sensor: SensorDescription, depth: BitDepth) -> None:
+        """depth: of the camera's frames."""
+        self._shape, self._depth = sensor.pattern.shape, depth
+        self.placements = {name: view.placement for name, view in build_views(sensor).items()}
+
+    def value(self, field: str, message: Any) -> Any:
+        """Raises CmpTactileError where the message cannot be used."""
+        if field == "frame":
+            return reading.image_from_msg(message, depth=self._depth)
+        if field == "surface":
+            return reading.surface_from_msg(message, self._shape)
+        if field == "force":
+            return reading.force_field_from_msg(message)
+        return reading.grid_from_msg(message, self._shape, self.placements.get(field))

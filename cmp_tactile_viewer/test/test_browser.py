@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_viewer.recording import open_source
 from cmp_tactile_viewer.snapshot import Action, PassiveSource, Pose, ShownSensor, Touch
-from cmp_tactile_viewer.sources.recording import open_source
 
 BUTTON = "press me"
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_viewer.page.aim import PRESETS
 from cmp_tactile_viewer.page.layout import LOST
+from cmp_tactile_viewer.page.scene import PRESETS
 from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, PassiveSource, ShownSensor
 
 # A screen on a desk, a robot's panel, a tablet, a phone; and the gel's least width in them, px.

@@ -24,6 +24,7 @@ from cmp_tactile_processing import Pipeline, SensorDescription
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_viewer.page.page import Page
 from cmp_tactile_viewer.page.server import Access
+from cmp_tactile_viewer.recording import snapshot_health
 from cmp_tactile_viewer.snapshot import (
     HealthLine,
     Level,
@@ -31,7 +32,6 @@ from cmp_tactile_viewer.snapshot import (
     ShownSensor,
     Snapshot,
 )
-from cmp_tactile_viewer.sources.recording import snapshot_health
 
 OUTPUT = Path(__file__).parents[1] / "images"
 SCENE = "grasp"

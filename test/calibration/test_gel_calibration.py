@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.calibration.practice_rig import changed_rig
+from cmp_tactile_bringup.calibration.practice import changed_rig
 from cmp_tactile_processing.calibration.gel.calibrate import (
     GelCalibrationParameters,
     calibrate_gel,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.calibration.practice_rig import changed_rig
+from cmp_tactile_bringup.calibration.practice import changed_rig
 from cmp_tactile_processing.calibration.check import check_grids
 from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
 from cmp_tactile_processing.calibration.gel.fit import GelCalibrationParameters

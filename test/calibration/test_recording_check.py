@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_bringup.calibration.practice_rig import changed_rig
+from cmp_tactile_bringup.calibration.practice import changed_rig
 from cmp_tactile_processing.calibration.check import check_grids, check_recording, rigid_drift
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from board_photographs import photograph_board
 
-from cmp_tactile_bringup.calibration import practice_rig
-from cmp_tactile_bringup.calibration.practice_rig import bare_views, board_poses
+from cmp_tactile_bringup.calibration import practice
+from cmp_tactile_bringup.calibration.practice import bare_views, board_poses
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_simulation.rendering.camera import CameraSettings
@@ -39,7 +39,7 @@ def test_the_board_of_a_practice_set_is_the_same_seen_by_the_renderer(sensor):
     """Two ways to the same picture: rays that meet a plane, and a gel with the board's pattern."""
     for T in board_poses(sensor, BOARD, 2, seed=4):
         by_rays = photograph_board(sensor, BOARD, T, CLEAR).astype(float)
-        rendered = practice_rig.photograph_board(sensor, BOARD, T, CLEAR, 0).astype(float)
+        rendered = practice.photograph_board(sensor, BOARD, T, CLEAR, 0).astype(float)
         off = np.abs(by_rays - rendered)
         # Greys differ at edges alone, by how they are sampled.
         assert np.percentile(off, 99) <= 12

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from cmp_tactile_bringup.calibration.practice_rig import bare_views
+from cmp_tactile_bringup.calibration.practice import bare_views
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.sensor.description import SensorDescription

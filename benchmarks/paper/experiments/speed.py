@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_bringup.terminal.output import processor_name
+from cmp_tactile_bringup.terminal import processor_name
 from cmp_tactile_processing.sensor.description import SensorDescription
 from paper.chain import Chain, Method
 from paper.dot_trackers import ALL_METHODS

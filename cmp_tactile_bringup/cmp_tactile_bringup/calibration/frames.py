@@ -22,7 +22,7 @@ from cmp_tactile_bringup.recordings.library import (
     check_source,
     recorded_source,
 )
-from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.reader import open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
-from cmp_tactile_bringup.terminal.output import OnStage
-from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
-from cmp_tactile_driver.bags.recording import open_recording_of
+from cmp_tactile_bringup.terminal import OnStage
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface, open_recording_of
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views

@@ -31,29 +31,29 @@ SUBCOMMANDS = {
     "gripper": ("graphs.Gripper", "run the sensors of two fingers"),
     "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
     "process": ("process.Process", "process recordings without ROS"),
-    "zero": ("call.Zero", "set displacement and force of a running sensor to zero"),
-    "call": ("call.Call", "call a service of a running node, such as a replay's pause"),
-    "topics": ("call.Topics", "list the topics of running nodes"),
-    "echo": ("call.Echo", "print the messages of a topic"),
-    "record": ("record.Record", "record a running sensor"),
+    "zero": ("running.Zero", "set displacement and force of a running sensor to zero"),
+    "call": ("running.Call", "call a service of a running node, such as a replay's pause"),
+    "topics": ("running.Topics", "list the topics of running nodes"),
+    "echo": ("running.Echo", "print the messages of a topic"),
+    "record": ("running.Record", "record a running sensor"),
     "replay": ("graphs.Replay", "play a recording into the nodes, for RViz and your own nodes"),
     "view": ("view.View", "show a recording in a browser"),
-    "focus": ("focus.Focus", "show live how sharp and well lit a camera's picture is"),
-    "init": ("init.Init", "describe a new sensor from one picture of its pattern"),
+    "focus": ("camera.Focus", "show live how sharp and well lit a camera's picture is"),
+    "init": ("camera.Init", "describe a new sensor from one picture of its pattern"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
     "info": ("description.Info", "show a sensor description and the installation"),
 }
 IMPORTS = {
-    "tac3d": ("imported.Tac3d", "recordings of a Tac3D sensor, with its forces for comparison"),
-    "markers": ("imported.Markers", "a file with marker positions from any tracker"),
+    "tac3d": ("process.Tac3d", "recordings of a Tac3D sensor, with its forces for comparison"),
+    "markers": ("process.Markers", "a file with marker positions from any tracker"),
 }
 CALIBRATIONS = {
     "board": ("optics.Board", "camera and mirrors from images of a board"),
     "gel": ("optics.Gel", "mirrors and gel from frames of the gel at rest"),
     "force": ("material.Force", "the gel's material from weights or a reference force sensor"),
     "relaxation": ("material.Relaxation", "how the gel relaxes while a load is held"),
-    "check": ("check.Check", "check whether a description still fits a recording"),
-    "practice": ("practice.Practice", "simulated images to practise on, without a sensor"),
+    "check": ("optics.Check", "check whether a description still fits a recording"),
+    "practice": ("optics.Practice", "simulated images to practise on, without a sensor"),
 }
 HELP = """\
 Vision-based tactile sensors with a continuous marker pattern.
@@ -154,7 +154,7 @@ def _not_named() -> None:
 def _show_version(given: bool) -> None:
     if not given:
         return
-    from cmp_tactile_bringup.terminal.output import installed_version
+    from cmp_tactile_bringup.terminal import installed_version
 
     print(f"{PROGRAM} {installed_version('cmp_tactile_bringup')}")
     raise typer.Exit

@@ -14,8 +14,7 @@ from cmp_tactile_bringup.commands.options import Command, Number, option
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from cmp_tactile_bringup.recordings.simulated import Recording
-    from cmp_tactile_bringup.report.results import DemoResults
+    from cmp_tactile_bringup.report.results import DemoResults, Recording
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Compiled code is the same for every sensor.
@@ -52,7 +51,7 @@ class Demo(Command):
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-        from cmp_tactile_bringup.terminal.output import output_console, results_table
+        from cmp_tactile_bringup.terminal import output_console, results_table
         from cmp_tactile_processing.errors import printable
         from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -109,8 +108,8 @@ def _record(
     name_or_path: str, beside: ExitStack, progress: Progress
 ) -> tuple[Recording, dict[str, float]]:
     """The recording, simulated where there is none yet, and how long that took."""
-    from cmp_tactile_bringup.recordings.simulated import find_recording
-    from cmp_tactile_bringup.terminal.output import stage_bars
+    from cmp_tactile_bringup.report.results import find_recording
+    from cmp_tactile_bringup.terminal import stage_bars
 
     stages: set[str] = set()
     show = stage_bars(progress, note="first time only")

@@ -204,7 +204,7 @@ class Info(Command):
     def run(self) -> int:
         """Print the tables."""
         from cmp_tactile_bringup.report.sensor_facts import description_facts, geometry_facts
-        from cmp_tactile_bringup.terminal.output import (
+        from cmp_tactile_bringup.terminal import (
             facts_table,
             machine_facts,
             output_console,
@@ -287,6 +287,6 @@ def _printed(sensor: SensorDescription, arguments: Pattern) -> PrintedPattern:
 
 
 def _show(title: str, facts: dict[str, str]) -> None:
-    from cmp_tactile_bringup.terminal.output import facts_table, output_console
+    from cmp_tactile_bringup.terminal import facts_table, output_console
 
     output_console().print(facts_table(title, facts))

@@ -71,7 +71,7 @@ class Simulate(Command):
 
 
 def _simulate(scene: Scene, output: Path, arguments: Simulate) -> int:
-    from cmp_tactile_bringup.terminal.output import shown_stages
+    from cmp_tactile_bringup.terminal import shown_stages
     from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 
     options = RunOptions(
@@ -87,7 +87,7 @@ def _simulate(scene: Scene, output: Path, arguments: Simulate) -> int:
 def _list_scenes() -> None:
     from rich.table import Table
 
-    from cmp_tactile_bringup.terminal.output import cell, output_console
+    from cmp_tactile_bringup.terminal import cell, output_console
     from cmp_tactile_processing.errors import printable
     from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names
 

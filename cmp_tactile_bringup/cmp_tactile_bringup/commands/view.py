@@ -72,7 +72,7 @@ class View(Command):
             recorded_source,
             required_sensor,
         )
-        from cmp_tactile_bringup.terminal.output import shown_stages
+        from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.sensor.description import load_sensor
 
         check_source(self.source)
@@ -82,11 +82,10 @@ class View(Command):
             with shown_stages() as on_stage:
                 path = recorded_source(self.source, on_stage)
         from cmp_tactile_viewer.page.server import Access
-        from cmp_tactile_viewer.sources.recording import open_source
+        from cmp_tactile_viewer.recording import open_source
 
         source = open_source(path, sensor, self.topic)
-        if source.playback is not None:
-            source.playback.playing = not self.paused
+        source.playback.playing = not self.paused
         access = Access(
             self.host, self.port, self.token, self.read_only, tuple(self.allow_host or ())
         )

@@ -18,12 +18,16 @@ from rclpy.logging import get_logger
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import running_container
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import argument_list
-from cmp_tactile_bringup.graphs.description import CONTAINER, Graph
+from cmp_tactile_bringup.graphs.description import (
+    CONTAINER,
+    Graph,
+    argument_list,
+    check_recordings,
+    with_recordings,
+)
 from cmp_tactile_bringup.graphs.packaged import find_graph
-from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.running import RunningLine
-from cmp_tactile_bringup.terminal.output import shown_stages
+from cmp_tactile_bringup.terminal import shown_stages
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.processes import StopSignal, python_command
 from cmp_tactile_processing.ros.process import leave_process, split_ros_args

@@ -13,10 +13,15 @@ from launch.logging import get_logger
 from launch_ros.actions import ComposableNodeContainer, LoadComposableNodes, Node
 from launch_ros.descriptions import ComposableNode
 
-from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS
-from cmp_tactile_bringup.graphs.description import CONTAINER, Graph, GraphFunction
+from cmp_tactile_bringup.graphs.description import (
+    CONTAINER,
+    LAUNCH_ARGUMENTS,
+    Graph,
+    GraphFunction,
+    check_recordings,
+    with_recordings,
+)
 from cmp_tactile_bringup.graphs.packaged import find_graph
-from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.rviz import PACKAGE, is_saved_by_rviz, rviz_settings_file
 
 

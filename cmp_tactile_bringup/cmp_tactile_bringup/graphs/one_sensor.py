@@ -15,10 +15,16 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import Argument, Value, as_text
-from cmp_tactile_bringup.graphs.description import Component, GraphSensor, absolute_name
+from cmp_tactile_bringup.graphs.description import (
+    Argument,
+    Component,
+    GraphSensor,
+    Value,
+    absolute_name,
+    as_text,
+)
 from cmp_tactile_bringup.recordings import library
-from cmp_tactile_driver.bags.recording import split_inputs
+from cmp_tactile_driver.bags.reader import split_inputs
 from cmp_tactile_driver.sources.parameters import (
     CameraDriverParameters,
     CameraParameters,

@@ -12,17 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import (
+from cmp_tactile_bringup.graphs.description import (
     LAUNCH_ARGUMENTS,
     RUN_ARGUMENTS,
     Argument,
-    Value,
-    argument_rows,
-)
-from cmp_tactile_bringup.graphs.description import (
     Component,
     Graph,
     GraphFunction,
+    Value,
+    argument_rows,
     graph,
     load_graph_file,
 )

@@ -1,5 +1,5 @@
 """Recordings through the pipeline into files, without a running ROS.
 
-In reading order: what is asked for (`jobs`), one recording (`processor`), what is written
-(`outputs`), and where the work is done (`workers`).
+In reading order: what is asked for (`jobs`), one recording or several at once
+(`processor`), and what is written (`outputs`).
 """

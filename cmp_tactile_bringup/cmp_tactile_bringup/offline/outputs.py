@@ -29,7 +29,7 @@ from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job, Options
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
-from cmp_tactile_bringup.terminal.output import installed_version
+from cmp_tactile_bringup.terminal import installed_version
 from cmp_tactile_driver.bags.reader import Recorded
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 ROW = "#56b4e9"
 COLUMN = "#e69f00"
 MARKER = "#d55e00"
-VIRTUAL = "#f0e442"
 OBJECT = "#cc79a7"
 SERIES = ("#0072b2", "#d55e00", "#009e73")
 INK = "#1f2933"

@@ -10,7 +10,7 @@ from documents import assert_printed, shell_lines, shown_after
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import parse
-from cmp_tactile_bringup.report.truth import POSITION_LIMIT_UM
+from cmp_tactile_bringup.report.evaluation import POSITION_LIMIT_UM
 from cmp_tactile_processing.geometry.rectification import read_camera_info
 from cmp_tactile_processing.sensor.description import SensorDescription
 

@@ -18,8 +18,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
-from cmp_tactile_bringup.commands import parse, running_sensor
-from cmp_tactile_bringup.commands.running_sensor import RunningSensorError
+from cmp_tactile_bringup.commands import parse, running
+from cmp_tactile_bringup.commands.running import RunningSensorError
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.nodes.replay import Replay
 from cmp_tactile_msgs.msg import Contact, ForceField
@@ -123,10 +123,10 @@ def test_of_several_sensors_one_is_to_be_named(ros, run):
 
 
 def test_no_sensor_and_one_of_another_name(ros, run, monkeypatch):
-    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 0.3)
+    monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
     with pytest.raises(RunningSensorError, match="in any namespace, expected a running sensor"):
         run("zero")
-    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 3.0)
+    monkeypatch.setattr(running, "SEARCH_TIME_S", 3.0)
     ros.start(ViewSplitter)
     with pytest.raises(RunningSensorError, match=f"in /thumb, expected {ros.namespace}"):
         run("zero", "thumb")

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from waiting import wait_until
 
+from cmp_tactile_bringup import terminal
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import focus
-from cmp_tactile_bringup.terminal import output
+from cmp_tactile_bringup.commands import camera as camera_commands
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard
@@ -39,7 +39,7 @@ def rendered():
 @pytest.fixture(autouse=True)
 def _every_frame(monkeypatch, own_signals):
     """A line for each frame, however quick."""
-    monkeypatch.setattr(focus, "LINE_S", 0.0)
+    monkeypatch.setattr(camera_commands, "LINE_S", 0.0)
 
 
 def taken(rendered, **settings):
@@ -130,7 +130,7 @@ def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, cap
     machine.install(monkeypatch)
     camera = fake.FakeCamera(modes={"GREY": {(1024, 768): (30,)}})
     node = machine.plug(camera)
-    monkeypatch.setattr(focus, "DEVICES", f"{node.parent}/")
+    monkeypatch.setattr(camera_commands, "DEVICES", f"{node.parent}/")
     pixels = taken(rendered).tobytes()
 
     def feed():
@@ -141,7 +141,7 @@ def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, cap
         print(text)
         machine.unplug(camera)
 
-    monkeypatch.setattr(output, "print_line", print_and_unplug)
+    monkeypatch.setattr(terminal, "print_line", print_and_unplug)
     feeder = threading.Thread(target=feed)
     feeder.start()
     assert main(["focus", str(node), *PITCH, "--size", "1024x768"]) == 1

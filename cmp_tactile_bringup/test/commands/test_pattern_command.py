@@ -12,8 +12,7 @@ from documents import shell_lines
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import description, parse
-from cmp_tactile_bringup.printing.files import FORMATS
-from cmp_tactile_bringup.printing.svg import svg_bytes
+from cmp_tactile_bringup.printing.files import FORMATS, svg_bytes
 from cmp_tactile_processing.printing.pattern import (
     PATTERN_TYPES,
     PROCESSES,

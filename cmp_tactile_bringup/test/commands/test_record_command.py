@@ -22,7 +22,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import running_sensor
+from cmp_tactile_bringup.commands import running
 from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
@@ -87,7 +87,7 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
 
 @pytest.mark.usefixtures("own_signals")
 def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(running_sensor, "SEARCH_TIME_S", 0.3)
+    monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
     bag = tmp_path / "bag"
     assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
     error = capsys.readouterr().err

@@ -1,6 +1,6 @@
 """What takes long says so as it begins, also where no bar can move."""
 
-from cmp_tactile_bringup.terminal.output import shown_stages
+from cmp_tactile_bringup.terminal import shown_stages
 
 
 def test_in_a_pipe_each_stage_is_a_line_as_it_begins(capsys):

@@ -22,8 +22,7 @@ from std_msgs.msg import String
 
 TIMEOUT_S = 120.0
 GRAPH = '''
-from cmp_tactile_bringup.graphs.arguments import Argument
-from cmp_tactile_bringup.graphs.description import Component, graph
+from cmp_tactile_bringup.graphs.description import Argument, Component, graph
 
 @graph(Argument("prefix", "what is put before", "heard"))
 def mine(given):

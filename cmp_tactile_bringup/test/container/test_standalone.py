@@ -188,7 +188,7 @@ def test_the_page_begins_and_ends_with_the_runner(way, graph_file, grasp_bag):
 
 
 FINGERS = """
-from cmp_tactile_bringup.graphs.arguments import Argument
+from cmp_tactile_bringup.graphs.description import Argument
 from cmp_tactile_bringup.graphs.description import graph
 from cmp_tactile_bringup.graphs.one_sensor import sensor_components
 

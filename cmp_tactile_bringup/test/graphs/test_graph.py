@@ -7,12 +7,11 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.errors import GraphError
-from cmp_tactile_bringup.graphs.arguments import parameters_of_nodes
+from cmp_tactile_bringup.graphs.description import parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import load_graph
 
 GRAPH = '''
-from cmp_tactile_bringup.graphs.arguments import Argument
-from cmp_tactile_bringup.graphs.description import Component, graph
+from cmp_tactile_bringup.graphs.description import Argument, Component, graph
 from cmp_tactile_bringup.graphs.one_sensor import sensor_components
 from cmp_tactile_bringup.graphs.packaged import gripper
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_bringup.graphs import packaged
-from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS
+from cmp_tactile_bringup.graphs.description import LAUNCH_ARGUMENTS
 
 ROOT = Path(__file__).parents[2]
 # What is given to each, beside a mounting.
@@ -71,8 +71,8 @@ def test_load_requests_are_those_of_the_graph(name, actions, grasp_bag):
     from launch_ros.actions.load_composable_nodes import get_composable_node_load_request
     from rclpy.parameter import Parameter
 
+    from cmp_tactile_bringup.graphs.description import with_recordings
     from cmp_tactile_bringup.graphs.launch import composable_nodes
-    from cmp_tactile_bringup.graphs.recordings import with_recordings
 
     given = {key: value for key, value in GRAPHS[name].items() if key != "container"}
     graph = with_recordings(packaged.load_graph(name, given))

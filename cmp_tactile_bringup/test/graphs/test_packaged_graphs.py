@@ -7,9 +7,13 @@ import pytest
 import yaml
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
-from cmp_tactile_bringup.graphs.arguments import LAUNCH_ARGUMENTS, parameters_of_nodes
+from cmp_tactile_bringup.graphs.description import (
+    LAUNCH_ARGUMENTS,
+    check_recordings,
+    parameters_of_nodes,
+    with_recordings,
+)
 from cmp_tactile_bringup.graphs.packaged import GRAPHS, MARKER, load_graph, renew
-from cmp_tactile_bringup.graphs.recordings import check_recordings, with_recordings
 from cmp_tactile_bringup.graphs.rviz import rviz_settings, rviz_settings_file
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -6,7 +6,7 @@ CODE = """
 import sys
 from pathlib import Path
 
-import cmp_tactile_bringup.offline.workers
+import cmp_tactile_bringup.offline.processor
 from cmp_tactile_bringup.recordings.library import check_source, required_sensor
 
 source = Path(sys.argv[1])

@@ -13,7 +13,7 @@ from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline import workers
+from cmp_tactile_bringup.offline import processor
 
 MADE = (".mcap", "_wrench.csv")
 
@@ -112,7 +112,7 @@ def test_a_cluster_gives_the_same_bytes(cluster, images, tmp_path, capsys):
 
 
 def test_no_scheduler_and_no_dask_are_reported(images, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(workers, "SECONDS_TO_CONNECT", 0.2)
+    monkeypatch.setattr(processor, "SECONDS_TO_CONNECT", 0.2)
     nowhere = ("--output", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:1")
     assert process(images, *nowhere) == 1
     assert "error: tcp://127.0.0.1:1: found no dask scheduler" in error_lines(capsys)[0]

@@ -18,9 +18,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from cmp_tactile_driver.errors import SourceNotReadyError
 from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration, image_qos
 from cmp_tactile_driver.sources import frames
-from cmp_tactile_driver.sources.capture import Capture, CaptureState
+from cmp_tactile_driver.sources.capture import Capture, CaptureState, on_clock
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
-from cmp_tactile_driver.sources.timing import on_clock
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode

@@ -24,8 +24,14 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
-from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
-from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
+from cmp_tactile_driver.bags.reader import (
+    RecordedCameraInfo,
+    RecordedFrame,
+    RecordedMessage,
+    Recording,
+    open_recording,
+    split_inputs,
+)
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters

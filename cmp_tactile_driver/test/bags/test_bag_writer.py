@@ -13,9 +13,14 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.recorder import BagRecorder, EncodedMessage, RecorderState, Tap
 from cmp_tactile_driver.bags.storage import open_storage
-from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_driver.bags.writer import (
+    BagRecorder,
+    BagWriter,
+    EncodedMessage,
+    RecorderState,
+    Tap,
+)
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_processing.errors import MessageDefinitionError
 from cmp_tactile_processing.ros.messages.definitions import message_definition

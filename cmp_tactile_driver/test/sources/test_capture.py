@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.timing import CATCH_UP, Pacer, Worker, on_clock
+from cmp_tactile_driver.sources.capture import CATCH_UP, Pacer, Worker, on_clock
 
 
 class _Clock:

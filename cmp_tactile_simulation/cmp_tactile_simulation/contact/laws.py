@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_simulation.indenters.shapes import Indenter
+from cmp_tactile_simulation.indenters import Indenter
 
 
 @dataclass(frozen=True)

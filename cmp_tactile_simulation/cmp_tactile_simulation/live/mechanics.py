@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from cmp_tactile_driver.sources.timing import Pacer, Worker
+from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter

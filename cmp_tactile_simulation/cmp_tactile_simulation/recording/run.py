@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
@@ -34,14 +33,13 @@ SIMULATING = "simulating"
 VIDEO, IMAGES = "drawing the video", "writing the images"
 VIDEO_FILE = "video.mp4"
 WAITING = "waiting for another process, which makes the same recording"
-# A folder without it is no output, and nothing in it is deleted.
+# A folder without it is no output, and nothing in it is deleted.  It contains the name of the mesh.
 MARKER = ".cmp_tactile_recording"
 # Is there until the output is complete.
 UNFINISHED = ".unfinished"
-# All that a run writes, but for the indenter's mesh; nothing else is ever deleted.
+# What a run writes, in addition to these two and the indenter's mesh; nothing else is ever deleted.
 OURS = re.compile(
-    r"\.cmp_tactile_recording|\.unfinished|(scene|sensor|metadata)\.yaml|[^/]+\.mcap|(\.partial\.)?video\.mp4"
-    r"|\d{3,}\.(png|npz)"
+    r"(scene|sensor|metadata)\.yaml|[^/]+\.mcap|(\.partial\.)?video\.mp4|\d{3,}\.(png|npz)"
 )
 
 
@@ -80,10 +78,7 @@ def run_scene(
     with _locked(folder):
         _check_replaceable(folder, overwrite=options.overwrite)
         simulation = Simulation(scene, cache_dir, progress)
-        _clear(folder)
-        folder.mkdir(exist_ok=True)
-        for name in (MARKER, UNFINISHED):
-            (folder / name).touch()
+        _begin(folder, scene)
         count = min(options.frames or scene.frame_count, scene.frame_count)
         _record(simulation, folder, count, progress)
         _write_pictures(scene, folder, options, progress)
@@ -213,14 +208,19 @@ def _check_replaceable(folder: Path, *, overwrite: bool) -> None:
         raise OutputError(msg)
 
 
-def _clear(folder: Path) -> None:
-    """Delete what an earlier run wrote; other files stay."""
-    if not folder.exists():
-        return
-    # What says that a run wrote it goes last, should this be stopped.
-    for item in sorted(folder.iterdir(), key=lambda item: item.name == MARKER):
-        if OURS.fullmatch(item.name):
-            shutil.rmtree(item) if item.is_dir() else item.unlink()
+def _begin(folder: Path, scene: Scene) -> None:
+    """Make the folder an unfinished output without what an earlier run wrote; other files stay."""
+    folder.mkdir(exist_ok=True)
+    marker = folder / MARKER
+    marker.touch()
+    # Before anything is deleted: the folder is not taken for a finished output if this is killed.
+    (folder / UNFINISHED).touch()
+    mesh = marker.read_text(encoding="utf-8")
+    for item in sorted(folder.iterdir()):
+        if item.is_file() and (OURS.fullmatch(item.name) or item.name == mesh):
+            item.unlink()
+    mesh_file = scene.indenter.file
+    marker.write_text(mesh_file.name if mesh_file else "", encoding="utf-8")
 
 
 def recording_of(

@@ -246,16 +246,6 @@ def _row(frame: RecordedFrame, sensor: SensorDescription) -> dict[str, Any]:
     }
 
 
-def read_true_force(bag: Path, stamp_ns: int) -> ForceField:
-    """The true force field of the frame with that stamp; errors as `read_truth`."""
-    sensor = SensorDescription.load(bag / "sensor.yaml")
-    for frame in recorded_frames(bag, sensor, ("truth/force_field",)):
-        if frame.stamp_ns == stamp_ns:
-            return frame.force
-    msg = f"{bag}: found no truth/force_field with the stamp {stamp_ns} ns"
-    raise OutputError(msg)
-
-
 def recorded_frames(
     bag: Path, sensor: SensorDescription, topics: Sequence[str] = ()
 ) -> Iterator[RecordedFrame]:

@@ -29,12 +29,11 @@ from cmp_tactile_processing.sensor.yaml_section import (
     text,
     whole,
 )
+from cmp_tactile_simulation import indenters
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import IndenterError
 from cmp_tactile_simulation.gel import NODES_RANGE
-from cmp_tactile_simulation.indenters import shapes
-from cmp_tactile_simulation.indenters.mesh import MeshIndenter
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 
@@ -317,13 +316,13 @@ DEFAULT_FRICTION = 0.6
 INDENTERS: Mapping[str, Any] = {
     shape.name: shape
     for shape in (
-        shapes.Sphere,
-        shapes.Cylinder,
-        shapes.FlatProbe,
-        shapes.Cuboid,
-        shapes.Ring,
-        shapes.HexagonalBar,
-        shapes.SphereGroup,
+        indenters.Sphere,
+        indenters.Cylinder,
+        indenters.FlatProbe,
+        indenters.Cuboid,
+        indenters.Ring,
+        indenters.HexagonalBar,
+        indenters.SphereGroup,
     )
 }
 
@@ -357,16 +356,16 @@ def read_indenter(section: YamlSection, folder: Path, start: Start) -> IndenterD
     return description
 
 
-def indenter_of(description: IndenterDescription, start: Start) -> shapes.Indenter:
+def indenter_of(description: IndenterDescription, start: Start) -> indenters.Indenter:
     """The indenter itself; IndenterError where it cannot be made.
 
     start: its rotation says which side of a mesh touches.
     """
     if description.file is not None:
-        return MeshIndenter.load(
+        return indenters.MeshIndenter.load(
             description.file, **description.values, rotation=turned(start.rotation_deg)
         )
-    indenter: shapes.Indenter = INDENTERS[description.type](**description.values)
+    indenter: indenters.Indenter = INDENTERS[description.type](**description.values)
     return indenter
 
 

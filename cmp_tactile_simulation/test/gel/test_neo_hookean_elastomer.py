@@ -10,7 +10,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.gel import LinearElastomer, NeoHookeanElastomer
-from cmp_tactile_simulation.indenters.shapes import Sphere
+from cmp_tactile_simulation.indenters import Sphere
 
 NODES = 11
 COARSE = MeshDensity(across=6, rim=1, depth=2, growth=2.0)

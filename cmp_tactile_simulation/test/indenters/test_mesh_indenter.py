@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cmp_tactile_simulation.errors import IndenterError
-from cmp_tactile_simulation.indenters.mesh import MeshIndenter
+from cmp_tactile_simulation.indenters import MeshIndenter
 from cmp_tactile_simulation.scenes.description import turned
 from cmp_tactile_simulation.scenes.simulation import Simulation
 

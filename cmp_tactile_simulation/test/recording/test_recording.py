@@ -10,9 +10,8 @@ from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.run import RunOptions, recording_of, run_scene
-from cmp_tactile_simulation.recording.truth import read_true_force, read_truth
+from cmp_tactile_simulation.recording.truth import read_truth, recorded_frames
 from cmp_tactile_simulation.scenes.file import read_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
@@ -91,16 +90,14 @@ def test_the_truth_is_read_back(bag, frames):
     assert truth.wrench[-1, 2] < 0
 
 
-def test_the_force_field_of_one_frame_is_read_back(bag, frames):
-    field = read_true_force(bag, frames[3].stamp_ns)
+def test_the_force_field_of_one_frame_is_read_back(bag, scene, frames):
+    field = list(recorded_frames(bag, scene.sensor, ("truth/force_field",)))[3].force
     np.testing.assert_allclose(field.force, frames[3].force.force, atol=ATOL_N)
     np.testing.assert_array_equal(field.contact, frames[3].force.contact)
     assert np.isfinite([field.slip.slip_ratio, field.slip.traction_ratio]).all()
     for figure in ("state", "slip_ratio", "traction_ratio", "friction_coefficient"):
         true = getattr(frames[3].force.slip, figure)
         assert getattr(field.slip, figure) == pytest.approx(true, rel=1e-6, nan_ok=True)
-    with pytest.raises(OutputError, match="found no truth/force_field with the stamp 5 ns"):
-        read_true_force(bag, 5)
 
 
 def test_scene_and_sensor_are_beside_the_frames(bag, images, scene):

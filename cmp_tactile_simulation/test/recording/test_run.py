@@ -91,6 +91,29 @@ def test_a_finished_output_is_kept_unless_it_may_be_replaced(options, scene, tmp
     assert contents(out) != before
 
 
+@pytest.mark.parametrize("deleted", [0, 1, 2])
+def test_a_run_killed_while_it_replaces_another_leaves_an_unfinished_output(
+    deleted, scene, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    run_scene(scene, out, RunOptions(frames=2))
+    unlink, calls = Path.unlink, []
+
+    def killed_unlink(path, missing_ok=False):
+        if path.parent == out:
+            calls.append(path)
+            if len(calls) > deleted:
+                raise KeyboardInterrupt
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", killed_unlink)
+        with pytest.raises(KeyboardInterrupt):
+            run_scene(scene, out, RunOptions(frames=3, overwrite=True))
+    # A finished one would be refused.
+    assert run_scene(scene, out, RunOptions(frames=3)) == 3
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("name", ["notes.txt", "scene.yaml", "photos"])
 def test_a_folder_of_something_else_is_left_alone(name, overwrite, scene, tmp_path):
@@ -146,6 +169,16 @@ def test_a_mesh_goes_with_the_recording(block, small_scene, tmp_path):
     (tmp_path / "out" / "notes.txt").write_text("mine")
     run_scene(small_scene(), tmp_path / "out", RunOptions(frames=1, overwrite=True))
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_another_mesh_takes_the_place_of_the_first(block, small_scene, tmp_path):
+    run_scene(small_scene(indenter=block), tmp_path / "out", RunOptions(frames=1))
+    renamed = Path(block["file"]).rename(tmp_path / "other.stl")
+    other = small_scene(indenter=block | {"file": str(renamed)})
+    run_scene(other, tmp_path / "out", RunOptions(frames=1, overwrite=True))
+    assert [path.name for path in (tmp_path / "out").glob("*.stl")] == ["other.stl"]
+    run_scene(small_scene(), tmp_path / "out", RunOptions(frames=1, overwrite=True))
+    assert not list((tmp_path / "out").glob("*.stl"))
 
 
 @pytest.mark.parametrize("overwrite", [False, True])

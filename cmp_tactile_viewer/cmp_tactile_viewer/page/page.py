@@ -12,9 +12,6 @@ import numpy as np
 import viser
 
 from cmp_tactile_viewer.page import camera_image
-from cmp_tactile_viewer.page.aim import Aim, framed_points
-from cmp_tactile_viewer.page.gel import LEAST_RANGE, Gel
-from cmp_tactile_viewer.page.indenter import DraggedIndenter
 from cmp_tactile_viewer.page.layout import (
     BEAT_S,
     LEFT_OF_SEVERAL_PX,
@@ -25,9 +22,9 @@ from cmp_tactile_viewer.page.layout import (
     health_box,
 )
 from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPanel, health_html
-from cmp_tactile_viewer.page.plots import Plots
+from cmp_tactile_viewer.page.plots import History, Plots
+from cmp_tactile_viewer.page.scene import LEAST_RANGE, Aim, DraggedIndenter, Gel, framed_points
 from cmp_tactile_viewer.page.server import Access, PageServer
-from cmp_tactile_viewer.scene.history import History
 from cmp_tactile_viewer.snapshot import HealthLine, ShownSensor, Snapshot, Source
 
 # Pictures of the scene a second, of the camera, and of plots, clocks and health, which are read.

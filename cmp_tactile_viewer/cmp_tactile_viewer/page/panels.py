@@ -11,9 +11,8 @@ from typing import Any
 import viser
 
 from cmp_tactile_processing.errors import CmpTactileError
-from cmp_tactile_viewer.page.aim import PRESETS
-from cmp_tactile_viewer.page.gel import ARROWS, COLOURS, UNITS, Look
-from cmp_tactile_viewer.scene import surface_mesh
+from cmp_tactile_viewer.meshes import band_colours
+from cmp_tactile_viewer.page.scene import ARROWS, COLOURS, PRESETS, UNITS, Look
 from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, Playback, Setting
 
 # Sign and colour: the signs differ, for who does not see the colours.
@@ -92,7 +91,7 @@ def _legend(colour: str, top: float) -> str:
     if colour not in UNITS:
         return ""
     factor, unit = UNITS[colour]
-    stops = [f"rgb({r},{g},{b})" for r, g, b in surface_mesh.band_colours().tolist()]
+    stops = [f"rgb({r},{g},{b})" for r, g, b in band_colours().tolist()]
     return (
         f'<div style="{SMALL};display:flex;gap:0.5em;align-items:center"><span>0</span>'
         f'<span style="flex:1;height:0.8em;background:linear-gradient(to right,{",".join(stops)})">'

@@ -11,7 +11,7 @@ import pytest
 from board_photographs import photograph_board
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.calibration.practice_rig import board_poses, changed_rig
+from cmp_tactile_bringup.calibration.practice import board_poses, changed_rig
 from cmp_tactile_processing.calibration.board import images
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_bringup.calibration.practice_rig import bare_views, changed_rig
+from cmp_tactile_bringup.calibration.practice import bare_views, changed_rig
 from cmp_tactile_processing.calibration.board.calibrate import (
     calibrate_cameras,
     calibrate_mirror_rig,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.calibration.practice_rig import board_poses
+from cmp_tactile_bringup.calibration.practice import board_poses
 from cmp_tactile_processing.calibration.board.bundle import Observation, adjust
 from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.optics import build_views

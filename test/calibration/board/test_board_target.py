@@ -6,7 +6,7 @@ import pytest
 from board_photographs import photograph_board
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_bringup.calibration.practice_rig import bare_views, board_poses
+from cmp_tactile_bringup.calibration.practice import bare_views, board_poses
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.split import split_frame

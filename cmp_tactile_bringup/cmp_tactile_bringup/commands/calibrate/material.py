@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
     from cmp_tactile_bringup.calibration.loads import WrenchSeries
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-    from cmp_tactile_bringup.terminal.output import OnStage
+    from cmp_tactile_bringup.terminal import OnStage
     from cmp_tactile_processing.calibration.material.loads import (
         LoadResult,
         LoadSample,
@@ -130,7 +130,7 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
         from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-        from cmp_tactile_bringup.terminal.output import shown_count
+        from cmp_tactile_bringup.terminal import shown_count
         from cmp_tactile_processing.calibration.material.calibrate import fit_material
 
         self._check_usage()
@@ -179,7 +179,7 @@ def _sensor(arguments: Force) -> SensorDescription:
 
 
 def _samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
-    from cmp_tactile_bringup.terminal.output import shown_stages
+    from cmp_tactile_bringup.terminal import shown_stages
 
     if arguments.mass:
         return _live_samples(arguments, sensor)
@@ -254,7 +254,7 @@ def _motion_and_wrench(
 def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
     from cmp_tactile_bringup.calibration.live import LiveFrames, Weighing
     from cmp_tactile_bringup.commands.calibrate import sources
-    from cmp_tactile_bringup.terminal.output import shown_stages
+    from cmp_tactile_bringup.terminal import shown_stages
 
     with shown_stages() as on_stage:
         sources.prepare_tracker(sensor, on_stage)
@@ -269,7 +269,7 @@ def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) ->
 
     from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
     from cmp_tactile_bringup.report.calibration import write_material_report
-    from cmp_tactile_bringup.terminal.output import output_console, print_line
+    from cmp_tactile_bringup.terminal import output_console, print_line
 
     page = write_material_report(outcome, files.report, outcome.sensor.name)
     console = output_console()
@@ -299,7 +299,7 @@ def _short(key: str) -> str:
 
 def _loads_table(loads: Sequence[LoadResult]) -> Table:
     from cmp_tactile_bringup.report.calibration import LOAD_HEADINGS, load_rows
-    from cmp_tactile_bringup.terminal.output import cell, titled_table
+    from cmp_tactile_bringup.terminal import cell, titled_table
 
     table = titled_table("Loads, N", box=None, pad_edge=False)
     last = len(LOAD_HEADINGS) - 1
@@ -348,7 +348,7 @@ class Relaxation(sources.Output, sources.WrenchSensor):
         )
         from cmp_tactile_bringup.recordings.library import check_source, required_sensor
         from cmp_tactile_bringup.report.calibration import RelaxationReport, write_relaxation_report
-        from cmp_tactile_bringup.terminal.output import output_console, shown_stages
+        from cmp_tactile_bringup.terminal import output_console, shown_stages
         from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
         from cmp_tactile_processing.sensor.description import load_sensor
 

@@ -1,4 +1,4 @@
-"""`cmp_tactile calibrate board` and `gel`: camera, mirrors and the place of the gel."""
+"""`cmp_tactile calibrate board`, `gel`, `check`, `practice`: camera, mirrors, place of the gel."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ from cmp_tactile_bringup.commands.calibrate.sources import (
     LiveInput,
     Output,
 )
-from cmp_tactile_bringup.commands.options import Number, Pair, argument, misuse, option
+from cmp_tactile_bringup.commands.options import Command, Number, Pair, argument, misuse, option
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from cmp_tactile_bringup.terminal.output import OnCount
+    from cmp_tactile_bringup.report.evaluation import TruthErrors
+    from cmp_tactile_bringup.report.results import TableRow
+    from cmp_tactile_bringup.terminal import OnCount
     from cmp_tactile_processing.calibration.board.target import BoardTarget
+    from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
     from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-
 BOARD_SIZE = Pair("the number of inner corners, as 9x6")
+SPREAD = "95 % below {}, median {}, largest {}"
+MAX_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +143,7 @@ class Gel(Output, FrameInput):
             warn,
         )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
-        from cmp_tactile_bringup.terminal.output import shown_count, shown_stages
+        from cmp_tactile_bringup.terminal import shown_count, shown_stages
         from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
         from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -160,7 +164,7 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
     from cmp_tactile_bringup.calibration.frames import pairs_by_number, read_images
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude, warn
-    from cmp_tactile_bringup.terminal.output import shown_count
+    from cmp_tactile_bringup.terminal import shown_count
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
 
     views = ("left", "right") if arguments.right else ("left",)
@@ -192,7 +196,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
         view_pictures,
         warn,
     )
-    from cmp_tactile_bringup.terminal.output import shown_count
+    from cmp_tactile_bringup.terminal import shown_count
     from cmp_tactile_processing.sensor.description import load_sensor
 
     sensor = load_sensor(arguments.sensor)
@@ -249,7 +253,7 @@ def _capture(
     from cmp_tactile_bringup.calibration.frames import BoardCapture, Choice
     from cmp_tactile_bringup.calibration.live import LiveFrames
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
-    from cmp_tactile_bringup.terminal.output import output_console
+    from cmp_tactile_bringup.terminal import output_console
     from cmp_tactile_processing.calibration.board.target import find_board
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -276,3 +280,163 @@ def _capture(
             if len(kept) == arguments.images:
                 break
     return kept
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(FrameInput):
+    """Check a description with any recording of its sensor, at rest or in contact. Do both views
+    place every marker at the same point? Is the gel at rest where the description says? For a
+    simulated recording, the 3-D error is shown too. The exit code is 1 if a limit is missed.
+
+    examples:
+      cmp_tactile calibrate check my_bag --sensor my_sensor.yaml
+      cmp_tactile calibrate check --topic /my_sensor/image_raw --sensor my_sensor.yaml
+    """
+
+    frames: Annotated[int, option("use at most N frames", Number(1, 100_000, kind=int))] = 200
+    report: Annotated[
+        Path | None, option("write figures of the residuals to this folder", metavar="DIR")
+    ] = None
+
+    def run(self) -> int:
+        """Check and print the result; 1 where a limit is missed."""
+        from cmp_tactile_bringup import terminal
+        from cmp_tactile_bringup.commands.calibrate.outcome import (
+            print_findings,
+            print_verdict,
+            warn,
+        )
+        from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
+        from cmp_tactile_bringup.recordings.library import required_sensor
+        from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
+        from cmp_tactile_processing.calibration.check import check_grids
+        from cmp_tactile_processing.calibration.observation import track_frames
+        from cmp_tactile_processing.sensor.description import load_sensor
+
+        self.check_source()
+        if self.input is not None:
+            sensor = load_sensor(required_sensor(self.input, self.sensor))
+        elif self.sensor:
+            sensor = load_sensor(self.sensor)
+        else:
+            misuse("--sensor is required with --topic")
+        with terminal.shown_stages() as on_stage:
+            frames = frames_of(self, sensor, on_stage)
+            prepare_tracker(sensor, on_stage)
+        errors = None
+        with terminal.shown_count() as count:
+            grids = track_frames(sensor, frames.images, count)
+        report = check_grids(sensor, grids)
+        # One view measures no places in 3-D.
+        in_3d = len(sensor.views) > 1
+        truth = truth_of(self.input) if self.input is not None and in_3d else None
+        if truth is not None:
+            errors = truth_errors(sensor, grids, frames.stamps_ns, truth)
+        rows = [_row(figure) for figure in report.figures] + (errors.rows() if errors else [])
+        console = terminal.output_console()
+        title = f"{sensor.name}, {report.frames} frames, {len(report.rest_frames)} of them at rest"
+        console.print(terminal.results_table(title, rows))
+        warn(frames.problem)
+        print_findings(console, report.findings)
+        print_verdict(console, report.verdict, accepted=report.accepted)
+        if errors is not None and not errors.kept:
+            print_verdict(
+                console,
+                "The markers differ from the recording's truth: see the errors above.",
+                accepted=False,
+            )
+        if self.report is not None:
+            _write_figures(report, frames.images[0], errors, self.report.expanduser())
+        return int(not report.accepted or (errors is not None and not errors.kept))
+
+
+def _row(figure: CheckFigure) -> TableRow:
+    from math import isfinite
+
+    from cmp_tactile_bringup.report.results import TableRow
+    from cmp_tactile_processing.calibration.outcome import value_text
+
+    value = value_text(figure.value, figure.unit)
+    if isfinite(figure.p95):
+        spread = (figure.p95, figure.median, figure.maximum)
+        value = SPREAD.format(*(value_text(item, figure.unit) for item in spread))
+    sign = ">=" if figure.at_least else "<="
+    limit = f"{sign} {value_text(figure.limit, figure.unit)}"
+    return TableRow(figure.name, value, limit, figure.kept)
+
+
+def _write_figures(
+    report: CheckReport, frame: NDArray[np.uint8], errors: TruthErrors | None, folder: Path
+) -> None:
+    from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
+    from cmp_tactile_bringup.report import style
+    from cmp_tactile_bringup.report.calibration import residual_figure, truth_figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    if any(len(item.pixels) for item in report.residuals):
+        figure = residual_figure(report.residuals, view_pictures(report.sensor, frame))
+        written.append(style.save_figure(figure, folder / "residuals.png"))
+    if errors is not None:
+        figure = truth_figure(errors.position, report.sensor.pattern)
+        written.append(style.save_figure(figure, folder / "truth.png"))
+    for path in written:
+        print(f"Written: {path}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Practice(Command):
+    """Simulate images of a rig that differs a little from its description: gel and mirrors are
+    turned by 1 degree and shifted by 0.5 mm, and the focal length is 1 % off, each in an unknown
+    direction.
+
+      DIR/sensor.yaml   the description to start from
+      DIR/board/        images of a board, taken before the gel was mounted
+      DIR/rest/         frames of the gel at rest
+      DIR/contact/      a recording of a contact, with its truth
+      DIR/truth/        the true rig: do not look at it until the end
+
+    example:
+      cmp_tactile calibrate practice --output practice
+    """
+
+    output: Annotated[Path, option("folder to write", metavar="DIR")]
+    sensor: Annotated[
+        str, option("description of the rig as designed: a file or a packaged name")
+    ] = "sample_rig"
+    seed: Annotated[
+        int | None,
+        option(
+            "the same seed makes the same set (default: a new set each time)",
+            Number(0, MAX_SEED, kind=int),
+        ),
+    ] = None
+    images: Annotated[int, option("number of images of the board", Number(3, 200, kind=int))] = 20
+    overwrite: Annotated[bool, option("replace an earlier practice set")] = False
+
+    def run(self) -> int:
+        """Make the set and say what is in it."""
+        import secrets
+
+        from cmp_tactile_bringup.calibration.practice import PracticeSet, make_practice_set
+        from cmp_tactile_bringup.terminal import shown_stages
+        from cmp_tactile_processing.sensor.description import load_sensor
+
+        seed = secrets.randbelow(MAX_SEED) if self.seed is None else self.seed
+        practice = PracticeSet(load_sensor(self.sensor), seed, self.images)
+        folder = self.output.expanduser()
+        with shown_stages() as on_stage:
+            make_practice_set(practice, folder, on_stage, overwrite=self.overwrite)
+        target = practice.target
+        board = f"--board {target.cols}x{target.rows} --square {target.square:g}"
+        print(f"Practice set in {folder}: docs/tutorials/calibrate.md goes through it.")
+        print(f"  cmp_tactile calibrate check {folder}/contact --sensor {folder}/sensor.yaml")
+        print(
+            f"  cmp_tactile calibrate board {folder}/board --sensor {folder}/sensor.yaml {board} "
+            "--output board.yaml"
+        )
+        print(
+            f"  cmp_tactile calibrate gel {folder}/rest --sensor board.yaml --output my_sensor.yaml"
+        )
+        print(f"  cmp_tactile calibrate check {folder}/contact --sensor my_sensor.yaml")
+        return 0

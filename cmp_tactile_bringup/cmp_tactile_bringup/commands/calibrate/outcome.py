@@ -13,7 +13,7 @@ from rich.table import Table
 
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.report.calibration import HEADINGS, estimate_rows, write_calibration_report
-from cmp_tactile_bringup.terminal.output import cell, output_console, print_line, titled_table
+from cmp_tactile_bringup.terminal import cell, output_console, print_line, titled_table
 from cmp_tactile_processing.calibration.material.loads import MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import (

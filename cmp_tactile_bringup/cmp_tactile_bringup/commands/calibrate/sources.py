@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.calibration.frames import RecordedFrames
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
     from cmp_tactile_bringup.calibration.loads import WrenchSeries
-    from cmp_tactile_bringup.terminal.output import OnStage
+    from cmp_tactile_bringup.terminal import OnStage
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 IMAGE_TOPIC = "/NS/image_raw"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from made_forces import made_contact, made_field
 
-from cmp_tactile_viewer.scene.history import History
+from cmp_tactile_viewer.page.plots import History
 from cmp_tactile_viewer.snapshot import Snapshot
 
 STEP_NS = 10_000_000

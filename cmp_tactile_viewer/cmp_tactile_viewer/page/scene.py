@@ -1,19 +1,24 @@
-"""The gel of one sensor in the scene: surface, arrows, contacts, resultant wrench."""
+"""The 3-D scene of the page: gels, simulated indenters, and the camera that looks at them."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.drawing import FORCE_COLOUR, contact_lines
 from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
-from cmp_tactile_viewer.scene import forces, surface_mesh
-from cmp_tactile_viewer.scene.surface_mesh import MM, ColourRange
-from cmp_tactile_viewer.snapshot import ShownSensor, Snapshot
+from cmp_tactile_viewer import meshes
+from cmp_tactile_viewer.meshes import MM, ColourRange
+from cmp_tactile_viewer.snapshot import Pose, ShownSensor, Snapshot, Touch
 
 COLOURS = ("displacement", "depth", "pressure", "none")
 ARROWS = ("force at the nodes", "displacement", "none")
@@ -26,10 +31,23 @@ BELOW = (0.0, 0.0, -0.05)
 MOST_CONTACTS = 4
 _red, _green, _blue, _ = (round(255 * part) for part in FORCE_COLOUR)
 RGB = tuple[int, int, int]
+Array = NDArray[np.float64]
 FORCE_RGB: RGB = (_red, _green, _blue)
 NOTHING = np.zeros((0, 2, 3))
 # Viewers want at least one line: this one has no length.
 NO_LINES = np.zeros((1, 2, 3))
+HANDLE_MM, BALL_MM = 4.0, 0.4
+INDENTER_COLOUR = (240, 228, 66)
+# After so long without the mouse the handle is where the indenter is again.
+RELEASED_S = 2.0
+# Where the camera stands, seen from the gel; with several gels, x is the direction of their line.
+DIRECTIONS = {"fit": (0.4, -0.8, 0.75), "top": (0.0, -1e-3, 1.0), "side": (0.0, -1.0, 0.06)}
+PRESETS = tuple(DIRECTIONS)
+UP = np.array((0.0, 0.0, 1.0))
+# Share of the window's half that the gel fills, and what stands above the gel in the picture, mm.
+FILLED, ABOVE_MM = 0.9, 2.0
+# Windows whose ratio of width to height differs by less are of one shape.
+SAME_SHAPE = 0.01
 
 
 @dataclass(frozen=True)
@@ -60,7 +78,7 @@ class Gel:
         )
         self._bands = [
             _mesh(scene, f"{self._root}/surface/{number:02d}", (red, green, blue))
-            for number, (red, green, blue) in enumerate(surface_mesh.band_colours().tolist())
+            for number, (red, green, blue) in enumerate(meshes.band_colours().tolist())
         ]
         self._ghost = _mesh(scene, f"{self._root}/at_rest", GHOST_COLOUR)
         self._ghost.wireframe, self._ghost.opacity, self._ghost.position = True, 0.35, BELOW
@@ -76,7 +94,7 @@ class Gel:
             _DrawnContact(scene, f"{self._root}/contact_{number}")
             for number in range(MOST_CONTACTS)
         ]
-        self._reference: NDArray[np.float64] | None = None
+        self._reference: Array | None = None
 
     def draw(self, snapshot: Snapshot, look: Look) -> None:
         """Draw all that the snapshot holds; what it has not is taken off."""
@@ -98,9 +116,9 @@ class Gel:
     ) -> None:
         values = _values(surface, force, look.colour)
         self.range.take(values, stamp_ns)
-        points = surface_mesh.refined_surface(surface)
-        meshes = surface_mesh.colour_bands(points, surface_mesh.refined(values), self.range.top)
-        for handle, mesh in zip(self._bands, meshes, strict=True):
+        points = meshes.refined_surface(surface)
+        bands = meshes.colour_bands(points, meshes.refined(values), self.range.top)
+        for handle, mesh in zip(self._bands, bands, strict=True):
             _set_mesh(handle, mesh)
 
     def _draw_ghost(self, surface: Surface, wanted: bool) -> None:
@@ -110,31 +128,31 @@ class Gel:
         known = self._reference
         self._reference = surface.reference
         if known is None or not np.array_equal(known, surface.reference, equal_nan=True):
-            _set_mesh(self._ghost, surface_mesh.whole_mesh(surface.reference))
+            _set_mesh(self._ghost, meshes.whole_mesh(surface.reference))
 
     def _draw_arrows(self, surface: Surface | None, force: ForceField | None, look: Look) -> None:
         ends, colour = NOTHING, FORCE_RGB
         if look.arrows == ARROWS[0] and force is not None:
-            ends = forces.force_arrows(force, look.arrow_gain)
+            ends = meshes.force_arrows(force, look.arrow_gain)
         elif look.arrows == ARROWS[1] and surface is not None:
-            ends, colour = forces.displacement_arrows(surface, look.arrow_gain), DISPLACEMENT_COLOUR
+            ends, colour = meshes.displacement_arrows(surface, look.arrow_gain), DISPLACEMENT_COLOUR
         self._arrows.colors = np.array(colour, np.uint8)
         self._arrows.points = ends.astype(np.float32)
 
 
-def _values(surface: Surface, force: ForceField | None, colour: str) -> NDArray[np.float64]:
+def _values(surface: Surface, force: ForceField | None, colour: str) -> Array:
     """What a mesh is coloured by, (rows, cols)."""
     if colour == "displacement":
         return np.asarray(np.linalg.norm(surface.displacement, axis=-1))
     if colour == "depth":
         return -surface.displacement[..., 2]
     if colour == "pressure" and force is not None:
-        return surface_mesh.pressure_at(surface, force)
+        return meshes.pressure_at(surface, force)
     return np.zeros(surface.displacement.shape[:2])
 
 
 def _mesh(scene: viser.SceneApi, name: str, colour: RGB) -> viser.MeshHandle:
-    empty = surface_mesh.EMPTY
+    empty = meshes.EMPTY
     return scene.add_mesh_simple(
         name,
         empty.vertices,
@@ -146,7 +164,7 @@ def _mesh(scene: viser.SceneApi, name: str, colour: RGB) -> viser.MeshHandle:
     )
 
 
-def _set_mesh(handle: viser.MeshHandle, mesh: surface_mesh.Mesh) -> None:
+def _set_mesh(handle: viser.MeshHandle, mesh: meshes.Mesh) -> None:
     handle.vertices = mesh.vertices
     handle.faces = mesh.faces
 
@@ -155,7 +173,7 @@ class _DrawnContact:
     """Outline, centre of pressure, resultant with its error, moment and words of one contact."""
 
     def __init__(self, scene: viser.SceneApi, name: str) -> None:
-        colour = forces.slip_colour(SlipState.UNKNOWN)
+        colour = meshes.slip_colour(SlipState.UNKNOWN)
         self._outline = scene.add_line_segments(
             f"{name}/outline", NO_LINES, np.array(colour), thickness=4.0, thickness_units="screen"
         )
@@ -180,18 +198,18 @@ class _DrawnContact:
         )  # fmt: skip
         self.hide()
 
-    def draw(self, contact: Contact, moment_point: NDArray[np.float64], look: Look) -> None:
+    def draw(self, contact: Contact, moment_point: Array, look: Look) -> None:
         """Draw it in the colour of its slip state."""
-        colour, gain = forces.slip_colour(contact.slip.state), look.arrow_gain
+        colour, gain = meshes.slip_colour(contact.slip.state), look.arrow_gain
         for lines, ends in (
-            (self._outline, forces.outline(contact)),
-            (self._moment, forces.moment_lines(contact, moment_point, gain)),
+            (self._outline, meshes.outline(contact)),
+            (self._moment, meshes.moment_lines(contact, moment_point, gain)),
         ):
             lines.visible = len(ends) > 0
             if len(ends):
                 lines.points = ends.astype(np.float32)
                 lines.colors = np.array(colour, np.uint8)
-        arrow = forces.contact_arrow(contact, gain)
+        arrow = meshes.contact_arrow(contact, gain)
         known = bool(np.isfinite(arrow).all())
         for part in (self._centre, self._resultant, self._text):
             part.visible = known
@@ -202,7 +220,7 @@ class _DrawnContact:
             self._resultant.colors = np.array(colour, np.uint8)
             self._text.position = arrow[0] + (0.0, 0.0, 1.0)
             self._text.text = "\n".join(contact_lines(contact))
-        error = forces.error_ellipsoid(contact, gain)
+        error = meshes.error_ellipsoid(contact, gain)
         self._error.visible = error is not None
         if error is not None:
             self._error.position, self._error.wxyz = error.centre, error.orientation
@@ -213,3 +231,114 @@ class _DrawnContact:
         """Take it off."""
         for part in self._parts:
             part.visible = False
+
+
+class DraggedIndenter:
+    """A handle in the scene, and a ball where the indenter's origin really is.
+
+    The indenter follows at its own speed, and stands still where the gel cannot be pressed further.
+    """
+
+    def __init__(self, scene: viser.SceneApi, root: str, touch: Touch, *, may_move: bool) -> None:
+        self._touch, self._dragged_s = touch, -RELEASED_S
+        self._ball = scene.add_icosphere(
+            f"{root}/indenter", radius=BALL_MM, color=INDENTER_COLOUR, visible=False
+        )
+        self._handle: viser.TransformControlsHandle | None = None
+        if may_move and touch.move is not None:
+            self._handle = scene.add_transform_controls(
+                f"{root}/handle", HANDLE_MM, depth_test=False, opacity=0.8, visible=False
+            )
+            self._handle.on_update(self._drag)
+
+    def draw(self) -> None:
+        """Show where it is."""
+        pose = self._touch.pose
+        if pose is None:
+            return
+        position, orientation = MM * np.array(pose.position), np.array(pose.orientation)
+        self._ball.visible, self._ball.position = True, position
+        if self._handle is not None and time.monotonic() - self._dragged_s > RELEASED_S:
+            self._handle.visible = True
+            self._handle.position, self._handle.wxyz = position, orientation
+
+    def _drag(self, event: Any) -> None:
+        if event.client is None or self._handle is None or self._touch.move is None:
+            return
+        self._dragged_s = time.monotonic()
+        x, y, z = (self._handle.position / MM).tolist()
+        a, b, c, d = self._handle.wxyz.tolist()
+        self._touch.move(Pose((x, y, z), (a, b, c, d)))
+
+
+def framed_points(sensors: Sequence[ShownSensor]) -> Array:
+    """Corners of the boxes around the gels, each with its pose, (8 n, 3) mm in the scene."""
+    boxes = []
+    for sensor in sensors:
+        corners = MM * sensor.description.pattern.corners().reshape(-1, 3)
+        low, high = corners.min(axis=0), corners.max(axis=0) + (0.0, 0.0, ABOVE_MM)
+        box = np.array(list(product(*zip(low, high, strict=True))))
+        w, x, y, z = sensor.orientation
+        boxes.append(Rotation.from_quat((x, y, z, w)).apply(box) + MM * np.array(sensor.position))
+    return np.concatenate(boxes)
+
+
+def camera_position(points: Array, preset: str, fov_rad: float, aspect: float) -> Array:
+    """From where all points are seen, looking at their middle; (3,) in the units of the points.
+
+    fov_rad: of the window's height.  aspect: width by height.
+    """
+    middle = middle_of(points)
+    x, y, z = DIRECTIONS[preset]
+    line = _line(points)
+    towards = np.array((x * line[0] - y * line[1], x * line[1] + y * line[0], z))
+    towards /= np.linalg.norm(towards)
+    right = np.cross(UP, towards)
+    right /= np.linalg.norm(right)
+    relative = points - middle
+    half = FILLED * np.tan(fov_rad / 2)
+    needed = (
+        np.abs(relative @ right) / (half * aspect),
+        np.abs(relative @ np.cross(towards, right)) / half,
+    )
+    distance = float((np.maximum(*needed) + relative @ towards).max())
+    return np.asarray(middle + distance * towards)
+
+
+def middle_of(points: Array) -> Array:
+    """Middle of the box around the points, (3,)."""
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
+
+
+def _line(points: Array) -> Array:
+    """Horizontal direction from the first gel to the last, (2,); x where there is one gel."""
+    gels = points.reshape(-1, 8, 3).mean(axis=1)
+    apart = (gels[-1] - gels[0])[:2]
+    length = float(np.linalg.norm(apart))
+    return np.asarray(apart / length) if length > 0 else np.array((1.0, 0.0))
+
+
+class Aim:
+    """One browser's camera: aimed by a preset, and anew when its window gets another shape.
+
+    A camera that the user has moved stays where it is.
+    """
+
+    def __init__(self, client: viser.ClientHandle, points: Array) -> None:
+        self._camera, self._points = client.camera, points
+        self.take(PRESETS[0])
+        client.camera.on_update(self._on_update)
+
+    def take(self, preset: str) -> None:
+        """Turn the camera as one of PRESETS."""
+        camera = self._camera
+        self._preset, self._aspect = preset, camera.aspect
+        self._position = camera_position(self._points, preset, camera.fov, camera.aspect)
+        # A new position moves `look_at` along: set it afterwards.
+        camera.position = self._position
+        camera.look_at, camera.up_direction = middle_of(self._points), UP
+
+    def _on_update(self, camera: viser.CameraHandle) -> None:
+        changed = abs(camera.aspect / self._aspect - 1.0) > SAME_SHAPE
+        if changed and np.allclose(camera.position, self._position, rtol=0.0, atol=0.1):
+            self.take(self._preset)

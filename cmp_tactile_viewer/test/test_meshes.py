@@ -9,7 +9,7 @@ import pytest
 from made_forces import made_field
 
 from cmp_tactile_processing.measured import GridShape, Surface
-from cmp_tactile_viewer.scene.surface_mesh import (
+from cmp_tactile_viewer.meshes import (
     BANDS,
     EMPTY,
     ColourRange,

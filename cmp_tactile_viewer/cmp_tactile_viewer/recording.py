@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import threading
 import time
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
-from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
+from cmp_tactile_driver.bags.reader import (
+    COMPRESSED_IMAGE,
+    IMAGE,
+    Recorded,
+    RecordedSurface,
+    is_bag,
+    open_recording_of,
+)
 from cmp_tactile_driver.bags.storage import BagStorage, is_bag_file, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
@@ -21,6 +28,7 @@ from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import (
@@ -29,16 +37,19 @@ from cmp_tactile_viewer.snapshot import (
     Level,
     PassiveSource,
     Playback,
+    Pose,
+    ResultReader,
     ShownSensor,
     Snapshot,
     Touch,
 )
-from cmp_tactile_viewer.sources.indenter import IndenterPoses
-from cmp_tactile_viewer.sources.results import ResultReader
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.pipeline import Pipeline
 
+POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+# Of a simulated recording, and of a recorded simulated sensor, below the sensor's namespace.
+NAMES = ("/truth/indenter_pose", "/indenter/pose")
 SURFACE, FORCE_FIELD, GRID = (
     f"cmp_tactile_msgs/msg/{name}" for name in ("Surface", "ForceField", "Grid")
 )
@@ -48,6 +59,42 @@ BACK_S = 0.5
 LOOPED_S = 10.0
 # Messages of one frame come within so many others.
 MOST_OPEN = 20
+
+
+class IndenterPoses:
+    """The poses of the only indenter in a bag; none where it has none, or several."""
+
+    def __init__(self, storage: BagStorage) -> None:
+        """The poses are read when the first of them is asked for."""
+        self._storage = storage
+        self._topics = [
+            topic
+            for topic, kind in storage.topics.items()
+            if kind == POSE_STAMPED and topic.endswith(NAMES)
+        ]
+
+    def __bool__(self) -> bool:
+        return len(self._topics) == 1
+
+    def at(self, stamp_ns: int) -> Pose | None:
+        """The pose at a moment, the last one before where that has none; None before the first."""
+        stamps, poses = self._by_stamp
+        index = bisect_right(stamps, stamp_ns)
+        return poses[index - 1] if index else None
+
+    @cached_property
+    def _by_stamp(self) -> tuple[list[int], list[Pose]]:
+        poses: dict[int, Pose] = {}
+        for stored in self._storage.messages(self._topics):
+            try:
+                message: Any = simulation_typestore().deserialize_cdr(stored.data, POSE_STAMPED)
+            except (SerdeError, ValueError):
+                continue  # the indenter is not what the recording is about
+            p, q = message.pose.position, message.pose.orientation
+            stamp = stamp_ns(message.header.stamp)
+            poses[stamp] = Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
+        stamps = sorted(poses)
+        return stamps, [poses[stamp] for stamp in stamps]
 
 
 class Frames(Protocol):
@@ -201,15 +248,17 @@ def _frames(
     return ProcessedFrames(path, sensor, topic)
 
 
-@dataclass
 class RecordingSource(PassiveSource):
     """Plays a recording to the page, at its own pace or as its slider says."""
 
-    frames: Frames | None = None
-    indenter: IndenterPoses | None = None
+    playback: Playback
 
-    def __post_init__(self) -> None:
-        assert self.playback is not None  # noqa: S101  `open_source` gives one
+    def __init__(
+        self, sensor: ShownSensor, frames: Frames, indenter: IndenterPoses | None = None
+    ) -> None:
+        playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
+        super().__init__((sensor,), playback)
+        self.frames, self.indenter = frames, indenter
         self._player = threading.Thread(target=self._play, name="recording", daemon=True)
         self._looked_at, self._ended = threading.Event(), threading.Event()
         self._touch = Touch()
@@ -255,7 +304,7 @@ class RecordingSource(PassiveSource):
     def _play_on(self) -> None:
         """Play from the place that was asked for, until another one is or the recording ends."""
         playback, frames, audience = self.playback, self.frames, self.audience
-        assert playback is not None and frames is not None and audience is not None  # noqa: S101, PT018
+        assert audience is not None  # noqa: S101  `start` came before
         start_s = playback.seek_s or 0.0
         playback.seek_s, playback.ended = None, False
         clock = _Clock()
@@ -306,12 +355,11 @@ class RecordingSource(PassiveSource):
 
     def _step_back(self, playback: Playback) -> None:
         """Ask for the last frame before the one on show."""
-        assert self.frames is not None  # noqa: S101  as in `_play_on`
         playback.steps += 1
         back_s, before = BACK_S, None
         while before is None:
             begin = max(playback.position_s - back_s, 0.0)
-            for time_s in self._times(begin):
+            for time_s, _ in self.frames.read(begin):
                 if time_s >= playback.position_s - 1e-6:
                     break
                 before = time_s
@@ -320,15 +368,10 @@ class RecordingSource(PassiveSource):
             back_s *= 4
         playback.seek_s = before or 0.0
 
-    def _times(self, start_s: float) -> Iterator[float]:
-        assert self.frames is not None  # noqa: S101  as in `_play_on`
-        return (time_s for time_s, _ in self.frames.read(start_s))
-
     def _report_frame(self, snapshot: Snapshot) -> None:
         lines = list(snapshot_health(snapshot))
-        problem = self.frames.problem if self.frames is not None else ""
-        if problem:
-            lines.append(HealthLine(Level.WARN, "recording:", problem))
+        if self.frames.problem:
+            lines.append(HealthLine(Level.WARN, "recording:", self.frames.problem))
         self._show_lines(lines or [HealthLine(Level.OK, "recording:", "all markers as expected")])
 
     def _report(self, level: Level, text: str) -> None:
@@ -377,6 +420,4 @@ def open_source(
     storage = _bag(path)
     frames = _frames(path, storage, sensor, topic)
     shown = ShownSensor(name or sensor.ros_name, sensor)
-    playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
-    indenter = None if storage is None else IndenterPoses(storage)
-    return RecordingSource((shown,), playback, frames, indenter)
+    return RecordingSource(shown, frames, IndenterPoses(storage) if storage else None)

@@ -1,6 +1,6 @@
-"""`cmp_tactile focus`: what a camera's picture of checkers is worth, live.
+"""`cmp_tactile focus` and `init`: a camera's picture of checkers.
 
-And what `focus` and `init` look at: a camera, a recording, or a simulated sensor.
+They look at a camera, a recording, or a simulated sensor.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from cmp_tactile_processing.calibration.counting import Worth
+    from cmp_tactile_processing.calibration.proposal import Proposal
 
     Images = Generator[NDArray[np.uint8] | None, None, None]
 
 T = TypeVar("T")
-
 PITCH = Number(0.01, 50, "mm")
 # Of the print of sample_rig, mm.
 USUAL_PITCH = 0.6905
@@ -43,10 +44,17 @@ USUAL_PITCH = 0.6905
 LAYOUTS = ("one", "mirrors", "cameras")
 DEVICES, POLL_S = "/dev/", 0.1
 FRAME_SIZE = Pair("a size in px, as 1280x720", low=16)
-# What is worth a hint, of a marker's standard deviation.
-LEAST_GAIN = 0.15
+# What is worth a hint, and what is worth doing before a sensor is used, of a marker's standard
+# deviation.
+HINT_GAIN, LEAST_GAIN = 0.15, 0.5
 # Between lines where they stay.
 LINE_S = 1.0
+YOUNG, THICKNESS = Number(1, 1e7, "kPa"), Number(0.5, 100, "mm")
+# Keys of a description that no picture shows, and those that one view does not.
+ASSUMED = "poisson:", "shading_layer:", "cx:", "cy:", "layers:"
+OF_ONE_VIEW = "surface:", "distortion:", "fx:", "fy:"
+# A camera adjusts its exposure in the first frames.
+FRAMES_TO_SETTLE = 15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +106,7 @@ class Looking(Command):
         FrameSourceError where there is none, and where a camera is away.
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
-        from cmp_tactile_driver.bags.recording import open_recording
+        from cmp_tactile_driver.bags.reader import open_recording
         from cmp_tactile_processing.geometry.split import to_grey
 
         if name.startswith(DEVICES):
@@ -116,7 +124,7 @@ class Looking(Command):
         from cmp_tactile_driver.errors import FrameSourceError
         from cmp_tactile_driver.sources.frames import SourceOptions
         from cmp_tactile_driver.sources.parameters import CameraParameters
-        from cmp_tactile_driver.v4l2.pair import VIEWS, open_cameras
+        from cmp_tactile_driver.v4l2.source import VIEWS, open_cameras
         from cmp_tactile_processing.sensor import parts
         from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -176,7 +184,7 @@ class Focus(Looking):
         """Show until a signal comes, or the recording ends."""
         from rich.live import Live
 
-        from cmp_tactile_bringup.terminal.output import output_console, print_line
+        from cmp_tactile_bringup.terminal import output_console, print_line
         from cmp_tactile_processing.processes import StopSignal
 
         meter = _Meter(self.views or "", self.pitch_m())
@@ -258,10 +266,156 @@ class _Meter:
             heading: f"{text} ({um * worth.std_if(key):.2f} um)"
             for heading, (key, text) in values.items()
         }
-        advice = [*worth.advice(LEAST_GAIN), "nothing: a good picture"]
+        advice = [*worth.advice(HINT_GAIN), "nothing: a good picture"]
         return {
             **cells,
             "overexposed": f"{worth.saturated:.0%}",
             "marker": f"{um * worth.std_pitch:.2f} um",
             "next": advice[0],
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Init(Looking):
+    """Write a first description of a sensor from a picture of its pattern at rest. The picture
+    shows the views, rows, columns and colours, and the size and direction of the checkers. Two
+    views of the whole pattern, in mirrors or by two cameras, also show where camera, mirrors and
+    gel are. On a terminal you are asked for modulus and thickness of the gel. Values that nobody
+    gave and no picture shows are assumed, and marked in the file. Next:
+    `cmp_tactile sensor sensor:=FILE view:=true` shows a live displacement field, and
+    `cmp_tactile calibrate gel` refines mirrors and gel.
+
+    examples:
+      cmp_tactile init /dev/video0 --pitch 0.69
+      cmp_tactile init rest.png --pitch 0.69 --views mirrors --output my_sensor.yaml
+    """
+
+    picture: Annotated[
+        str | None,
+        argument(
+            "PICTURE",
+            "a sharp picture of the whole pattern; or a camera, as /dev/video0 (two with a comma "
+            "between)",
+        ),
+    ] = None
+    output: Annotated[
+        Path, option("file to write; it must not exist yet", metavar="FILE", short="-o")
+    ] = Path("my_sensor.yaml")
+    angle_of_view: Annotated[
+        float | None,
+        option(
+            "horizontal angle of view of the camera (default: what fits the picture, or 60)",
+            Number(5, 150, "degrees"),
+        ),
+    ] = None
+    young: Annotated[float | None, option("Young's modulus of the gel (default: 500)", YOUNG)] = (
+        None
+    )
+    thickness: Annotated[
+        float | None, option("thickness of the gel, to the outer surface (default: 5)", THICKNESS)
+    ] = None
+
+    def run(self) -> int:
+        """Propose, ask, write, and say what the picture is worth."""
+        from cmp_tactile_bringup.errors import OutputError
+        from cmp_tactile_processing.cache.files import write_whole
+        from cmp_tactile_processing.sensor.description import sensor_description_of
+        from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+
+        output = self.output.expanduser()
+        if output.exists():
+            msg = f"{output}: found a file, expected a new name; give another one with --output"
+            raise OutputError(msg)
+        if self.picture is None and not self.asks:
+            misuse("PICTURE: found nothing, expected a picture or a camera")
+        name = self.picture or self.ask("Picture or camera", f"{DEVICES}video0", str)
+        pitch = self.pitch_m()
+        found = self._proposal(self._taken(name), pitch)
+        text = self._text(found)
+        # As a file is read: what its reader refuses is not written.
+        sensor_description_of(parse_yaml(output, text))
+        write_whole(output, text)
+        _report(found, output)
+        return 0
+
+    def _taken(self, name: str) -> NDArray[np.uint8]:
+        """The picture, or one from the camera once its exposure has settled, grey."""
+        from cmp_tactile_driver.errors import FrameSourceError
+
+        count = FRAMES_TO_SETTLE if name.startswith(DEVICES) else 1
+        with closing(self.frames(name)) as frames:
+            taken = list(islice((image for image in frames if image is not None), count))
+        if not taken:
+            msg = f"{name}: found no frame, expected a picture or a camera"
+            raise FrameSourceError(msg)
+        return taken[-1]
+
+    def _proposal(self, image: NDArray[np.uint8], pitch: float) -> Proposal:
+        from cmp_tactile_processing.calibration.proposal import propose
+
+        print("counting the corners ...", file=sys.stderr)
+        found = propose(image, pitch, self.output.stem, self.views or "", self.angle_of_view)
+        if self.views is None and found.layout != "one":
+            question = (
+                "Two views are seen. Are they in two mirrors or of two cameras (mirrors, cameras)?"
+            )
+            layout = self.ask(question, found.layout, Choice(LAYOUTS[1:]).parse)
+            if layout != found.layout:
+                found = propose(image, pitch, self.output.stem, layout, self.angle_of_view)
+        gel = found.sensor.elastomer
+        young = self.young or self.ask(
+            "Young's modulus of the gel, kPa", gel.young / 1e3, YOUNG.parse
+        )
+        depth = self.thickness or self.ask(
+            "Thickness of the gel, mm", gel.size[2] * 1e3, THICKNESS.parse
+        )
+        gel = replace(gel, young=1e3 * young, size=(*gel.size[:2], depth / 1e3))
+        return replace(found, sensor=replace(found.sensor, elastomer=gel))
+
+    def _text(self, found: Proposal) -> str:
+        """The file of the description, what is assumed marked."""
+        from cmp_tactile_processing.calibration.counting import THICKNESS_M, YOUNG_PA
+        from cmp_tactile_processing.sensor.description import sensor_description_text
+
+        gel, assumed = found.sensor.elastomer, list(ASSUMED)
+        if found.layout == "one":
+            assumed += OF_ONE_VIEW[:2] if self.angle_of_view else OF_ONE_VIEW
+        if self.young is None and gel.young == YOUNG_PA:
+            assumed.append("young:")
+        if self.thickness is None and gel.size[2] == THICKNESS_M:
+            assumed.append("size:")
+        marked = (
+            f"{line}{',' if '#' in line else '  #'} assumed"
+            if line.strip().startswith(tuple(assumed))
+            else line
+            for line in sensor_description_text(found.sensor).splitlines()
+        )
+        return "".join(f"{line}\n" for line in marked)
+
+
+def _report(found: Proposal, output: Path) -> None:
+    pattern, two = found.sensor.pattern, found.layout != "one"
+    end = {
+        "in_view": "ends within the picture on all sides",
+        "beyond_view": "continues beyond the picture",
+    }
+    how = {"one": "", "mirrors": " in two mirrors", "cameras": " in the pictures of two cameras"}[
+        found.layout
+    ]
+    seen = f"{pattern.rows} x {pattern.cols} corners{how}"
+    print(f"{seen}, and the pattern {end[pattern.border]}")
+    for name, view in found.views.items():
+        worth = view.seen.worth
+        print(
+            f"{f'{name} view: ' if two else ''}checkers of {worth.side_px:.1f} px; contrast "
+            f"{worth.contrast:.0f} grey levels; noise {worth.noise:.1f}; blur {worth.blur_px:.2f} "
+            f"px; standard deviation of a marker {1e6 * pattern.pitch * worth.std_pitch:.1f} um"
+        )
+        for advice in worth.advice(LEAST_GAIN):
+            print(f"to do: {advice}")
+    if two:
+        print(f"corners agree with the description to {found.misfit_px:.2g} px")
+    print(f"written: {output}; assumed values are marked in it")
+    print(f"next: cmp_tactile sensor sensor:={output} view:=true")
+    if two:
+        print(f"then: cmp_tactile calibrate gel FRAMES --sensor {output} --output calibrated.yaml")

@@ -2,7 +2,6 @@
 
 import shutil
 
-import numpy as np
 import pytest
 
 from cmp_tactile_bringup.recordings.library import (
@@ -14,7 +13,7 @@ from cmp_tactile_bringup.recordings.library import (
     sensor_of_recordings,
     sensor_of_scene,
 )
-from cmp_tactile_bringup.recordings.simulated import find_recording
+from cmp_tactile_bringup.report.results import find_recording
 from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor, packaged_sensors
@@ -26,17 +25,6 @@ def test_a_recording_has_the_title_and_the_phases_of_its_scene(recording):
     assert recording.title == "Short grasp of a hex key with a knock"
     phases = {phase.name: phase.first_frame for phase in recording.phases}
     assert (len(phases), phases["rest"], phases["knock"], phases["rest again"]) == (8, 0, 10, 18)
-
-
-def test_the_true_force_of_a_frame_is_that_of_its_wrench(recording):
-    for index in (0, 9, 10):
-        field = recording.true_force(index)
-        # Forces are recorded as float32.
-        np.testing.assert_allclose(
-            field.force.sum(axis=0), recording.truth.wrench[index, :3], atol=1e-5
-        )
-        assert field.contact_area == recording.truth.contact_area[index]
-        assert field.contact.any() == (index > 0)
 
 
 def test_a_packaged_scene_is_recorded_when_it_is_named(short_scenes, grasp_bag, tmp_path):

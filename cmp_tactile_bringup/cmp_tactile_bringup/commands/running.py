@@ -1,12 +1,25 @@
-"""`cmp_tactile zero`, `call`, `topics`, `echo`: use nodes that run where there is no `ros2`."""
+"""`cmp_tactile zero`, `call`, `topics`, `echo`, `record`: use nodes that run, without `ros2`."""
 
 from __future__ import annotations
 
+import sys
+import threading
 from dataclasses import dataclass
-from typing import Annotated, Any
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cmp_tactile_bringup.commands.options import Command, argument, option
+from cmp_tactile_bringup.commands.options import Command, Number, argument, option, parameter_option
+from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
+from cmp_tactile_processing.errors import CmpTactileError
 
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from cmp_tactile_driver.bags.writer import RecordingProgress
+
+SPLITTER = "view_splitter"
+SEARCH_TIME_S = 5.0
 # In which a force comes from a sensor that runs; one without is zeroed all the same.
 FORCE_S = 3.0
 MOST_VALUES = 12
@@ -14,6 +27,67 @@ OF_ALL_NODES = "/parameter_events", "/rosout"
 WAIT_S = 0.5
 # Nodes are discovered one after the other; on a busy machine a second may pass between two.
 ALL_TOPICS_S = 2.0
+PERIOD_S = 0.2
+# Options that are parameters of the node.
+SAME_NAMES = ("output", "compression", "jpeg_quality")
+_setting = partial(parameter_option, RecorderParameters)
+
+
+class RunningSensorError(CmpTactileError):
+    """No sensor runs, or several do where one is meant."""
+
+
+@dataclass(frozen=True)
+class RunningSensor:
+    """A sensor's namespace, and the parameters of its nodes; empty where they do not answer."""
+
+    namespace: str
+    description: str = ""
+    name: str = ""
+
+
+def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
+    """The sensor of a namespace, or of one of its topics, or the only one that runs.
+
+    node: with which it is looked for; it is spun by another thread.  Waits some seconds.  Raises
+    RunningSensorError where there is none, or several.
+    """
+    from cmp_tactile_processing.ros.services import settled
+
+    wanted = f"/{namespace.strip('/')}" if namespace else ""
+    spaces = settled(lambda: _namespaces(node, wanted), SEARCH_TIME_S)
+    if not spaces:
+        where = f"in {wanted}" if wanted else "in any namespace"
+        there = ", ".join(_namespaces(node, "")) or "a running sensor; is ROS_DOMAIN_ID the same?"
+        msg = f"found no {SPLITTER} {where}, expected {there}"
+        raise RunningSensorError(msg)
+    if len(spaces) > 1:
+        msg = f"found several sensors, expected the namespace of one of: {', '.join(spaces)}"
+        raise RunningSensorError(msg)
+    return _described(node, spaces[0])
+
+
+def _namespaces(node: Node, wanted: str) -> list[str]:
+    """Those of all sensors, or that in which what is wanted lies."""
+    found = {space for name, space in node.get_node_names_and_namespaces() if name == SPLITTER}
+    if not wanted:
+        return sorted(found)
+    around = [space for space in found if space == wanted or wanted.startswith(f"{space}/")]
+    return sorted(around, key=len)[-1:]
+
+
+def _described(node: Node, namespace: str) -> RunningSensor:
+    from rcl_interfaces.srv import GetParameters
+
+    from cmp_tactile_processing.ros.services import ServiceError, answer_of
+
+    request = GetParameters.Request(names=["sensor_description", "sensor_name"])
+    service = f"{namespace.rstrip('/')}/{SPLITTER}/get_parameters"
+    try:
+        answer = answer_of(node, GetParameters, service, request, service_s=SEARCH_TIME_S)
+    except ServiceError:
+        return RunningSensor(namespace)
+    return RunningSensor(namespace, *(value.string_value for value in answer.values))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +112,6 @@ class Zero(Command):
         """Ask, and print the answer."""
         from std_srvs.srv import Trigger
 
-        from cmp_tactile_bringup.commands.running_sensor import RunningSensorError, find_sensor
         from cmp_tactile_bringup.graphs.running import ZERO
         from cmp_tactile_processing.ros.process import Listener
         from cmp_tactile_processing.ros.services import SEARCH_S, answer_of
@@ -237,3 +310,135 @@ def _plain(value: Any) -> Any:
     first = value[:MOST_VALUES]
     items = [_plain(item) for item in (first.tolist() if hasattr(first, "tolist") else first)]
     return [*items, f"... {len(value)} in all"] if len(value) > MOST_VALUES else items
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record(Command):
+    """Record topics of a running sensor, on this or another machine, until Ctrl-C. The bag is a
+    folder with an MCAP file, metadata.yaml and sensor.yaml, the sensor description. `cmp_tactile
+    replay`, `cmp_tactile process`, `ros2 bag` and others read it. To keep frames off the network,
+    record in the sensor's own container: give record:=FOLDER to a launch file or to a command
+    that starts nodes.
+    """
+
+    topics: Annotated[
+        list[str] | None,
+        argument(
+            "TOPIC",
+            "topics below the sensor's namespace, or from / on; * stands for any text (default: "
+            f"{RecorderParameters.topics})",
+        ),
+    ] = None
+    output: Annotated[
+        str,
+        option(
+            "folder of the bag; it must not exist yet (default: the sensor's name and the time)",
+            metavar="FOLDER",
+            short="-o",
+        ),
+    ] = ""
+    namespace: Annotated[str, option("namespace of the sensor; needed if several sensors run")] = ""
+    sensor: Annotated[
+        str | None,
+        option("sensor description, instead of the one that the sensor's nodes report"),
+    ] = None
+    duration: Annotated[float | None, option("end after this time", Number(0.1, 1e6, "s"))] = None
+    compression: Annotated[str, _setting("compression")] = RecorderParameters.compression
+    jpeg_quality: Annotated[int, _setting("jpeg_quality")] = RecorderParameters.jpeg_quality
+    use_sim_time: Annotated[bool, option("log the time of /clock, for example of a replay")] = False
+
+    def run(self) -> int:
+        """Record until a signal comes; 0 where all is in the bag."""
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rich.live import Live
+
+        from cmp_tactile_bringup.terminal import output_console
+        from cmp_tactile_processing.processes import StopSignal
+        from cmp_tactile_processing.ros.process import init_beside, joining_ros
+
+        stop = StopSignal()
+        context = Context()
+        try:
+            with joining_ros():
+                init_beside(context)
+                recorder = _recorder(self, context)
+            executor = SingleThreadedExecutor(context=context)
+            executor.add_node(recorder)
+            thread = threading.Thread(target=executor.spin, name="record", daemon=True)
+            thread.start()
+            console = output_console(stderr=True)
+            try:
+                with Live(console=console, auto_refresh=False, transient=True) as live:
+                    while not stop.wait(PERIOD_S):
+                        if _is_over(recorder.progress, self.duration):
+                            break
+                        if console.is_terminal:
+                            live.update(_progress_line(recorder.progress), refresh=True)
+            finally:
+                missing = recorder.missing_topics
+                executor.shutdown()
+                thread.join()
+                recorder.destroy_node()
+            return _summary(recorder.bag, recorder.progress, missing)
+        finally:
+            context.try_shutdown()
+
+
+def _recorder(arguments: Record, context: Any) -> Any:
+    """The node, in the namespace of the sensor."""
+    from rclpy.parameter import Parameter
+
+    from cmp_tactile_driver.nodes.recorder import Recorder
+    from cmp_tactile_processing.ros.process import Listener
+
+    with Listener("record_search") as search:
+        sensor = find_sensor(search.node, arguments.namespace)
+    description = arguments.sensor or sensor.description
+    if not description:
+        msg = f"{sensor.namespace}: found no description reported by the nodes, expected --sensor"
+        raise RunningSensorError(msg)
+    values = {
+        **{name: getattr(arguments, name) for name in SAME_NAMES},
+        "topics": " ".join(arguments.topics or [RecorderParameters.topics]),
+        "sensor_description": description,
+        "sensor_name": "" if arguments.sensor else sensor.name,
+    }
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    overrides.append(Parameter("use_sim_time", value=arguments.use_sim_time))
+    return Recorder(
+        context=context,
+        namespace=sensor.namespace,
+        use_global_arguments=False,
+        parameter_overrides=overrides,
+    )
+
+
+def _is_over(progress: RecordingProgress | None, duration: float | None) -> bool:
+    if progress is None or progress.is_over:
+        return True
+    return duration is not None and progress.duration_s >= duration
+
+
+def _progress_line(progress: RecordingProgress | None) -> str:
+    if progress is None:
+        return ""
+    return (
+        f"{progress.duration_s:8.1f} s  {sum(progress.messages.values())} messages  "
+        f"{progress.size / MEGABYTE:.1f} MB  {sum(progress.dropped.values())} dropped"
+    )
+
+
+def _summary(bag: Path, progress: RecordingProgress, missing: list[str]) -> int:
+    for topic, count in sorted(progress.messages.items()):
+        print(f"{count:8d}  {topic}")
+    for topic in missing:
+        print(f"       0  {topic}: no node published it")
+    for topic, count in sorted(progress.dropped.items()):
+        print(f"warning: {count} messages of {topic} dropped: {progress.problem}", file=sys.stderr)
+    size = f"{progress.duration_s:.1f} s, {progress.size / MEGABYTE:.1f} MB"
+    print(f"{bag}: {sum(progress.messages.values())} messages, {size}")
+    if progress.has_failed:
+        print(f"error: {progress.problem}", file=sys.stderr)
+        return 1
+    return 0

@@ -20,9 +20,9 @@ from cmp_tactile_processing.ros.messages.definitions import (
     simulation_typestore,
 )
 from cmp_tactile_processing.ros.messages.making import SURFACE
+from cmp_tactile_viewer import recording
+from cmp_tactile_viewer.recording import StoredResults, open_source
 from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
-from cmp_tactile_viewer.sources import recording
-from cmp_tactile_viewer.sources.recording import StoredResults, open_source
 
 RATE_HZ = 30.0
 FRAMES = 20
