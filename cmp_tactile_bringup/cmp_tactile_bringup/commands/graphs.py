@@ -134,6 +134,8 @@ class Replay(_Graph):
             required_sensor,
         )
 
+        if self.show_args:
+            return self._start("replay")
         sources = [Path(word) for word in self._inputs()]
         if not sources:
             misuse("INPUT: found nothing, expected a recording")
