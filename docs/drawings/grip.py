@@ -38,7 +38,7 @@ def read(path: Path) -> Table:
 
 
 def draw_force(axes: Any, table: Table) -> None:
-    """Target, measured and true normal force, and where slip was told."""
+    """Target, measured and true normal force, and where slip was reported."""
     time = table["time"]
     axes.plot(time, table["target"], color=BLUE, lw=1.2, ls="--", label="target")
     axes.plot(time, table["true_normal"], color="black", lw=1.2, label="true")
@@ -53,7 +53,7 @@ def draw_force(axes: Any, table: Table) -> None:
     )
     slips = table["slip_state"] >= 3
     axes.plot(
-        time[slips], table["felt_normal"][slips], "o", ms=4, color=MAGENTA, label="slip is told"
+        time[slips], table["felt_normal"][slips], "o", ms=4, color=MAGENTA, label="slip is reported"
     )
     close = np.char.endswith(table["state"], "close to slip") & ~slips
     axes.plot(

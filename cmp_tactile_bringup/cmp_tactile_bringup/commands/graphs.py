@@ -61,7 +61,7 @@ class Sensor(_Graph):
 @dataclass(frozen=True, kw_only=True)
 class Gripper(Sensor):
     """Start the sensors of a left and a right finger, each in a separate process. The source of
-    each is simulated (the default), replay or v4l2 (a camera):
+    each is simulated (the default), replay, v4l2 (a camera) or topic:
 
       cmp_tactile gripper left_source:=v4l2 left_device:=/dev/video0 left_sensor:=left.yaml
                           right_source:=v4l2 right_device:=/dev/video2 right_sensor:=right.yaml
@@ -86,7 +86,7 @@ class Live(_Graph):
       topic   NAMESPACE/indenter/load     geometry_msgs/WrenchStamped, gel frame, force.z < 0
       service NAMESPACE/indenter/reset    std_srvs/Trigger, back to the beginning
 
-    The truth of each frame is published on NAMESPACE/truth/... . Keys on a terminal: z zeroes the
+    Topics below NAMESPACE/truth/ have the truth of each frame. Keys on a terminal: z zeroes the
     sensor, r plays the scene from its beginning, q or Ctrl-C ends. The same as `ros2 launch
     cmp_tactile_bringup simulate.launch.py`, without needing launch.
     """
@@ -111,7 +111,7 @@ class Live(_Graph):
 class Replay(_Graph):
     """Start the nodes of one sensor in a component container and play bags, videos or folders of
     images into them. Keys on a terminal: space pauses, . shows the next frame, left and right go
-    one second back or on, z zeroes the sensor, q or Ctrl-C ends. The same as `ros2 launch
+    one second back or forward, z zeroes the sensor, q or Ctrl-C ends. The same as `ros2 launch
     cmp_tactile_bringup replay.launch.py`, without needing launch. To replay two fingers together,
     use `cmp_tactile gripper left_source:=replay right_source:=replay ...`.
     """
@@ -134,6 +134,8 @@ class Replay(_Graph):
             required_sensor,
         )
 
+        if self.show_args:
+            return self._start("replay")
         sources = [Path(word) for word in self._inputs()]
         if not sources:
             misuse("INPUT: found nothing, expected a recording")

@@ -67,7 +67,7 @@ class Process(Command):
     """Process every frame of each recording and write NAME.mcap (grids, surface, force field and
     wrench as the nodes publish them) and NAME_wrench.csv (force and moment over time). No
     running ROS is needed. The same input gives the same bytes. To continue an interrupted run, give
-    the same command again: existing results are kept and named, with the exit code 1; the other
+    the same command again: existing results are kept and reported, with exit code 1; the other
     recordings begin again.
     """
 

@@ -87,7 +87,7 @@ def test_anything_else_is_a_wrong_option(started, words, expected, capsys):
 
 @pytest.mark.usefixtures("own_signals")
 def test_arguments_are_listed_with_their_choices(capsys):
-    for words in (["gripper"], ["sensor"], ["live"], ["replay", "grasp"]):
+    for words in (["gripper"], ["sensor"], ["live"], ["replay"], ["replay", "grasp"]):
         with pytest.raises(SystemExit) as end:
             main([*words, "--show-args"])
         assert end.value.code == 0

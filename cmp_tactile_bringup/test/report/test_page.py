@@ -88,9 +88,9 @@ def test_the_page_shows_numbers_beside_their_truth(page_and_folder, results):
     before = max(results.frames, key=lambda frame: -frame.force.wrench[2])
     true = results.recording.truth.wrench[before.index]
     felt, spread = -before.force.wrench[2], 2 * before.force.wrench_std[2]
-    assert f"{felt:.2f} ± {spread:.2f} N into the gel, truly {-true[2]:.2f} N" in page.text
+    assert f"{felt:.2f} ± {spread:.2f} N into the gel (true: {-true[2]:.2f} N)" in page.text
     assert "within ±2 std in" in page.text
-    assert "finite-element mesh of its own" in page.text
+    assert "a separate finite-element mesh" in page.text
     assert "Limits missed: Frames lost" in page.text
 
 

@@ -293,6 +293,7 @@ class Check(FrameInput):
       cmp_tactile calibrate check --topic /my_sensor/image_raw --sensor my_sensor.yaml
     """
 
+    sensor: Annotated[str, option("description to check: a file or a packaged name")] = ""
     frames: Annotated[int, option("use at most N frames", Number(1, 100_000, kind=int))] = 200
     report: Annotated[
         Path | None, option("write figures of the residuals to this folder", metavar="DIR")
