@@ -31,13 +31,11 @@ Arrays = dict[str, NDArray[np.generic]]
 
 def processed(checkout: Path, recording: Path, sensor: str, output: Path) -> Arrays:
     """All arrays that a checkout computes from a recording; they are written into output."""
-    command = [
-        checkout / "setup" / "run", "cmp_tactile", "process", recording,
-        "--sensor", sensor, "--arrays", "--output", output,
-    ]  # fmt: skip
+    options = ["--sensor", sensor, "--arrays", "--output", str(output)]
+    command = [f"{checkout}/setup/run", "cmp_tactile", "process", str(recording), *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        sys.exit(f"{' '.join(map(str, command))}: failed:\n{done.stdout}{done.stderr}")
+        sys.exit(f"{' '.join(command)}: failed:\n{done.stdout}{done.stderr}")
     (file,) = output.glob("*.npz")
     with np.load(file, allow_pickle=False) as arrays:
         return dict(arrays)
