@@ -59,16 +59,6 @@ def seen():
     return np.ones(SHAPE.corners, np.bool_)
 
 
-def test_the_truth_is_faultless(truth, seen):
-    score = score_grid(truth, truth, seen, seen)
-    assert (score.complete, score.complete_far, score.wrong, score.invented) == (1, 1, 0, 0)
-    assert score.found_visible == 54
-    assert score.corner_rmse == 0
-    assert score.virtual.max() < LINE_PX
-    assert len(score.measured) == 6 * 8 * 3
-    assert len(score.predicted) == 5 * 9 * 3
-
-
 def test_virtual_markers_count_across_their_line_alone(truth, seen):
     """Other points along the same arcs lie on the line; points moved off it do not."""
     other = bent(GridShape(6, 9, 5))
