@@ -187,3 +187,6 @@ def test_cmyk_is_read(picture):
     Image.fromarray(picture).convert("CMYK").save(stream, "JPEG", quality=95)
     found = cv2.cvtColor(_decode(stream.getvalue()), cv2.COLOR_BGR2GRAY)
     assert np.abs(found.astype(int) - picture).mean() < 8
+    content = stream.getvalue()
+    with pytest.raises(FrameError, match="damaged"):
+        _decode(content[:4000] + content[5000:])
