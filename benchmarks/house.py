@@ -1,4 +1,4 @@
-"""Count source lines, modules, folders and functions of the repository.
+"""Count source lines, modules and functions of the repository.
 
 usage: house.py [--json] [CHECKOUT]
 
@@ -13,13 +13,10 @@ import ast
 import json
 import subprocess
 import tokenize
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 
 SHIPPED = ("cmp_tactile_", "setup/", "underlay/")
-SMALL = 40
 LAYOUT = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -31,94 +28,52 @@ LAYOUT = {
 }
 
 
-@dataclass(frozen=True)
-class Module:
-    """Source lines of a file, those that import or export, and those of each function."""
-
-    path: Path
-    lines: int
-    imports: int
-    functions: tuple[int, ...]
-
-    @classmethod
-    def from_file(cls, root: Path, path: str) -> Module:
-        """Count a file of a checkout; SyntaxError for one that is not Python."""
-        with tokenize.open(root / path) as file:
-            tokens = list(tokenize.generate_tokens(file.readline))
-        tree = ast.parse((root / path).read_text(encoding="utf-8"))
-        source = {
-            line
-            for token in tokens
-            if token.type not in LAYOUT
-            for line in range(token.start[0], token.end[0] + 1)
-        }
-        source -= _lines_of(_docstrings(tree))
-        functions = (
-            node
-            for node in ast.walk(tree)
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        )
-        counts = tuple(len(source & _lines_of([function])) for function in functions)
-        return cls(Path(path), len(source), len(source & _lines_of(_imports(tree))), counts)
-
-    @property
-    def is_test(self) -> bool:
-        """Whether it is one, or serves tests alone."""
-        return "/test" in f"/{self.path.as_posix()}" or self.path.name == "conftest.py"
+def count(path: Path) -> tuple[int, list[int]]:
+    """Source lines of a file, and those of each of its functions."""
+    with tokenize.open(path) as file:
+        tokens = list(tokenize.generate_tokens(file.readline))
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    source = {
+        line
+        for token in tokens
+        if token.type not in LAYOUT
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    for node in nodes:
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            source -= _lines_of(node)
+    functions = (node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+    return len(source), [len(source & _lines_of(function)) for function in functions]
 
 
-def _lines_of(nodes: Iterable[ast.AST]) -> set[int]:
-    return {line for node in nodes for line in range(node.lineno, node.end_lineno + 1)}  # type: ignore[attr-defined]
+def _lines_of(node: ast.stmt) -> set[int]:
+    return set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
 
 
-def _docstrings(tree: ast.AST) -> Iterator[ast.AST]:
-    """Texts that stand alone as a statement."""
-    for node in ast.walk(tree):
-        alone = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        if alone and isinstance(node.value.value, str):
-            yield node
+def _is_test(path: str) -> bool:
+    return "/test" in f"/{path}" or path.endswith("conftest.py")
 
 
-def _imports(tree: ast.AST) -> Iterator[ast.AST]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            yield node
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
-            yield node
-
-
-def measure(root: Path) -> dict[str, float | str]:
+def measure(root: Path) -> dict[str, int]:
     """All figures of a checkout, from the files that git knows."""
-    listed = subprocess.run(
-        ["git", "ls-files", "*.py"],  # noqa: S607
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    modules = [Module.from_file(root, path) for path in listed.stdout.split()]
-    tests = [module for module in modules if module.is_test]
-    others = [module for module in modules if not module.is_test]
+    command = ["git", "ls-files", "*.py"]
+    listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    paths = listed.stdout.split()
+    others = [path for path in paths if not _is_test(path)]
     shipped = [
-        module
-        for module in others
-        if module.path.as_posix().startswith(SHIPPED) and module.path.name != "setup.py"
+        path for path in others if path.startswith(SHIPPED) and not path.endswith("setup.py")
     ]
-    small = [item for item in shipped if item.lines <= SMALL and item.path.name != "__init__.py"]
-    lines = sum(module.lines for module in shipped)
-    functions = sorted(count for module in shipped for count in module.functions)
-    folder, most = Counter(str(module.path.parent) for module in shipped).most_common(1)[0]
+    functions = sorted(lines for path in shipped for lines in count(root / path)[1])
+    benchmarks = [path for path in others if path.startswith("benchmarks/")]
+
+    def total(chosen: Iterable[str]) -> int:
+        return sum(count(root / path)[0] for path in chosen)
+
     return {
-        "shipped source lines": lines,
+        "shipped source lines": total(shipped),
         "shipped modules": len(shipped),
-        f"modules of {SMALL} source lines or fewer": len(small),
-        "source lines of benchmarks": sum(
-            item.lines for item in others if item.path.parts[0] == "benchmarks"
-        ),
-        "source lines of tests": sum(module.lines for module in tests),
-        "imports and __all__, %": round(100 * sum(item.imports for item in shipped) / lines, 1),
-        "modules of the largest folder": most,
-        "largest folder": folder,
+        "source lines of benchmarks": total(benchmarks),
+        "source lines of tests": total(filter(_is_test, paths)),
         "90 % of the functions are below": functions[int(0.9 * len(functions))],
         "longest function": functions[-1],
     }

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -14,12 +15,14 @@ import pytest
 from command_output import output_of, printed_by
 from documents import assert_printed, blocks, shown_after
 
+from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
 from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_processing.sensor.yaml_text import yaml_value
 from cmp_tactile_simulation.recording.truth import read_truth
+from cmp_tactile_simulation.scenes.file import packaged_scenes
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "docs" / "examples"
 TUTORIALS = EXAMPLES.parent / "tutorials"
@@ -133,6 +136,31 @@ def test_the_washer_of_the_tutorial_is_simulated_and_felt(tmp_path):
     # Noise differs, and where the release slides it depends on rounding.
     shown = shown_after(TUTORIALS / "simulate.md", "docs/examples/compare.py washer")
     assert_printed(shown, printed, rel=0.2, absolute=0.3)
+
+
+@pytest.mark.usefixtures("short_scenes")
+def test_the_comparison_of_one_view(tmp_path):
+    """One view measures no depth, and less of the force; the column of positions says so."""
+    sample = load_sensor("sample_rig")
+    one = replace(
+        sample,
+        optics=replace(sample.optics, type="monocular"),
+        views={"left": sample.views["left"]},
+    )
+    write_sensor_description(tmp_path / "one_view.yaml", one)
+    scene = packaged_scenes()["grasp"].read_text(encoding="utf-8")
+    scene = re.sub(r"(?m)^sensor: .*", "sensor: one_view.yaml", scene)
+    (tmp_path / "scene.yaml").write_text(scene, encoding="utf-8")
+    bag = tmp_path / "bag"
+    assert main(["simulate", str(tmp_path / "scene.yaml"), "--output", str(bag)]) == 0
+    printed = printed_by(EXAMPLES / "compare.py", bag)
+    assert "in x, y um" in printed
+    true = read_truth(bag).wrench
+    for number, corners_px, off_um, found_z, true_z, *_ in rows_of(printed):
+        assert corners_px < 0.05
+        assert off_um < 500
+        assert np.isfinite(found_z)
+        assert true_z == pytest.approx(true[int(number), 2], abs=0.001)
 
 
 @pytest.mark.parametrize("example", ["compare.py", "offline.py", "weigh.py"])

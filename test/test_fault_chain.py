@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import pickle
 from collections import Counter
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 
 import pytest
@@ -15,14 +17,16 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from ros_graph import RosGraph
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 from waiting import wait_until
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_msgs.msg import Grid, Surface
+from cmp_tactile_processing.ros import wiring
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 
@@ -208,3 +212,35 @@ def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):
     assert stamps(surfaces)[-10:] == sent
     for messages in (grids, surfaces):
         assert max(Counter(stamps(messages)).values()) == 1
+
+
+def test_no_node_changes_what_another_gave_away(fingers, monkeypatch):
+    """Nodes of a container share objects; clouds, overlays and markers are made from them, too."""
+    given = []
+    publish = wiring.Output.publish
+
+    def content(value):
+        # Without what the value computes at its first use.
+        return pickle.dumps(asdict(value) if is_dataclass(value) else value)
+
+    def watched(output, value, header):
+        given.append((value, content(value)))
+        publish(output, value, header)
+
+    monkeypatch.setattr(wiring.Output, "publish", watched)
+    fingers.load("left", "SurfaceVisualizer", "surface_visualizer")
+    topics = (
+        (Image, "left/image_rect"),
+        (Image, "left/grid_overlay"),
+        (PointCloud2, "surface_points"),
+        (PointCloud2, "force_points"),
+        (MarkerArray, "markers"),
+    )
+    heard = [fingers.listen(kind, f"left/{topic}") for kind, topic in topics]
+    for name in ("rest", "press", "slide", "press", "rest"):
+        fingers.send("left", picture(name))
+        fingers.run(0.3)
+    fingers.wait(lambda: all(heard), "all that can be made")
+    fingers.unload("left/surface_visualizer")
+    assert {type(value).__name__ for value, _ in given} >= {"Grid", "Surface", "ForceField"}
+    assert [type(value) for value, before in given if content(value) != before] == []

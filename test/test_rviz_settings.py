@@ -4,6 +4,7 @@ RViz shows nothing of a topic that is not there, without a word.
 """
 
 import re
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ pytest.importorskip("rclpy")
 
 
 from markers import look_of, mounts, moved
+from rviz_view import View, picture_px, text_box
 
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
@@ -38,6 +40,9 @@ TYPES = {
     "PointCloud2": "sensor_msgs/PointCloud2",
     "Image": "sensor_msgs/Image",
 }
+LEAST_TEXT_PX = 12
+# Of the picture that each gel covers where one or two are shown.
+LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.04}}
 
 
 @pytest.fixture(params=FILES)
@@ -139,6 +144,49 @@ def _touch(x, y, state=SlipState.STICK, force=-4.0):
         centre_of_pressure=centre,
         outline=outline,
     )
+
+
+def _views(settings):
+    """Each view, with the sensors that it is to show."""
+    views = settings["Visualization Manager"]["Views"]
+    height = picture_px(settings)[1]
+    yield View.of(views["Current"], height), slice(None)
+    origins = [origin for _, origin in mounts(load_graph("gripper"))]
+    for number, view in enumerate(views["Saved"]):
+        yield View.of(view, height, origins[number]), slice(number, number + 1)
+
+
+def _are_apart(boxes):
+    return all(
+        (one[1] <= other[0]).any() or (other[1] <= one[0]).any()
+        for one, other in combinations(boxes, 2)
+    )
+
+
+def test_texts_can_be_read_in_each_view(name, settings):
+    """High enough, and none on another.  RViz sets the lines of one text badly (ros2/rviz/1336)."""
+    sensors = _shown(name, _touch(-5e-3, 4e-3), _touch(5e-3, -4e-3, SlipState.FULL))
+    for view, chosen in _views(settings):
+        texts = [marker for markers in sensors[chosen] for marker in markers if marker.text]
+        boxes = [text_box(marker, view) for marker in texts]
+        assert min(high[1] - low[1] for low, high in boxes) >= LEAST_TEXT_PX
+        assert _are_apart(boxes)
+        assert not any("\n" in marker.text for marker in texts)
+
+
+def test_gels_are_large_and_whole_in_each_view(name, settings):
+    """With all texts of one contact in the picture."""
+    sensors = _shown(name, _touch(0.0, 0.0))
+    size = np.array(picture_px(settings))
+    for view, chosen in _views(settings):
+        drawn = [marker for markers in sensors[chosen] for marker in markers]
+        places = [view.project(m.points)[0] for m in drawn if m.namespace == "surface"]
+        gels = [(place.min(axis=0), place.max(axis=0)) for place in places]
+        texts = [text_box(marker, view) for marker in drawn if marker.text]
+        assert (np.abs([*texts, *gels]) < size / 2).all()
+        assert _are_apart(gels)
+        smallest = min(np.prod(high - low) for low, high in gels)
+        assert smallest > LEAST_SHARES[name][len(gels)] * np.prod(size)
 
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):

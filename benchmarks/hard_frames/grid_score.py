@@ -31,7 +31,6 @@ class GridScore:
     visible, far: corners that are; found_*: those of them that are measured, with right numbers.
     filled: visible corners that are predicted, with right numbers.
     wrong: corners, measured or predicted, nearer to another true corner or half a checker off.
-    invented: corners that are measured though they are not visible.
     complete: grids with every visible corner found and none wrong; complete_far: every far one.
     corner: distances of found visible corners.  measured, predicted: distances of virtual
     markers from their true gridline, between visible corners.
@@ -46,7 +45,6 @@ class GridScore:
     found_far: int = 0
     filled: int = 0
     wrong: int = 0
-    invented: int = 0
     corner: Array = field(default_factory=_none)
     measured: Array = field(default_factory=_none)
     predicted: Array = field(default_factory=_none)
@@ -107,7 +105,6 @@ def score_grid(
         found_far=found_far,
         filled=int((given & ~measured & ~wrong & visible).sum()),
         wrong=int(wrong.sum()),
-        invented=int((measured & ~visible).sum()),
         corner=error[right & visible],
         measured=virtual[0],
         predicted=virtual[1],

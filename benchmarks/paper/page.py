@@ -16,9 +16,6 @@ import yaml
 from cmp_tactile_bringup.terminal import machine_facts
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 

@@ -220,28 +220,25 @@ def _wait_for_page() -> None:
 
 
 @contextmanager
-def readers(count: int, *, stalled: int = 0) -> Iterator[list[subprocess.Popen[str]]]:
-    """Processes that take all that the page sends, and some that take nothing."""
+def readers(count: int) -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that take all that the page sends."""
     with ExitStack() as stack:
         found = []
-        for number in range(count + stalled):
-            kind = "--stalled" if number >= count else "--reader"
-            command = [sys.executable, __file__, kind]
+        for _ in range(count):
+            command = [sys.executable, __file__, "--reader"]
             process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
             stack.callback(process.kill)
             found.append(process)
         yield found
 
 
-async def read(*, stalled: bool) -> None:
-    """Print bytes and times of what comes, a line a second; take nothing where stalled."""
+async def read() -> None:
+    """Print number and bytes of the messages that come, a line a second."""
     address = URL.replace("http", "ws")
     protocols: Any = [f"viser-v{viser.__version__}"]
-    options: Any = {"subprotocols": protocols, "max_size": None, "max_queue": 1 if stalled else 16}
+    options: Any = {"subprotocols": protocols, "max_size": None}
     async with websockets.connect(address, **options) as socket:
         await socket.send(msgspec.msgpack.encode(CAMERA))
-        while stalled:
-            await asyncio.sleep(1.0)
         begin, size, count = time.monotonic(), 0, 0
         async for data in socket:
             size, count = size + len(data), count + 1
@@ -323,19 +320,19 @@ def updates(
     }
 
 
-def cost(frames: Sequence[Processed], bag: Path, duration_s: float, **who: int) -> dict[str, float]:
-    """Of the viewer's process with some readers, and what the slowest reader that reads gets."""
+def cost(frames: Sequence[Processed], bag: Path, duration_s: float, count: int) -> dict[str, float]:
+    """Of the viewer's process with so many readers, and what the slowest of them gets."""
     with (
         closing(Publisher(ONE, frames)),
         viewer(ONE, bag / "sensor.yaml") as process,
-        readers(**who) as looking,
+        readers(count) as looking,
     ):
         time.sleep(SETTLE_S)
         busy, begin, memory = busy_s(process.pid), time.monotonic(), memory_mb(process.pid)
         time.sleep(duration_s)
         cores = (busy_s(process.pid) - busy) / (time.monotonic() - begin)
         grown = memory_mb(process.pid) - memory
-        got = [_read_lines(item) for item in looking[: who["count"]]]
+        got = [_read_lines(item) for item in looking]
     found = {"viewer_cores": cores, "memory_mb": memory + grown, "grown_mb": grown}
     if got:
         slowest = min(got, key=lambda lines: float(np.median(lines[:, 0])))
@@ -377,7 +374,6 @@ def cases(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, float
         "nobody": lambda: cost(made(), bag, seconds, count=0),
         "one_reader": lambda: cost(made(), bag, seconds, count=1),
         "five_readers": lambda: cost(made(), bag, seconds, count=5),
-        "one_of_five_stalled": lambda: cost(made(), bag, seconds, count=4, stalled=1),
         "chain_60": lambda: chain(options.input, 60, 1200, looked_at=False, bag=bag),
         "chain_60_viewed": lambda: chain(options.input, 60, 1200, looked_at=True, bag=bag),
         "chain_30": lambda: chain(options.input, 30, 600, looked_at=False, bag=bag),
@@ -408,10 +404,9 @@ def main() -> None:
     )
     parser.add_argument("--only", nargs="+", metavar="KEY", help="run only these cases")
     parser.add_argument("--reader", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--stalled", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.reader or options.stalled:
-        asyncio.run(read(stalled=options.stalled))
+    if options.reader:
+        asyncio.run(read())
         return
     rclpy.init()
     found = {}

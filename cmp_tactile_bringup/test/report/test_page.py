@@ -10,7 +10,6 @@ from io import BytesIO
 import numpy as np
 import pytest
 from matplotlib.collections import QuadMesh
-from matplotlib.text import Text
 from PIL import Image
 
 from cmp_tactile_bringup.report.demo import (
@@ -58,31 +57,22 @@ def write(results: DemoResults, folder) -> PageReader:
 
 
 @pytest.fixture(scope="module")
-def page_and_folder(results, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("report")
-    return write(results, folder), folder
+def page(results, tmp_path_factory):
+    return write(results, tmp_path_factory.mktemp("report"))
 
 
-def test_every_figure_is_a_picture_with_content(page_and_folder):
-    _, folder = page_and_folder
-    for name in FIGURES:
-        with Image.open(folder / f"{name}.png") as picture:
-            grey = np.asarray(picture.convert("L"), np.float64)
-        assert min(grey.shape) > 400, name
-        assert grey.std() > 15, name
-
-
-def test_the_page_holds_all_pictures_itself(page_and_folder):
-    page, _ = page_and_folder
+def test_the_page_holds_all_figures_itself_and_each_shows_something(page):
     assert len(page.sources) == len(FIGURES)
     for source in page.sources:
         kind, _, data = source.partition(";base64,")
         assert kind == "data:image/png"
-        Image.open(BytesIO(base64.b64decode(data))).verify()
+        picture = Image.open(BytesIO(base64.b64decode(data)))
+        grey = np.asarray(picture.convert("L"), np.float64)
+        assert min(grey.shape) > 400
+        assert grey.std() > 15
 
 
-def test_the_page_shows_numbers_beside_their_truth(page_and_folder, results):
-    page, _ = page_and_folder
+def test_the_page_shows_numbers_beside_their_truth(page, results):
     rmse = f"{evaluate(results).corner_rmse_px:.4f} px"
     assert rmse in page.text
     before = max(results.frames, key=lambda frame: -frame.force.wrench[2])
@@ -113,18 +103,6 @@ def test_true_and_measured_slip_go_by_one_rule(results):
     few = {"slip_state": states.astype(np.uint8), "slip_ratio": ratio}
     recording = replace(results.recording, truth=replace(truth, **few))
     assert true_states(replace(results, recording=recording)).tolist() == [1, 2, 2, 3, 4]
-
-
-def words_of(figure):
-    return " ".join(text.get_text() for text in figure.findobj(Text)).replace("\n", " ")
-
-
-def test_the_figure_of_slip_says_where_it_is_not_known(results):
-    frames = list(results.frames)
-    for number, state in ((2, SlipState.UNKNOWN), (3, SlipState.STICK)):
-        force = replace(frames[number].force, slip_state=state)
-        frames[number] = replace(frames[number], force=force)
-    assert "not known" in words_of(contact_figure(replace(results, frames=tuple(frames))))
 
 
 def _unknown(force):

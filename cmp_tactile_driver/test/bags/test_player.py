@@ -102,17 +102,6 @@ def test_slow_receiver_loses_nothing():
     assert player.progress.max_lateness > 0
 
 
-def test_loop_goes_on_until_stopped():
-    player, sent = _play(ReplayParameters(rate=20.0, loop=True))
-    _wait(lambda: len(sent) >= 35)
-    player.stop()
-    assert player.progress.state is PlayerState.STOPPED
-    count = len(sent)
-    assert sent == [number % 10 for number in range(count)]
-    time.sleep(0.05)
-    assert len(sent) == count
-
-
 def test_paused_at_first_and_later():
     sent: list[int] = []
 
@@ -187,19 +176,6 @@ def test_failure_is_reported_after_what_was_good(start, error, wanted, problem):
     _wait(lambda: player.progress.state is PlayerState.FAILED)
     assert sent == wanted
     assert player.progress.problem == problem
-
-
-def test_one_frame_for_each_step_while_paused():
-    player, sent = _play(ReplayParameters(paused=True))
-    for count in (1, 2, 3):
-        _wait(player.step)
-        _wait(lambda count=count: len(sent) == count)
-    time.sleep(0.05)
-    assert sent == [0, 1, 2]
-    player.resume()
-    _wait_finished(player)
-    assert sent == list(range(10))
-    assert not player.step()
 
 
 def test_steps_that_are_asked_for_at_once_are_all_made():

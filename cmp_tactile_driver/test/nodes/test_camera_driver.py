@@ -90,18 +90,6 @@ def test_lifecycle_frames_and_the_end(ros, sensor_folder):
         assert _state(ros) == state
 
 
-def test_autostart_and_loop(ros, sensor_folder):
-    images = ros.listen(Image, "image_raw", depth=100)
-    node = _start(ros, sensor_folder[0], loop=True)
-    ros.wait(lambda: len(images) > 12, "more than two passes")
-    assert _state(ros) == "active"
-    assert _change(ros, Transition.TRANSITION_DEACTIVATE)
-    count = node._capture.frames
-    ros.wait(lambda: len(images) == count, "what was sent before")
-    ros.run(0.2)
-    assert len(images) == count
-
-
 def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
     folder = tmp_path / "later"
     reports = ros.reports("camera_driver")

@@ -14,8 +14,6 @@ from command_output import output_of
 from cmp_tactile_processing.cache.files import (
     atomic_path,
     default_cache_dir,
-    digest,
-    files_digest,
     folder_without_home,
     locked,
     own_contents,
@@ -81,14 +79,6 @@ def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path):
     assert (tmp_path / "lock").exists()
     with locked(tmp_path / "lock", 0.0):
         pass
-
-
-def test_digests_stay_what_they_were(tmp_path):
-    """Caches and records of earlier versions are found by them."""
-    (tmp_path / "a").write_text("text")
-    assert digest("text") == digest(b"text")
-    assert digest("text")[:16] == "982d9e3eb996f559"
-    assert files_digest([("a", tmp_path / "a")]) == digest("a\x004\x00text")
 
 
 @pytest.mark.parametrize(

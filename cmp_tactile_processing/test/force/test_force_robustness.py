@@ -310,6 +310,22 @@ def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant)
     assert field.slip_state == SlipState.UNKNOWN
 
 
+def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
+    """A wide press of more force, which the gel can follow, would be reported uncorrected."""
+    gel = replace(sample_rig.elastomer, model="neo_hookean")
+    model = ForceModel(replace(sample_rig, elastomer=gel))
+    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    place = model.elastic.nodes.points
+    even = np.full(len(place), 1 / len(place))
+    fields = [
+        model.reconstruct(model.elastic.displacement(weight[:, None] * [0.0, 0.0, newton]), status)
+        for weight, newton in ((bump(place, (0, 0), 2e-3), -8.0), (even, 0.0), (even, -20.0))
+    ]
+    flagged = [ForceFlag.NOT_CONVERGED in field.flags for field in fields]
+    assert flagged == [True, False, False]
+    assert fields[2].corrected
+
+
 def test_a_jump_is_corrected_over_several_frames(sample_rig):
     """At once the linear force with its flag, soon that of a model that settles in every frame."""
     gel = replace(sample_rig.elastomer, model="neo_hookean")

@@ -21,10 +21,12 @@ from __future__ import annotations
 
 import itertools
 import re
+from io import BytesIO
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.encodings import decode_compressed, decode_image, decode_jpeg
@@ -178,3 +180,13 @@ def test_a_png_with_a_wrong_checksum_is_refused(picture):
     content[len(content) // 2] ^= 1
     with pytest.raises(FrameError, match="not a readable image"):
         decode_compressed("mono8; png compressed ", np.frombuffer(bytes(content), np.uint8))
+
+
+def test_cmyk_is_read(picture):
+    stream = BytesIO()
+    Image.fromarray(picture).convert("CMYK").save(stream, "JPEG", quality=95)
+    found = cv2.cvtColor(_decode(stream.getvalue()), cv2.COLOR_BGR2GRAY)
+    assert np.abs(found.astype(int) - picture).mean() < 8
+    content = stream.getvalue()
+    with pytest.raises(FrameError, match="damaged"):
+        _decode(content[:4000] + content[5000:])

@@ -10,10 +10,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point
 from made_forces import made_contact, made_field
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -23,7 +21,6 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, SlipState, Surface
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
-from cmp_tactile_processing.ros.rviz import DrawnMarker, marker_array_bytes
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -339,45 +336,6 @@ def test_legend_shows_the_range_of_depth_and_the_scales_and_can_be_switched_off(
     assert answer.successful
     ros.wait(lambda: len(scene.arrays) == 2, "the surface without a legend")
     assert set(scene.shown()) == {"surface"}
-
-
-def test_bytes_are_the_message_that_ros_makes_of_the_same():
-    """Everything in them is read again, and nothing is left over."""
-    drawn = [
-        DrawnMarker(
-            "lines",
-            Marker.LINE_LIST,
-            points=np.arange(12.0).reshape(4, 3),
-            colours=np.linspace(0, 1, 16).reshape(4, 4).astype(np.float32),
-            scale=(0.5, 0.0, 0.0),
-        ),
-        DrawnMarker("odd", Marker.TRIANGLE_LIST, 7, points=np.arange(9.0).reshape(3, 3)),
-        DrawnMarker("words", Marker.TEXT_VIEW_FACING, 2, position=(1.0, 2.0, 3.0), text="slips"),
-        DrawnMarker("nowhere", Marker.TEXT_VIEW_FACING, position=(np.nan, 0.0, 0.0), text="lost"),
-        DrawnMarker("empty", Marker.LINE_LIST, 3),
-    ]
-    header = Header(stamp=Time(sec=3, nanosec=7), frame_id="a_gel_frame")
-    data = marker_array_bytes(drawn, header, 2.25)
-    array = deserialize_message(data, MarkerArray)
-    assert len(serialize_message(array)) == len(data)
-    first, *markers = array.markers
-    assert first.action == Marker.DELETEALL
-    assert [(m.ns, m.type, m.id, m.text) for m in markers] == [
-        ("lines", Marker.LINE_LIST, 0, ""),
-        ("odd", Marker.TRIANGLE_LIST, 7, ""),
-        ("words", Marker.TEXT_VIEW_FACING, 2, "slips"),
-    ]
-    for marker, made in zip(markers, drawn[:3], strict=True):
-        assert marker.action == Marker.ADD
-        assert marker.header == header
-        assert (marker.lifetime.sec, marker.lifetime.nanosec) == (2, 250_000_000)
-        np.testing.assert_array_equal(_points(marker), made.points)
-        colours = np.array([[c.r, c.g, c.b, c.a] for c in marker.colors], np.float32)
-        np.testing.assert_array_equal(colours.reshape(-1, 4), made.colours)
-        assert marker.pose.orientation.w == 1.0
-        assert (marker.texture_resource, marker.mesh_resource) == ("", "")
-    assert (markers[0].scale.x, markers[0].color.a) == (0.5, 1.0)
-    assert markers[2].pose.position == Point(x=1.0, y=2.0, z=3.0)
 
 
 def _read_cloud(cloud: PointCloud2) -> np.ndarray:

@@ -65,16 +65,6 @@ def std_of(value, points):
     return np.full(len(points), value)
 
 
-@pytest.mark.parametrize("weighted", [True, False], ids=["weighted", "common normal"])
-def test_exact_pixels_give_the_exact_point(rig, points, weighted):
-    bundles = tuple(view.ray_bundle(q) for view, q in seen_in(rig, points))
-    std = std_of(0.02, points)
-    found = triangulate(bundles, (std, std), weighted=weighted, max_gap=1e-6)
-    np.testing.assert_allclose(found.position, points, atol=ATOL_EXACT_M, rtol=0)
-    assert found.gap.max() < ATOL_EXACT_M
-    assert not found.fault.any()
-
-
 def test_rays_and_their_derivatives_agree_with_finite_differences(rig, points):
     for view, q in seen_in(rig, points):
         bundle = view.ray_bundle(q)

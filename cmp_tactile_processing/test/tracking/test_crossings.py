@@ -46,13 +46,6 @@ def test_a_line_moves_a_corner_across_itself_alone():
     assert std[0, 1] == pytest.approx(np.sqrt(fused), rel=1e-9)
 
 
-def test_a_corner_of_which_no_line_says_anything_stays_as_it_is():
-    nothing = np.zeros((1, 3, LINE_ENTRIES))
-    corners, std = fused_corners(np.ones((1, 3, 2)), np.full((1, 3), STD), AT_LINE, nothing)
-    assert (corners == 1).all()
-    assert (std == STD).all()
-
-
 def test_lines_that_were_fitted_with_a_wrong_corner_say_less():
     """A corner is found to be 0.004 px from where its lines were fitted, which see it there."""
     lines, moved = _gathered((0.0, 0.0)), AT_LINE + (0.0, 0.004)

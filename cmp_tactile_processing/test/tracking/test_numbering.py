@@ -166,14 +166,6 @@ def hidden_view(rig):
     return number
 
 
-def test_a_complete_grid_is_right_and_sure(rig):
-    outline = rig.outline((0.3, -0.4), bump=1.2)
-    found = rig.number(outline)
-    assert np.isfinite(found.corners).all()
-    assert rig.wrong(found, outline) == 0
-    assert (found.fault, found.reason, found.confidence) == (GridFault.NONE, "", 1.0)
-
-
 # As far as a lattice may be moved, and by one checker, to one of the same colour and of the other.
 SHIFTS = [*product((-2, 0, 2), repeat=2), (1, 1), (-1, 1), (1, 0), (0, -1)]
 

@@ -80,13 +80,3 @@ def test_a_lattice_seen_turned_and_stretched_against_the_nominal_is_found_whole(
     prepared = Prefilter((300, 300), PITCH_PX).prepare(ideal(seen, 120)[:300, :300])
     graph = SaddleLattice(_grid_of(nominal), (300, 300)).corner_graph(prepared)
     assert_is_lattice(graph, seen)
-
-
-def test_pictures_without_corners_give_none():
-    corners = straight_grid(6, 6)
-    noise = np.random.default_rng(1).integers(0, 255, (200, 200)).astype(np.uint8)
-    stripes = np.tile(np.repeat([40, 200], 17), 6)[None].repeat(200, axis=0).astype(np.uint8)
-    for picture in (np.zeros((200, 200), np.uint8), stripes[:, :200].copy()):
-        assert len(detected(picture, corners).position) == 0
-    # Chance saddles in noise have no edges to each other: no more than a pair or two.
-    assert len(detected(noise, corners).position) < 8

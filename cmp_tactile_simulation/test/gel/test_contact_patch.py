@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.gel import contact_nodes, observers
+from cmp_tactile_simulation.gel import contact_nodes
 
 
 def shaped(sensor, rows, cols, pitch):
@@ -36,13 +36,3 @@ def test_nodes_are_as_far_apart_along_either_side(prototype, rows, cols):
     assert grid.spacing[0] == pytest.approx(grid.spacing[1])
     checkers = np.array([cols + 1, rows + 1]) * sensor.pattern.pitch
     assert (np.array(grid.extent) >= checkers + 2e-3 - 1e-9).all()
-
-
-def test_observers_span_the_block_at_most_64_across(prototype):
-    grid = observers(prototype)
-    assert grid.extent == (0.022, 0.022)
-    assert 0.35e-3 < grid.spacing[0] <= 0.4e-3
-    wide = replace(prototype, elastomer=replace(prototype.elastomer, size=(0.1, 0.05, 0.01)))
-    grid = observers(wide)
-    assert grid.cols == 64
-    assert grid.spacing[1] == pytest.approx(grid.spacing[0], rel=0.05)
