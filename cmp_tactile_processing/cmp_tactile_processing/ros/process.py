@@ -29,6 +29,7 @@ from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.stop_signal import Interruption
 
 LOGGED_S = 5.0
+HIGHEST_DOMAIN = 232
 
 
 class JoinError(CmpTactileError):
@@ -41,6 +42,11 @@ def joining_ros() -> Iterator[None]:
 
     What rcl says has several lines, and places in its source.
     """
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    # rcl takes -1 for 0 and 5.5 for 5; Fast DDS ends the process above the highest.
+    if domain and not (domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
+        msg = f"ROS_DOMAIN_ID: found {domain}, expected a whole number from 0 to {HIGHEST_DOMAIN}"
+        raise JoinError(msg)
     try:
         with warnings.catch_warnings():
             # Of the half-made node.

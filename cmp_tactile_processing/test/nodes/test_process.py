@@ -115,8 +115,9 @@ def test_a_callback_that_raises_does_not_end_the_others():
         assert answer.done()
 
 
-def test_why_ros_cannot_be_joined_is_one_line(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
+@pytest.mark.parametrize("domain", ["abc", "-1", "5.5", "9999"])
+def test_why_ros_cannot_be_joined_is_one_line(monkeypatch, domain):
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     with pytest.raises(JoinError, match="ROS_DOMAIN_ID") as raised:
         Listener("somebody").__enter__()
     assert "\n" not in str(raised.value)

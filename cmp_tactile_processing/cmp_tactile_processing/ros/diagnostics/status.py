@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -13,9 +14,9 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, SentF
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01
-# So many reports without a frame are a silent source, and of a slow one this many times those that
-# were without a frame before its last.
-SILENT_PERIODS, TIMES_USUAL = 3, 2
+# A source without a frame for so long is silent, and a slow one after so many times the pause before
+# its last frame.
+SILENT_S, TIMES_USUAL = 3.0, 2
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,8 @@ class StageDiagnostics:
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self._before = dict.fromkeys(self._counts(), 0)
-        self._silent_periods = self._usual_silence = 0
+        self._last_frame_s = time.monotonic()
+        self._silence_s = self._usual_silence_s = 0.0
 
     @property
     def lost(self) -> int:
@@ -99,10 +101,11 @@ class StageDiagnostics:
         counts = self._counts()
         new = {key: count - self._before[key] for key, count in counts.items()}
         self._before = counts
+        now_s = time.monotonic()
+        self._silence_s = now_s - self._last_frame_s
         if new["frames in"]:
-            self._usual_silence, self._silent_periods = self._silent_periods, 0
-        else:
-            self._silent_periods += 1
+            self._usual_silence_s, self._silence_s = self._silence_s, 0.0
+            self._last_frame_s = now_s
         values = {
             **counts,
             **self.sent.close_period(),
@@ -132,8 +135,8 @@ class StageDiagnostics:
         if self.failure:
             yield Finding(ERROR, self.failure)
             return
-        longest = SILENT_PERIODS + TIMES_USUAL * self._usual_silence
-        if self._silent_periods >= longest or not self.frames_in:
+        longest_s = max(SILENT_S, TIMES_USUAL * self._usual_silence_s)
+        if self._silence_s >= longest_s or not self.frames_in:
             why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
             yield Finding(WARN, f"no frames received{why}")
             return
