@@ -14,7 +14,7 @@ from cmp_tactile_processing.ros.diagnostics.frame_watch import InputWatch, SentF
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01
-# A source without a frame for so long is silent, and a slow one after so many times the pause before
+# A source without a frame for so long is silent; a slow one after so many times the pause before
 # its last frame.
 SILENT_S, TIMES_USUAL = 3.0, 2
 
