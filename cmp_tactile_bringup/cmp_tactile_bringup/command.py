@@ -24,6 +24,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     A signal leaves it by an exception, so that what was started is ended, too.
     """
     interruption = Interruption()
+    # From a shell that does not know the width; rich would print nothing.
+    if os.environ.get("COLUMNS") in {"", "0"}:
+        del os.environ["COLUMNS"]
     try:
         with interruption:
             for stream in (sys.stdout, sys.stderr):

@@ -5,6 +5,7 @@ They look at a camera, a recording, or a simulated sensor.
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Callable, Generator
@@ -416,6 +417,7 @@ def _report(found: Proposal, output: Path) -> None:
     if two:
         print(f"corners agree with the description to {found.misfit_px:.2g} px")
     print(f"written: {output}; assumed values are marked in it")
-    print(f"next: cmp_tactile sensor sensor:={output} view:=true")
+    quoted = shlex.quote(str(output))
+    print(f"next: cmp_tactile sensor sensor:={quoted} view:=true")
     if two:
-        print(f"then: cmp_tactile calibrate gel FRAMES --sensor {output} --output calibrated.yaml")
+        print(f"then: cmp_tactile calibrate gel FRAMES --sensor {quoted} --output calibrated.yaml")

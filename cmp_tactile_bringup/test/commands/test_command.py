@@ -56,8 +56,10 @@ def test_the_version_is_that_of_the_package(capsys):
     assert re.fullmatch(r"cmp_tactile \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
-def test_info_shows_geometry_and_versions_and_whole_paths_in_a_pipe(monkeypatch, capsys):
-    monkeypatch.delenv("COLUMNS", raising=False)
+@pytest.mark.parametrize("columns", ["", "0"])
+def test_info_shows_geometry_and_versions_and_whole_paths_in_a_pipe(monkeypatch, capsys, columns):
+    """Tried with COLUMNS=0: nothing was printed.  As in fish-shell 1613, rapid7/rex-text 71."""
+    monkeypatch.setenv("COLUMNS", columns)
     assert main(["info", "sample_rig"]) == 0
     out = capsys.readouterr().out
     for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import select
+import shlex
 import shutil
 import subprocess
 import sys
@@ -35,16 +36,19 @@ def picture(tmp_path):
 
 
 def test_a_description_is_written_with_which_the_picture_is_tracked(picture, tmp_path, capsys):
-    path = tmp_path / "mine.yaml"
+    """The next command is proposed as a shell takes it, also with a blank in the path."""
+    path = tmp_path / "my rig.yaml"
     assert main(["init", str(picture), "--pitch", "1.5", "-o", str(path)]) == 0
     sensor = load_sensor(str(path))
-    assert sensor.name == "mine"
+    assert sensor.name == "my rig"
     assert sensor.pattern.pitch == pytest.approx(0.0015)
     assert "young: 500000.0  # assumed" in path.read_text()
     image = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
     assert GridTracker(sensor).track(image).found_fraction == 1
     rows, cols = sensor.pattern.rows, sensor.pattern.cols
-    assert f"{rows} x {cols} corners" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert f"{rows} x {cols} corners" in printed
+    assert f"sensor:={path}" in shlex.split(printed)
 
 
 def test_a_file_that_is_there_is_kept(picture, tmp_path, capsys):

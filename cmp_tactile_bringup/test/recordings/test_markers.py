@@ -153,6 +153,8 @@ def test_tables_that_spreadsheets_write_are_read(tmp_path, sensor, position, bef
         (lambda text: text + "1,2,3,0.0,0.0\n", "frame 1, row 2, col 3 in 2 lines"),
         (lambda text: text.replace("\n0,0,1,", "\n0,0\n0,0,1,"), r"Line #3 \(got 2 columns"),
         (lambda _: "", "no table .it is empty"),
+        # Tried: a marker that was not seen.  As in numpy/numpy 24900.
+        (lambda text: text.replace("\n0,0,1,", "\n0,0,1,4 mm;"), "Cannot convert string '4 mm;"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_named(tmp_path, sensor, position, change, found):
@@ -236,7 +238,7 @@ def here(tmp_path, capsys):
     [
         ("text.npy", b"1 2 3", "no arrays"),
         ("cut.npz", b"PK\x03\x04 cut", "no arrays"),
-        ("cut.csv", b"frame,row\n1,2,3\n", "no table"),
+        ("cut.csv", b"frame,row\n1,2,3\n", "no column col; columns: frame, row"),
         ("other.csv", b"a,b\n1,2\n", "no column frame; columns: a, b"),
         ("empty.csv", b"frame,row,col,x,y\n", "no row"),
         ("large.csv", b"frame,row,col,x,y\n0,9,0,1,1\n", "row 9, col 0, expected whole numbers"),

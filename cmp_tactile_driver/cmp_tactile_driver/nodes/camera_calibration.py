@@ -56,7 +56,7 @@ def camera_info_path(url: str, camera_name: str) -> Path | None:
     """
     if not url:
         return None
-    home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
+    home = os.environ.get("ROS_HOME") or os.path.expandvars("$HOME/.ros")
     text = url.replace("${NAME}", camera_name).replace("${ROS_HOME}", home)
     scheme, separator, rest = text.partition("://")
     rest = unquote(rest)

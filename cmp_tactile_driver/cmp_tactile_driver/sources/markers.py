@@ -26,6 +26,8 @@ LEAST_KNOWN = 0.5
 ALIASES = {"frameno": "frame", "cx": "x", "cy": "y"}
 HEADER = re.compile(r"[#\s]*(\w+\s*[,;\t]\s*)*frame(no)?\s*[,;\t]", re.IGNORECASE)
 TABLE = "the columns frame, row, col, x, y; optional: z, time_s, Ox, Oy"
+NEEDED = ("frame", "row", "col", "x", "y")
+NOT_SEEN = "NA,N/A,null,None,-"
 
 
 @dataclass(frozen=True)
@@ -111,20 +113,37 @@ def _no_number(values: NDArray[Any]) -> bool:
     return not np.issubdtype(values.dtype, np.number) or np.iscomplexobj(values)
 
 
-def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]]:
-    """The arrays of a table with a row for each marker that was seen in a frame."""
+def _read_columns(path: Path) -> dict[str, Array]:
+    """The columns of a table by name; NaN in empty cells.  Other columns may contain text."""
     try:
         lines, separator = _table_lines(path)
-        table = np.atleast_1d(np.genfromtxt(lines, delimiter=separator, names=True, autostrip=True))
-        names = table.dtype.names or ()
-        columns = {ALIASES.get(name.lower(), name.lower()): table[name] for name in names}
+        header = [name.strip("# \t").lower() for name in lines[0].split(separator)]
+        header = [ALIASES.get(name, name) for name in header]
+        missing = [name for name in NEEDED if name not in header]
+        if missing:
+            found = f"no column {missing[0]}; columns: {', '.join(header)}"
+            raise _error(path, found, TABLE)
+        if not any(map(str.strip, lines[1:])):
+            raise _error(path, "no row", TABLE)
+        used = [k for k, name in enumerate(header) if name in {*NEEDED, "z", "ox", "oy", TIME}]
+        values = np.genfromtxt(
+            lines,
+            delimiter=separator,
+            skip_header=1,
+            usecols=used,
+            missing_values=NOT_SEEN,
+            autostrip=True,
+            loose=False,
+        )
     except (OSError, ValueError, TypeError) as error:
         # The last line of numpy's text names a row.
         raise _error(path, f"no table ({str(error).splitlines()[-1].strip()})", TABLE) from None
-    missing = [name for name in ("frame", "row", "col", "x", "y") if name not in columns]
-    if missing or not table.size:
-        found = f"no column {missing[0]}; columns: {', '.join(columns)}" if missing else "no row"
-        raise _error(path, found, TABLE)
+    return dict(zip([header[k] for k in used], np.atleast_2d(values).T, strict=True))
+
+
+def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]]:
+    """The arrays of a table with a row for each marker that was seen in a frame."""
+    columns = _read_columns(path)
     at = np.stack([columns["row"], columns["col"]])
     inside = (at >= 0) & (at < np.reshape(shape, (2, 1))) & (at == np.rint(at))
     if not inside.all() or not np.isfinite(columns["frame"]).all():

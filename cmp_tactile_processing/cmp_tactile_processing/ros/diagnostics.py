@@ -26,9 +26,9 @@ LONGEST_GAP_NS = 60 * 10**9
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01
-# So many reports without a frame are a silent source, and of a slow one this many times those that
-# were without a frame before its last.
-SILENT_PERIODS, TIMES_USUAL = 3, 2
+# A source without a frame for so long is silent; a slow one after so many times the pause before
+# its last frame.
+SILENT_S, TIMES_USUAL = 3.0, 2
 
 # No queue of ours holds a frame that long: such stamps are of another clock.
 OLDEST_S = 10.0
@@ -237,7 +237,8 @@ class StageDiagnostics:
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self._before = dict.fromkeys(self._counts(), 0)
-        self._silent_periods = self._usual_silence = 0
+        self._last_frame_s = time.monotonic()
+        self._silence_s = self._usual_silence_s = 0.0
 
     @property
     def lost(self) -> int:
@@ -259,10 +260,11 @@ class StageDiagnostics:
         counts = self._counts()
         new = {key: count - self._before[key] for key, count in counts.items()}
         self._before = counts
+        now_s = time.monotonic()
+        self._silence_s = now_s - self._last_frame_s
         if new["frames in"]:
-            self._usual_silence, self._silent_periods = self._silent_periods, 0
-        else:
-            self._silent_periods += 1
+            self._usual_silence_s, self._silence_s = self._silence_s, 0.0
+            self._last_frame_s = now_s
         values = {
             **counts,
             **self.sent.close_period(),
@@ -292,8 +294,8 @@ class StageDiagnostics:
         if self.failure:
             yield Finding(ERROR, self.failure)
             return
-        longest = SILENT_PERIODS + TIMES_USUAL * self._usual_silence
-        if self._silent_periods >= longest or not self.frames_in:
+        longest_s = max(SILENT_S, TIMES_USUAL * self._usual_silence_s)
+        if self._silence_s >= longest_s or not self.frames_in:
             why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
             yield Finding(WARN, f"no frames received{why}")
             return

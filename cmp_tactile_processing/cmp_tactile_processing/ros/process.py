@@ -10,6 +10,7 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TypeVar
 
 import rclpy
@@ -25,10 +26,12 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from cmp_tactile_processing.cache.files import folder_without_home
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.processes import Interruption
 
 LOGGED_S = 5.0
+HIGHEST_DOMAIN = 232
 
 
 class JoinError(CmpTactileError):
@@ -41,6 +44,12 @@ def joining_ros() -> Iterator[None]:
 
     What rcl says has several lines, and places in its source.
     """
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    # rcl takes -1 for 0 and 5.5 for 5; Fast DDS ends the process above the highest.
+    if domain and not (domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
+        msg = f"ROS_DOMAIN_ID: found {domain}, expected a whole number from 0 to {HIGHEST_DOMAIN}"
+        raise JoinError(msg)
+    _provide_log_folder()
     try:
         with warnings.catch_warnings():
             # Of the half-made node.
@@ -48,8 +57,24 @@ def joining_ros() -> Iterator[None]:
             yield
     except RCLError as error:
         reason = " ".join(str(error).partition(", at ")[0].split())
-        msg = f"found no way into ROS, expected valid ROS arguments and ROS_DOMAIN_ID: {reason}"
+        msg = f"found no way into ROS: {reason}"
         raise JoinError(msg) from None
+
+
+def _provide_log_folder() -> None:
+    """Log among temporary files where ~/.ros/log cannot be written; ROS itself would not start.
+
+    As without HOME (a systemd service), or with HOME=/ (`docker run --user 2000`).
+    """
+    if os.environ.get("ROS_LOG_DIR") or os.environ.get("ROS_HOME"):
+        return
+    if home := os.environ.get("HOME"):
+        folder = Path(home, ".ros", "log")
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return
+    os.environ["ROS_LOG_DIR"] = str(folder_without_home() / "log")
 
 
 def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -76,6 +76,16 @@ def test_signal_ends_the_process_with_zero(ros, tmp_path, node, number):
     assert "Traceback" not in errors
 
 
+def _why_not_started(process: subprocess.Popen) -> str:
+    try:
+        _, errors = process.communicate(timeout=START_TIMEOUT_S)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 1
+    return errors
+
+
 @pytest.mark.parametrize(
     ("node", "parameter", "reason"),
     [
@@ -85,17 +95,19 @@ def test_signal_ends_the_process_with_zero(ros, tmp_path, node, number):
     ],
 )
 def test_wrong_parameter_is_one_line_and_exit_code_one(node, parameter, reason):
-    process = _start(node, "-p", parameter)
-    try:
-        _, errors = process.communicate(timeout=START_TIMEOUT_S)
-    finally:
-        process.kill()
-        process.wait()
-    assert process.returncode == 1
+    errors = _why_not_started(_start(node, "-p", parameter))
     lines = errors.strip().splitlines()
     assert len(lines) == 1, errors
     assert lines[0].startswith("error: ")
     assert reason in lines[0]
+
+
+@pytest.mark.parametrize("home", ["", "/dev/null"])
+def test_ros_needs_no_home(home):
+    """Tried: "Failed to get logging directory".  As in ros2/rcl_logging 72, psf/black 2813."""
+    parameter = ("-p", "sensor_description:=nowhere.yaml")
+    process = _start("view_splitter", *parameter, HOME=home, ROS_HOME="", ROS_LOG_DIR="")
+    assert "found no such file" in _why_not_started(process)
 
 
 def test_a_callback_that_raises_does_not_end_the_others():
@@ -115,8 +127,10 @@ def test_a_callback_that_raises_does_not_end_the_others():
         assert answer.done()
 
 
-def test_why_ros_cannot_be_joined_is_one_line(monkeypatch):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "abc")
+@pytest.mark.parametrize("domain", ["abc", "-1", "5.5", "9999"])
+def test_why_ros_cannot_be_joined_is_one_line(monkeypatch, domain):
+    """Reports: ros2/rmw_fastrtps 261, ros2/rmw_cyclonedds 61, eProsima/Fast-DDS 6472."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
     with pytest.raises(JoinError, match="ROS_DOMAIN_ID") as raised:
         Listener("somebody").__enter__()
     assert "\n" not in str(raised.value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -431,13 +432,14 @@ class Practice(Command):
         target = practice.target
         board = f"--board {target.cols}x{target.rows} --square {target.square:g}"
         print(f"Practice set in {folder}: docs/tutorials/calibrate.md goes through it.")
-        print(f"  cmp_tactile calibrate check {folder}/contact --sensor {folder}/sensor.yaml")
+        quoted = shlex.quote(str(folder))
+        print(f"  cmp_tactile calibrate check {quoted}/contact --sensor {quoted}/sensor.yaml")
         print(
-            f"  cmp_tactile calibrate board {folder}/board --sensor {folder}/sensor.yaml {board} "
+            f"  cmp_tactile calibrate board {quoted}/board --sensor {quoted}/sensor.yaml {board} "
             "--output board.yaml"
         )
         print(
-            f"  cmp_tactile calibrate gel {folder}/rest --sensor board.yaml --output my_sensor.yaml"
+            f"  cmp_tactile calibrate gel {quoted}/rest --sensor board.yaml --output my_sensor.yaml"
         )
-        print(f"  cmp_tactile calibrate check {folder}/contact --sensor my_sensor.yaml")
+        print(f"  cmp_tactile calibrate check {quoted}/contact --sensor my_sensor.yaml")
         return 0
