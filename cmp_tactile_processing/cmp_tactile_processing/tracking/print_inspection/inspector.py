@@ -553,7 +553,9 @@ class MeanFrame:
     def far_off(self) -> NDArray[np.bool_]:
         """Corners (rows, cols) of a much larger deviation than most."""
         std = self._stds.value[..., 0]
-        return np.asarray(std > FAR_OFF * np.nanmedian(std))
+        known = std[np.isfinite(std)]
+        usual = np.median(known) if len(known) else np.inf
+        return np.asarray(std > FAR_OFF * usual)
 
     def line(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Mean markers (a, b, n, 2) along rows (0) or columns (1) and their std, NaN if unknown."""
