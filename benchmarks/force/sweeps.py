@@ -26,6 +26,7 @@ from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.laws import Load
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.description import (
     Hold,
     IndenterDescription,
@@ -178,6 +179,9 @@ SHARE, NEWTON = 0.03, 0.02
 
 RENDERED = {name: CONTACTS[name] for name in ("sphere", "edge", "ring", "off centre", "shear")}
 RENDERED["ring"] = replace(CONTACTS["ring"], at=(0.0, 0.0))
+FLAWED = "sphere, flawed print"
+RENDERED[FLAWED] = CONTACTS["sphere"]
+FLAWS = PrintDefects(missing_ink=20, splashes=10, ragged_edge=4e-5)
 
 
 @dataclass(frozen=True)
@@ -227,6 +231,7 @@ def _scene(sensor: SensorDescription, case: str, contact: Contacting) -> Scene:
         load_scene("contact_sphere"),
         name=f"force_{case}",
         sensor=sensor,
+        defects=FLAWS if case == FLAWED else PrintDefects(),
         indenter=IndenterDescription(indenter.name, contact.friction, asdict(indenter)),
         start=Start(Touch(contact.at, 0.3e-3), contact.rotation_deg),
         motion=(Phase("rest", REST_FRAMES, Hold()), *phases),
