@@ -107,7 +107,7 @@ class Interruption:
             self._earlier[signal.SIGHUP] = signal.SIG_IGN
         for number, handler in self._earlier.items():
             signal.signal(number, handler)
-        sys.unraisablehook = self._show_unraisable
+        sys.unraisablehook = _show_nothing if self.number else self._show_unraisable
 
     @property
     def exit_code(self) -> int:
@@ -122,7 +122,11 @@ class Interruption:
         raise KeyboardInterrupt
 
     def _on_dropped(self, dropped: sys.UnraisableHookArgs) -> None:
-        if self.number and dropped.exc_type is KeyboardInterrupt:
-            signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
-        else:
+        if not self.number:
             self._show_unraisable(dropped)
+        elif dropped.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, REPEAT_S)
+
+
+def _show_nothing(_dropped: sys.UnraisableHookArgs) -> None:
+    """What an interrupt left half made fails in its finaliser, until the process ends."""
