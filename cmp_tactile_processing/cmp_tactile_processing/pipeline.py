@@ -95,15 +95,17 @@ class Pipeline:
         try:
             for view in self._views if images else ():
                 view.inspect_print(images)
+            if any(
+                found and found.flawed.known.any()
+                for found in (*known.values(), *self.print_defects.values())
+            ):
+                # Flawed corners are now where their new pictures have them, or the model.
+                markers = [self._measure(frame)[1] for frame in frames]
+                Reference.average(markers, 0)
         except ReferenceFramesError:
             for view in self._views:
                 view.tracker.use_print_defects(known[view.name])
             raise
-        if any(
-            found is not None and found.flawed.known.any() for found in self.print_defects.values()
-        ):
-            # Flawed corners are now where their new pictures have them.
-            markers = [self._measure(frame)[1] for frame in frames]
         self._reference_note = self._keeper.take(markers, stamp_ns)
 
     @property

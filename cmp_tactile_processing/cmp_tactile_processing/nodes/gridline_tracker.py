@@ -65,8 +65,8 @@ class GridlineTracker(StageNode):
     `<view>/grid_overlay` shows the image with the gridlines drawn in.  It is made only while
     somebody subscribes, at most `overlay_rate` times a second.  A change of a tracking parameter
     starts the tracker again.  The service `~/inspect_print` looks for flaws of the print in the
-    next frames, in which the gel must be at rest.  Flawed points then get a larger standard
-    deviation.
+    next frames, in which the gel must be at rest.  Flawed corners are then measured by their
+    pictures at rest; where these do not fit, they get a larger standard deviation.
     """
 
     default_name = "gridline_tracker"

@@ -46,7 +46,7 @@ def joining_ros() -> Iterator[None]:
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     # rcl takes -1 for 0 and 5.5 for 5; Fast DDS ends the process above the highest.
-    if domain and not (domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
         msg = f"ROS_DOMAIN_ID: found {domain}, expected a whole number from 0 to {HIGHEST_DOMAIN}"
         raise JoinError(msg)
     _provide_log_folder()

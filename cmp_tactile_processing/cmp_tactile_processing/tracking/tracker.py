@@ -115,7 +115,7 @@ class GridTracker:
         return self._defects
 
     def use_print_defects(self, defects: PrintDefects | None) -> None:
-        """Trust what lies beside these flaws less from now on; None: the print is sound."""
+        """Allow for these flaws from now on; None: the print is sound."""
         self._defects = defects
 
     def reset(self) -> None:
@@ -162,9 +162,10 @@ class GridTracker:
     def inspect_print(self, half_images: Iterable[NDArray[np.uint8]]) -> PrintDefects:
         """Judge the print from view images of the gel at rest.
 
-        From now on corners beside a flaw get a larger standard deviation, and virtual markers on
-        one are predicted instead of measured.  Raises ReferenceFramesError without images or where
-        the gel moves in them, FrameError for a wrong one; what was known before is then kept.
+        From now on corners on a flaw are measured by their pictures at rest; where these do not
+        fit, they get a larger standard deviation.  Virtual markers on a flaw are predicted.  Raises
+        ReferenceFramesError without images or where the gel moves in them, FrameError for a wrong
+        one; what was known before is then kept.
         """
         kept, self._defects = self._defects, None
         inspection = PrintInspection(self._pattern.shape, self._pattern.dots())

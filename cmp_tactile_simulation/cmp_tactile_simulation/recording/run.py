@@ -215,7 +215,7 @@ def _begin(folder: Path, scene: Scene) -> None:
     marker.touch()
     # Before anything is deleted: the folder is not taken for a finished output if this is killed.
     (folder / UNFINISHED).touch()
-    mesh = marker.read_text(encoding="utf-8")
+    mesh = marker.read_text(encoding="utf-8", errors="replace")
     for item in sorted(folder.iterdir()):
         if item.is_file() and (OURS.fullmatch(item.name) or item.name == mesh):
             item.unlink()

@@ -480,6 +480,8 @@ class PrintDefects:
                 f" {destroyed} corners are destroyed, {weakened} weakened; "
                 f"{doubtful} virtual markers are doubtful."
             )
+        if by_picture := int(self.flawed.known.sum()):
+            text += f" {by_picture} corners are measured by their pictures."
         return text
 
 

@@ -1,9 +1,9 @@
 """Corners on flaws of the print, found again by what their surroundings look like at rest.
 
-Where ink is missing or edges are ragged, the model of a corner is off by another amount in each
-frame, and a displacement by both.  The flaw itself moves with the gel: the picture of a corner at
-rest, shifted until it fits a frame, gives its displacement (Lucas and Kanade; Baker and Matthews
-2004).
+Where ink is missing or edges are ragged, the model of a corner has a different error in each frame,
+and a displacement contains the errors of both frames.  The flaw itself moves with the gel: the
+picture of a corner at rest, shifted until it fits a frame, gives its displacement (Lucas and
+Kanade; Baker and Matthews 2004).
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ WEIGHT_AT_REACH = 0.6
 # The picture's slopes are differences between places so many checkers to both sides.
 SLOPE_STEP = 0.03
 ROUNDS, ARRIVED_PX = 4, 0.01
-# Farther from the model's corner than this share of a checker it is another one.
-FARTHEST = 0.15
-# What the best shift may leave: so many times the noise, and a share of the picture's contrast.
+# A fit farther from the model's corner than this, in checkers, is rejected, and one with less than
+# this share of the picture's contrast.
+FARTHEST, LEAST_CONTRAST = 0.15, 0.2
+# What the best shift may leave: so many times the noise, and a share of the fitted contrast.
 NOISES_LEFT, SHARE_LEFT = 3.0, 0.06
 # Error of a shift without noise, px per coordinate (measured on the pairs of flawed prints of
 # benchmarks/hard_frames).
@@ -69,7 +70,7 @@ class FlawedCorners:
     ) -> FlawedCorners:
         """Of a smoothed image (H, W); corners (rows, cols, 2) px in it, of which some are flawed.
 
-        None of those without neighbours, or too near the image's edge.
+        Corners without neighbours, or too near the image's edge, get no picture.
         """
         steps = _steps(corners)
         known = flawed & np.isfinite(steps).all(axis=(2, 3)) & np.isfinite(corners).all(axis=2)
@@ -98,35 +99,39 @@ class FlawedCorners:
         """
         steps = _steps(corners)[self.known]
         seen = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(std[self.known])
-        place, fits = self._found(image, corners[self.known][seen], steps[seen], seen)
+        place, contrast, fits = self._fitted(image, corners[self.known][seen], steps[seen], seen)
         found = self.known.copy()
         seen[seen] = fits
         found[self.known] = seen
         corners, std = corners.copy(), std.copy()
         corners[found] = place[fits]
-        std[found] = np.hypot(image.noise * self.gain[seen], BIAS_PX)
+        std[found] = np.hypot(image.noise * self.gain[seen] / contrast[fits], BIAS_PX)
         return corners, std, found
 
-    def _found(
+    def _fitted(
         self, image: PreparedImage, start: Array, steps: Array, which: Mask
-    ) -> tuple[Array, Mask]:
-        """Where some pictures (n,) fit best (m, 2) px, and whether they do (m,)."""
+    ) -> tuple[Array, Array, Mask]:
+        """Where some pictures (n,) fit best (m, 2) px, with which share of their contrast (m,), and
+        whether they fit (m,).
+        """
         place, solution, basis = start.copy(), self.solution[which], self.basis[which]
         side = np.sqrt(np.abs(np.linalg.det(steps)))
-        left = np.full(len(start), np.inf)
+        left, contrast = np.zeros((2, len(start)))
         for _ in range(ROUNDS):
             picture = pictures(image.smooth, place, steps, LATTICE)
             found = solution @ picture[:, :, None]
             rest = picture - (found.swapaxes(1, 2) @ basis)[:, 0]
             left = np.sqrt(np.mean(rest**2, axis=1))
+            contrast = np.asarray(found[:, 2, 0], np.float64)
             shift = (steps @ (found[:, :2] / found[:, 2:3]))[..., 0]
             place -= shift
-            if not np.abs(shift).max(initial=0.0) > ARRIVED_PX:
+            if not (np.abs(shift) > ARRIVED_PX).any():
                 break
         smoothing = max(image.smoothing_px, LEAST_SMOOTHING_PX)
         noise = image.noise / (2 * np.sqrt(np.pi) * smoothing)
-        near = np.linalg.norm(place - start, axis=1) < FARTHEST * side
-        return place, near & (left < NOISES_LEFT * noise + SHARE_LEFT * basis[:, 2].std(axis=1))
+        limit = NOISES_LEFT * noise + SHARE_LEFT * contrast * basis[:, 2].std(axis=1)
+        fits = (np.linalg.norm(place - start, axis=1) < FARTHEST * side) & (left < limit)
+        return place, contrast, fits & (contrast > LEAST_CONTRAST)
 
 
 def _steps(corners: Array) -> Array:

@@ -53,8 +53,8 @@ MARKER_DEVIATIONS, LEAST_ASTRAY_PX = 5.0, 0.25
 # A segment is a defect of its own where it strays so many times as far as the others and so far,
 # seen in so many markers.
 RAGGED_RATIO, LEAST_RAGGED_PX, LEAST_MARKERS = 2.5, 0.3, 3
-# Where edges stray by more than this, rms, no corner is as the model has it, px; where they do not,
-# none is whose deviation is so many times the others'.
+# If the edges stray by more than this (px, rms), every corner is flawed; else one whose standard
+# deviation is so many times the median.
 RAGGED_PX, FAR_OFF = 0.08, 4.0
 
 # Step along a gridline over which its direction is taken, checkers.
@@ -389,6 +389,7 @@ def _judged(frame: MeanFrame) -> PrintDefects:
     spots = [_spot(spot, seen.places, first) for spot in seen.spots.spots]
     weight, raggedness = seen.corner_weight(), overall_raggedness(scatters)
     flawed = (weight < 1) | frame.far_off | (raggedness > RAGGED_PX)
+    flawed &= seen.judged_corners
     return PrintDefects(
         corner_weight=weight,
         row_line_doubtful=scatters[0].doubtful,
@@ -490,7 +491,7 @@ class MeanFrame:
         self._check_rest(corners, origin)
         self._sum += image.grey
         self._smooth += image.smooth
-        self._smoothing_px = image.smoothing_px
+        self._smoothing_px += image.smoothing_px
         self._noise2 += image.noise**2 + ROUNDING_NOISE**2
         self.frames += 1
         seen = np.isfinite(corners[..., 0])
@@ -542,7 +543,8 @@ class MeanFrame:
     def pictures(self, flawed: NDArray[np.bool_]) -> FlawedCorners:
         """Pictures of some corners (rows, cols), as far as they were measured."""
         smooth = self._smooth / np.float32(self.frames)
-        return FlawedCorners.at_rest(smooth, self._smoothing_px, self.corners, flawed)
+        smoothing_px = self._smoothing_px / self.frames
+        return FlawedCorners.at_rest(smooth, smoothing_px, self.corners, flawed)
 
     @property
     def corners(self) -> NDArray[np.float64]:
