@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.image.prepared import PreparedImage, sample
+from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage, sample
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -35,8 +35,6 @@ NOISES_LEFT, SHARE_LEFT = 3.0, 0.06
 # Error of a shift without noise, px per coordinate (measured on the pairs of flawed prints of
 # benchmarks/hard_frames).
 BIAS_PX = 0.015
-# An image is taken to be smoothed by this much at least, px.
-LEAST_SMOOTHING_PX = 0.5
 
 
 def _lattice() -> tuple[Array, Array]:

@@ -17,17 +17,19 @@ from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.tracking.print_inspection.defects import (
     Defect,
     DefectKind,
-    Departure,
     PrintDefects,
-    PrintPlaces,
-    SmoothLattice,
     Spot,
     Spots,
-    departure,
     find_spots,
-    places_in_image,
 )
 from cmp_tactile_processing.tracking.print_inspection.flawed_corners import FlawedCorners
+from cmp_tactile_processing.tracking.print_inspection.picture import (
+    Departure,
+    PrintPlaces,
+    SmoothLattice,
+    departure,
+    places_in_image,
+)
 
 # Too little of a grid to know where the print should be.
 LEAST_CORNERS, LEAST_SHARE = 9, 0.3

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage
 from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LANES,
@@ -50,8 +50,6 @@ METHODS = ("fused", "local_correction")
 QUANTISATION = 0.29
 # Standard deviation of a corner that came without one, and the least of any, px.
 UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
-# An image is taken to be smoothed by this much at least, px.
-LEAST_SMOOTHING_PX = 0.5
 
 # How far from the curve through the corners the gradient's peak is looked for, px.
 SEARCH_PX = 2
