@@ -69,6 +69,12 @@ class PreparedImage:
     contrast: float
     replaced: NDArray[np.bool_] | None = None
 
+    @property
+    def smooth_noise(self) -> float:
+        """Standard deviation of the noise of `smooth`, grey levels."""
+        smoothing = max(self.smoothing_px, LEAST_SMOOTHING_PX)
+        return float(self.noise / (2.0 * np.sqrt(np.pi) * smoothing))
+
 
 @kernel
 def sample(image: Image, x: float, y: float) -> float:

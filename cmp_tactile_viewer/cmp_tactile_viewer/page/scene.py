@@ -319,7 +319,7 @@ def _line(points: Array) -> Array:
 
 
 class Aim:
-    """One browser's camera: aimed by a preset, and anew when its window gets another shape.
+    """One browser's camera: aimed by a preset, and again when its window gets another shape.
 
     A camera that the user has moved stays where it is.
     """

@@ -46,7 +46,7 @@ class SaddleLattice:
 
     def corner_graph(self, image: PreparedImage) -> CornerGraph:
         """Corners to half a pixel and their pointers; every corner is an inner one."""
-        noise = image.noise / (2.0 * np.sqrt(np.pi) * max(image.smoothing_px, 0.5))
+        noise = image.smooth_noise
         threshold = max(LEAST_CONTRAST * image.contrast, LEAST_DEVIATIONS * noise, 0.5)
         position = self._response.candidates(image.smooth, threshold)
         row_step, col_step = np.empty_like(position), np.empty_like(position)

@@ -125,9 +125,7 @@ class FlawedCorners:
             place -= shift
             if not (np.abs(shift) > ARRIVED_PX).any():
                 break
-        smoothing = max(image.smoothing_px, LEAST_SMOOTHING_PX)
-        noise = image.noise / (2 * np.sqrt(np.pi) * smoothing)
-        limit = NOISES_LEFT * noise + SHARE_LEFT * contrast * basis[:, 2].std(axis=1)
+        limit = NOISES_LEFT * image.smooth_noise + SHARE_LEFT * contrast * basis[:, 2].std(axis=1)
         fits = (np.linalg.norm(place - start, axis=1) < FARTHEST * side) & (left < limit)
         return place, contrast, fits & (contrast > LEAST_CONTRAST)
 
