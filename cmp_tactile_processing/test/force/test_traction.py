@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES
-from cmp_tactile_processing.force.contact_traction import (
-    ContactTraction,
-    DirectFactor,
-    UpdatedFactor,
-    Weights,
-)
+from cmp_tactile_processing.force.contact_factor import DirectFactor, UpdatedFactor
+from cmp_tactile_processing.force.contact_traction import ContactTraction, Weights
 from cmp_tactile_processing.force.traction_spectrum import (
     TANGENTIAL_SHARE,
     TractionSpectrum,

@@ -10,12 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.image.prepared import PreparedImage
-from cmp_tactile_processing.tracking.corners.model import (
-    CornerPrior,
-    Saddles,
-    refine_by_model,
-    work_space,
-)
+from cmp_tactile_processing.tracking.corners.model import CornerPrior, Saddles, refine_by_model
+from cmp_tactile_processing.tracking.corners.pixel_table import work_space
 
 # Half the width of the window, in checker sides and at least.  Its weights fall to zero there.
 WINDOW_PER_SIDE, LEAST_WINDOW_PX, MOST_WINDOW_PX = 0.3, 2.2, 6.0
