@@ -24,7 +24,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription, load_se
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer
-from cmp_tactile_simulation.indenters import Sphere
+from cmp_tactile_simulation.indenter_shapes import Sphere
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from hard_frames.studio import pattern_rig
 from paper.sequence import PrintedGel

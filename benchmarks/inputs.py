@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings import library
-from cmp_tactile_driver.bags.reader import RecordedFrame, open_recording
+from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.scenes.file import VARIANT_MARK

@@ -31,10 +31,10 @@ setup(
             "tac3d_source = cmp_tactile_driver.nodes.tac3d_source:main",
         ],
         "cmp_tactile_frame_sources": [
-            f"bag = {package_name}.bags.reader:recorded_source",
-            f"images = {package_name}.bags.reader:recorded_source",
-            f"v4l2 = {package_name}.v4l2.source:open_cameras",
-            f"video = {package_name}.bags.reader:recorded_source",
+            f"bag = {package_name}.bags.recording:recorded_source",
+            f"images = {package_name}.bags.recording:recorded_source",
+            f"v4l2 = {package_name}.v4l2.pair:open_cameras",
+            f"video = {package_name}.bags.recording:recorded_source",
         ],
         "cmp_tactile_components": [
             f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver:CameraDriver",

@@ -21,10 +21,7 @@ from rviz_view import View, picture_px, text_box
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
-from cmp_tactile_processing.ros.rviz import (
-    force_markers,
-    surface_markers,
-)
+from cmp_tactile_processing.ros.rviz_markers import force_markers, surface_markers
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 

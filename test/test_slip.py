@@ -20,7 +20,7 @@ from cmp_tactile_processing.surface.displacement import Reference, surface_at_re
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
-from cmp_tactile_simulation.indenters import Sphere
+from cmp_tactile_simulation.indenter_shapes import Sphere
 from cmp_tactile_simulation.scenes.simulation import slip_estimate
 
 NOISE_M = (2e-6, 2e-6, 5e-6)

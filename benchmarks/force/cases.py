@@ -23,15 +23,10 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
-from cmp_tactile_simulation.gel import ContactProblem, LinearElastomer, NeoHookeanElastomer
-from cmp_tactile_simulation.indenters import (
-    Cylinder,
-    FlatProbe,
-    Indenter,
-    Ring,
-    Sphere,
-    SphereGroup,
-)
+from cmp_tactile_simulation.gel import ContactProblem, LinearElastomer
+from cmp_tactile_simulation.indenter_shapes import Cylinder, FlatProbe, Ring, Sphere, SphereGroup
+from cmp_tactile_simulation.indenters import Indenter
+from cmp_tactile_simulation.neo_hookean_gel import NeoHookeanElastomer
 from cmp_tactile_simulation.scenes.description import turned
 
 Array = NDArray[np.float64]

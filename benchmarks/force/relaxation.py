@@ -26,8 +26,8 @@ from cmp_tactile_processing.sensor.description import SensorDescription, load_se
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
-from cmp_tactile_simulation.gel import elastomer_of
-from cmp_tactile_simulation.indenters import Sphere
+from cmp_tactile_simulation.indenter_shapes import Sphere
+from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
 
 Array = NDArray[np.float64]
 Act = Callable[[ContactState], ContactState]

@@ -26,7 +26,8 @@ from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
-from cmp_tactile_simulation.indenters import Cuboid, Cylinder, Indenter, Sphere
+from cmp_tactile_simulation.indenter_shapes import Cuboid, Cylinder, Sphere
+from cmp_tactile_simulation.indenters import Indenter
 from cmp_tactile_simulation.scenes.simulation import slip_estimate
 
 MOVING = (SlipState.INCIPIENT, SlipState.FULL)

@@ -17,7 +17,7 @@ from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.measured import Grid, GridFault, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.detector import NominalGrid
-from cmp_tactile_processing.tracking.tracker import image_fault
+from cmp_tactile_processing.tracking.image_fault import image_fault
 from paper.chain import CMP, CMP_PAPER, Method
 from paper.dots import DotDetector, DotImage, DotParameters, centroid_bias
 from paper.grid_order import UNKNOWN, GridOrder, places

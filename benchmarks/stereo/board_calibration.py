@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_processing.calibration.board.bundle import Corners
 from cmp_tactile_processing.calibration.board.calibrate import (
     calibrate_cameras,
     fit_cameras,
 )
+from cmp_tactile_processing.calibration.board.start import Corners
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 
 PHOTOGRAPHED = BoardTarget("chessboard", 9, 6, 0.025)

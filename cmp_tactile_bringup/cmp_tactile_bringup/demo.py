@@ -50,6 +50,18 @@ CLOCK = "/clock"
 TOPICS: Mapping[str, type] = {CLOCK: Clock, **RESULTS}
 QUEUE_DEPTH = 200
 
+EXECUTABLES = "cmp_tactile_bringup.container.executables"
+STOP_TIMEOUT_S = 15.0
+LAST_LINES = 3
+POLL_S = 0.02
+# The first start after an update compiles the trackers.
+START_TIMEOUT_S = 400.0
+# Both sides of a DDS connection learn of it one after the other.
+SETTLE_S = 0.5
+# After the last frame was sent, nothing more is expected once no message came for so long.
+QUIET_S = 1.5
+FINAL_STATES = ("finished", "failed", "stopped")
+
 
 @dataclass(frozen=True)
 class Arrival:
@@ -184,19 +196,6 @@ def _latencies(
     stamps = set(sent).intersection(*(came[topic] for topic in topics))
     waits = [max(came[topic][s].arrived_ns for topic in topics) - sent[s] for s in sorted(stamps)]
     return np.array(waits, np.float64) * 1e-9
-
-
-EXECUTABLES = "cmp_tactile_bringup.container.executables"
-STOP_TIMEOUT_S = 15.0
-LAST_LINES = 3
-POLL_S = 0.02
-# The first start after an update compiles the trackers.
-START_TIMEOUT_S = 400.0
-# Both sides of a DDS connection learn of it one after the other.
-SETTLE_S = 0.5
-# After the last frame was sent, nothing more is expected once no message came for so long.
-QUIET_S = 1.5
-FINAL_STATES = ("finished", "failed", "stopped")
 
 
 class ContainerError(CmpTactileError):

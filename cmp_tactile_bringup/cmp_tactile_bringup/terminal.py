@@ -39,6 +39,16 @@ OnCount = Callable[[str, int, int], None]
 # No line of ours is longer.
 UNBOUNDED = 10_000
 
+PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_bringup")
+LIBRARIES = {
+    "numpy": ("numpy",),
+    "scipy": ("scipy",),
+    "OpenCV": ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-python"),
+    "scikit-fem": ("scikit-fem",),
+    "matplotlib": ("matplotlib",),
+    "rosbags": ("rosbags",),
+}
+
 
 class _PipedConsole(Console):
     """Lets the work go on where the reader of the output has gone, as `| head` does."""
@@ -168,17 +178,6 @@ def _bars() -> Progress:
         TimeRemainingColumn(),
     )
     return Progress(*columns, console=output_console(stderr=True))
-
-
-PACKAGES = ("cmp_tactile_processing", "cmp_tactile_driver", "cmp_tactile_bringup")
-LIBRARIES = {
-    "numpy": ("numpy",),
-    "scipy": ("scipy",),
-    "OpenCV": ("opencv-contrib-python-headless", "opencv-python-headless", "opencv-python"),
-    "scikit-fem": ("scikit-fem",),
-    "matplotlib": ("matplotlib",),
-    "rosbags": ("rosbags",),
-}
 
 
 def machine_facts() -> dict[str, str]:

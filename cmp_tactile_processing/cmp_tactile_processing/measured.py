@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
 
+NAN = float("nan")
+
 
 class Status(IntEnum):
     """What a marker's coordinates rest on."""
@@ -375,9 +377,6 @@ class SurfaceGrid:
         """All points in order, (rows * cols, 2) m."""
         y, x = np.meshgrid(self.y, self.x, indexing="ij")
         return np.stack([x.ravel(), y.ravel()], axis=-1)
-
-
-NAN = float("nan")
 
 
 class SlipState(IntEnum):

@@ -14,7 +14,7 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.geometry.split import LUMINANCE, to_grey
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
-from cmp_tactile_processing.tracking.tracker import image_fault
+from cmp_tactile_processing.tracking.image_fault import image_fault
 
 # Red and green that look alike in grey.
 RED, GREEN = 200.0, 200.0 * LUMINANCE[0] / LUMINANCE[1]

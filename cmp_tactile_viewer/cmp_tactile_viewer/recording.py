@@ -13,14 +13,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rosbags.serde import SerdeError
 
-from cmp_tactile_driver.bags.reader import (
-    COMPRESSED_IMAGE,
-    IMAGE,
-    Recorded,
-    RecordedSurface,
-    is_bag,
-    open_recording_of,
-)
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
+from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import BagStorage, is_bag_file, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError

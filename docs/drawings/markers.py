@@ -30,12 +30,8 @@ from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline
 from cmp_tactile_processing.pipeline import PipelineResult
-from cmp_tactile_processing.ros.rviz import (
-    DrawnMarker,
-    MarkerParameters,
-    force_markers,
-    surface_markers,
-)
+from cmp_tactile_processing.ros.rviz import DrawnMarker
+from cmp_tactile_processing.ros.rviz_markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_simulation.scenes.file import load_scene
 

@@ -22,7 +22,7 @@ from cmp_tactile_bringup.recordings.library import (
     check_source,
     recorded_source,
 )
-from cmp_tactile_driver.bags.reader import open_recording
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file
@@ -31,6 +31,19 @@ from cmp_tactile_processing.calibration.board.target import BoardSighting, Board
 from cmp_tactile_processing.geometry.split import to_grey
 
 Frame = NDArray[np.uint8]
+
+# Sum of the differences in x, y, size and skew, each from 0 to 1; camera_calibration's figure.
+LEAST_DIFFERENCE = 0.2
+# Between two frames in a row, px: motion blur of less does no harm.
+STILL_PX = 1.0
+# So much of each of the ranges is to be covered: camera_calibration's figures.
+WANTED_RANGE = {"x": 0.7, "y": 0.7, "size": 0.4, "skew": 0.5}
+ADVICE = {
+    "x": "move it left and right",
+    "y": "move it up and down",
+    "size": "bring it nearer and farther",
+    "skew": "tilt it more, about both axes",
+}
 
 
 @dataclass(frozen=True)
@@ -115,20 +128,6 @@ def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
             raise RecordingError(msg)
         chosen[key] = file
     return chosen
-
-
-# Sum of the differences in x, y, size and skew, each from 0 to 1; camera_calibration's figure.
-LEAST_DIFFERENCE = 0.2
-# Between two frames in a row, px: motion blur of less does no harm.
-STILL_PX = 1.0
-# So much of each of the ranges is to be covered: camera_calibration's figures.
-WANTED_RANGE = {"x": 0.7, "y": 0.7, "size": 0.4, "skew": 0.5}
-ADVICE = {
-    "x": "move it left and right",
-    "y": "move it up and down",
-    "size": "bring it nearer and farther",
-    "skew": "tilt it more, about both axes",
-}
 
 
 class Choice(str, Enum):

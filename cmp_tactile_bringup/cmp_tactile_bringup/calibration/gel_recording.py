@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
 from cmp_tactile_bringup.terminal import OnStage
-from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface, open_recording_of
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
+from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
@@ -21,7 +22,7 @@ from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.surface.reference_keeping import RestParameters, rest_shape, why_touched
+from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # Nine neighbouring markers are averaged where the motion of one place is judged.

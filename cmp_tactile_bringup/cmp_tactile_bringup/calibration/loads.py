@@ -32,6 +32,17 @@ TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 NS_PER_S = 10**9
 
+STANDARD_GRAVITY = 9.80665
+LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9
+STRAIGHT_IN = (0.0, 0.0, -1.0)
+MOST_KG, MOST_N, MOST_S = 100.0, 1000.0, 1e6
+MOST_DIRECTION = 1e6
+# Where the file does not say how well a load is known: relative, and by how much a weight may hang
+# askew, degrees.
+MASS_STD, FORCE_STD, TILT_STD_DEG = 0.002, 0.01, 1.0
+# So many times what noise alone explains the gel moves where something rests on it.
+TOUCHED = 3.0
+
 
 @dataclass(frozen=True)
 class WrenchSeries:
@@ -157,18 +168,6 @@ def _fixed_rotations(bag: Path) -> dict[str, dict[str, Rotation]]:
             edges[parent][child] = R_parent_child
             edges[child][parent] = R_parent_child.inv()
     return edges
-
-
-STANDARD_GRAVITY = 9.80665
-LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9
-STRAIGHT_IN = (0.0, 0.0, -1.0)
-MOST_KG, MOST_N, MOST_S = 100.0, 1000.0, 1e6
-MOST_DIRECTION = 1e6
-# Where the file does not say how well a load is known: relative, and by how much a weight may hang
-# askew, degrees.
-MASS_STD, FORCE_STD, TILT_STD_DEG = 0.002, 0.01, 1.0
-# So many times what noise alone explains the gel moves where something rests on it.
-TOUCHED = 3.0
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ class Looking(Command):
         FrameSourceError where there is none, and where a camera is away.
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
-        from cmp_tactile_driver.bags.reader import open_recording
+        from cmp_tactile_driver.bags.recording import open_recording
         from cmp_tactile_processing.geometry.split import to_grey
 
         if name.startswith(DEVICES):
@@ -125,7 +125,7 @@ class Looking(Command):
         from cmp_tactile_driver.errors import FrameSourceError
         from cmp_tactile_driver.sources.frames import SourceOptions
         from cmp_tactile_driver.sources.parameters import CameraParameters
-        from cmp_tactile_driver.v4l2.source import VIEWS, open_cameras
+        from cmp_tactile_driver.v4l2.pair import VIEWS, open_cameras
         from cmp_tactile_processing.sensor import parts
         from cmp_tactile_processing.sensor.description import load_sensor
 

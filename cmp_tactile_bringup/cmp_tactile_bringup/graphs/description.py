@@ -17,7 +17,7 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
-from cmp_tactile_driver.bags.reader import open_recording, split_inputs
+from cmp_tactile_driver.bags.recording import open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor

@@ -24,7 +24,7 @@ from cmp_tactile_bringup.graphs.description import (
     as_text,
 )
 from cmp_tactile_bringup.recordings import library
-from cmp_tactile_driver.bags.reader import split_inputs
+from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_driver.sources.parameters import (
     CameraDriverParameters,
     CameraParameters,

@@ -40,6 +40,10 @@ MARKER = "<!-- made by cmp_tactile_bringup.graphs.packaged from here on -->"
 # Height of the letters at two fingers, which are seen from farther away than one sensor, m.
 FINGER_TEXT_M = 0.001
 
+# What a gripper sets for both fingers, as its user does, or by itself.
+OF_BOTH = ("rate", "start", "end", "loop", "paused", "record_topics", "record_compression")
+OF_GRIPPER = ("namespace", "record", "publish_clock", *OF_BOTH)
+
 
 def _one_sensor(given: Mapping[str, Any], **fixed: Any) -> list[Component]:
     nodes, source = sensor_components(given, **fixed)
@@ -62,11 +66,6 @@ def simulate(given: Mapping[str, Any]) -> list[Component]:
 def replay(given: Mapping[str, Any]) -> list[Component]:
     """Plays a recording into the processing of one sensor."""
     return _one_sensor(given, source=REPLAY)
-
-
-# What a gripper sets for both fingers, as its user does, or by itself.
-OF_BOTH = ("rate", "start", "end", "loop", "paused", "record_topics", "record_compression")
-OF_GRIPPER = ("namespace", "record", "publish_clock", *OF_BOTH)
 
 
 def _finger_arguments(side: str, y: float, turned: float) -> tuple[Argument, ...]:

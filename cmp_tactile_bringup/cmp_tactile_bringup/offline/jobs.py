@@ -19,6 +19,8 @@ MAIN_SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 OPTIONAL_SUFFIXES = ("_wrench.parquet", ".npz")
 FIRST_FRAMES = re.compile(r"first-([1-9]\d{0,3})")
 
+RECORDING_SUFFIXES = (*STORAGE_SUFFIXES, *IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
+
 
 @dataclass(frozen=True)
 class Options:
@@ -60,9 +62,6 @@ class Options:
     def grids_of(self, views: Sequence[str]) -> tuple[str, ...]:
         """Those of a sensor's views of which grids are written."""
         return tuple(view for view in views if self.views in ("both", view))
-
-
-RECORDING_SUFFIXES = (*STORAGE_SUFFIXES, *IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
 
 
 @dataclass(frozen=True)

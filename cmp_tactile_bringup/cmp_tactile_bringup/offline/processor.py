@@ -33,7 +33,8 @@ from cmp_tactile_bringup.offline.outputs import Outputs, partial_folder, whole_r
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal import OnStage, error_line, processor_name
-from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface, Recording, open_recording_of
+from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
+from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.cache.compiled import source_digest

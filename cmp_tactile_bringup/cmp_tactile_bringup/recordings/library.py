@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cmp_tactile_driver.bags.reader import is_bag
+from cmp_tactile_driver.bags.recording import is_bag
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES
 from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest

@@ -14,6 +14,8 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 # What a corner is located to in a good image, px.
 CORNER_ERROR_PX = 0.05
 
+PositionErrors = NDArray[np.float64]
+
 
 def description_facts(sensor: SensorDescription) -> dict[str, str]:
     """The main entries of the description."""
@@ -84,7 +86,6 @@ def geometry_facts(sensor: SensorDescription) -> dict[str, str]:
     }
 
 
-PositionErrors = NDArray[np.float64]
 """(rows, cols, 3) standard deviation of x, y, z in m."""
 
 

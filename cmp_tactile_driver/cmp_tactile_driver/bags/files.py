@@ -27,6 +27,17 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 HEAD_BYTES = 12
 """Of a message: what names the encoding, and the stamp of a header that it begins with."""
 
+RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+CHUNK_HEAD = struct.Struct("<QQQI")
+TEXT_HEAD = struct.Struct("<I")
+LENGTH = struct.Struct("<Q")
+# One in use, and those that others overlap in time.
+KEPT_CHUNKS = 4
+MOST_SUMMARY_BYTES = 2**30
+
+LOG_SUFFIX = "-wal"
+
 
 class DamageError(Exception):
     """Bytes that are no message, no file of its format, or are not there."""
@@ -77,16 +88,6 @@ def full_kind(name: str, encoding: str = "cdr") -> str:
     package, _, short = name.replace("::", "/").partition("/")
     kind = f"{package}/msg/{short}" if short and "/" not in short else f"{package}/{short}"
     return kind if encoding == "cdr" else f"{kind} in {encoding or 'unknown encoding'}"
-
-
-RECORD_HEAD = struct.Struct("<BQ")
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-CHUNK_HEAD = struct.Struct("<QQQI")
-TEXT_HEAD = struct.Struct("<I")
-LENGTH = struct.Struct("<Q")
-# One in use, and those that others overlap in time.
-KEPT_CHUNKS = 4
-MOST_SUMMARY_BYTES = 2**30
 
 
 class _Where(NamedTuple):
@@ -310,9 +311,6 @@ def _begin_of_records(cut: Chunk) -> bytes:
         msg = f"is incomplete; with {cut.compression} its first part cannot be unpacked"
         raise DamageError(msg)
     return cut.data
-
-
-LOG_SUFFIX = "-wal"
 
 
 class SqliteBagFile:

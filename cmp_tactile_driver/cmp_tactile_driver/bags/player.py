@@ -14,13 +14,19 @@ from enum import Enum
 from itertools import cycle
 from typing import TypeVar, cast
 
-from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage, Recording
+from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage
+from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 
 T = TypeVar("T")
+
+POLL_TIME = 0.02
+# From the last message, in which its time is not lost by rounding.
+SURELY_WITHIN_S = 1e-6
+PREFETCH_DEPTH = 16
 
 
 def read_ahead(items: Iterator[T], depth: int) -> Generator[T, None, None]:
@@ -39,10 +45,6 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T, None, None]:
             pool.shutdown(cancel_futures=True)
 
 
-POLL_TIME = 0.02
-# From the last message, in which its time is not lost by rounding.
-SURELY_WITHIN_S = 1e-6
-PREFETCH_DEPTH = 16
 """Messages that are read and decoded ahead: half a dozen frames or more."""
 
 

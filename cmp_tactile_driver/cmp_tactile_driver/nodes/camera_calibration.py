@@ -26,6 +26,10 @@ from cmp_tactile_processing.ros.messages.making import whole_frame_info
 from cmp_tactile_processing.ros.messages.reading import camera_info_from_msg
 from cmp_tactile_processing.sensor.description import SensorDescription
 
+EXPECTED = "file://PATH or package://PACKAGE/PATH"
+
+SERVICE = "set_camera_info"
+
 
 def image_qos() -> QoSProfile:
     """For frames and their camera_info.  A new one each time: rclpy writes overrides into it."""
@@ -44,9 +48,6 @@ def latched_qos() -> QoSProfile:
 def camera_info_of(sensor: SensorDescription, header: Header) -> CameraInfo:
     """The calibration of the whole frame, unrectified."""
     return camera_info_to_msg(whole_frame_info(sensor), header)
-
-
-EXPECTED = "file://PATH or package://PACKAGE/PATH"
 
 
 def camera_info_path(url: str, camera_name: str) -> Path | None:
@@ -74,9 +75,6 @@ def camera_info_path(url: str, camera_name: str) -> Path | None:
             raise ParameterError(msg) from None
     msg = f"camera_driver.camera_info_url: found {url!r}, expected {EXPECTED}"
     raise ParameterError(msg)
-
-
-SERVICE = "set_camera_info"
 
 
 class CameraCalibration:

@@ -30,6 +30,9 @@ from cmp_tactile_processing.ros.parameters import SensorParameters, declare_para
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import load_sensor
 
+# The one source that is opened by another parameter than `input`.
+CAMERA = "v4l2"
+
 
 def _state_finding(
     problem: str, capture: Capture | None, health: frames.SourceHealth, name: str
@@ -48,10 +51,6 @@ def _state_finding(
         return Finding(DiagnosticStatus.WARN, f"{CaptureState.ENDED.value}: {name}")
     level = DiagnosticStatus.ERROR if health.silent else DiagnosticStatus.WARN
     return Finding(level if health.problem else DiagnosticStatus.OK, health.problem)
-
-
-# The one source that is opened by another parameter than `input`.
-CAMERA = "v4l2"
 
 
 class CameraDriver(ReportingNode, LifecycleNode):

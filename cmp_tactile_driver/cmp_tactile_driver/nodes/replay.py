@@ -24,14 +24,8 @@ from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
-from cmp_tactile_driver.bags.reader import (
-    RecordedCameraInfo,
-    RecordedFrame,
-    RecordedMessage,
-    Recording,
-    open_recording,
-    split_inputs,
-)
+from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
+from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters
@@ -55,6 +49,14 @@ SETTLE_TIME = 0.2
 The subscriber's side of the match may still be under way, and all replays are to know of the last.
 """
 NS_PER_S = 10**9
+
+STATUS_CHECK_PERIOD = 0.1
+# A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
+PUBLISHER_DEPTH = 60
+# /clock goes on not quicker than that, s, as with ros2 bag: it wakes every node that listens.
+CLOCK_PERIOD = 0.025
+# By how much ~/back and ~/forward go.
+JUMP_S = 1.0
 
 
 class CommonStart:
@@ -99,15 +101,6 @@ class CommonStart:
             self._since_ns[name] = Time.from_msg(message.stamp).nanoseconds
 
         return keep
-
-
-STATUS_CHECK_PERIOD = 0.1
-# A second of frames: what a subscriber on a busy machine has not taken yet is not given up.
-PUBLISHER_DEPTH = 60
-# /clock goes on not quicker than that, s, as with ros2 bag: it wakes every node that listens.
-CLOCK_PERIOD = 0.025
-# By how much ~/back and ~/forward go.
-JUMP_S = 1.0
 
 
 class Replay(ReportingNode):

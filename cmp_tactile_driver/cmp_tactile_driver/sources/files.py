@@ -18,6 +18,31 @@ from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.encodings import BitDepth, decode_image
 
+WEBP_HEAD_BYTES = 21
+_PNG_CHUNK = struct.Struct(">I4sI")
+
+DEFAULT_FRAME_RATE = 30.0
+
+IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+
+VIDEO_SUFFIXES = (
+    ".avi",
+    ".m4v",
+    ".mjpeg",
+    ".mkv",
+    ".mov",
+    ".mp4",
+    ".mpeg",
+    ".mpg",
+    ".webm",
+    ".wmv",
+)
+
+# Of videos that state their number of frames.  For others, OpenCV multiplies duration and rate.
+COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
+# Matroska and WebM round times to it.
+TIME_STEP_S = 1e-3
+
 
 def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
     """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
@@ -45,10 +70,6 @@ def _next_shape(content: NDArray[np.uint8]) -> tuple[int, ...]:
     return images[0].shape if images else ()
 
 
-WEBP_HEAD_BYTES = 21
-_PNG_CHUNK = struct.Struct(">I4sI")
-
-
 def _is_animation(content: NDArray[np.uint8]) -> bool:
     """Whether it is a PNG or WebP of several images, which each says before its first."""
     head = content[:WEBP_HEAD_BYTES].tobytes()
@@ -63,7 +84,6 @@ def _is_animation(content: NDArray[np.uint8]) -> bool:
         chunk += length + 12
 
 
-DEFAULT_FRAME_RATE = 30.0
 """Of files that do not have theirs, Hz."""
 
 
@@ -86,22 +106,6 @@ class _Images:
         if size == self._expected_size:
             return ""
         return f"found {frames.size_text(size)}, expected {frames.size_text(self._expected_size)}"
-
-
-IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
-
-VIDEO_SUFFIXES = (
-    ".avi",
-    ".m4v",
-    ".mjpeg",
-    ".mkv",
-    ".mov",
-    ".mp4",
-    ".mpeg",
-    ".mpg",
-    ".webm",
-    ".wmv",
-)
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -196,12 +200,6 @@ class ImageFolder(_Images):
 def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
     parts = re.findall(r"\d+|\D+", path.name)
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
-
-
-# Of videos that state their number of frames.  For others, OpenCV multiplies duration and rate.
-COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
-# Matroska and WebM round times to it.
-TIME_STEP_S = 1e-3
 
 
 class VideoFile(_Images):

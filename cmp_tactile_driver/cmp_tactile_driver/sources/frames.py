@@ -27,6 +27,8 @@ ImageSize = tuple[int, int]
 # recording, and the rest need not be read to say so.  One alone may be left over from another mode.
 MOST_WRONG_SIZES = 2
 
+ENTRY_POINT_GROUP = "cmp_tactile_frame_sources"
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -166,8 +168,6 @@ def size_text(size: ImageSize) -> str:
     """An image size for a message."""
     return f"{size[0]} x {size[1]} px"
 
-
-ENTRY_POINT_GROUP = "cmp_tactile_frame_sources"
 
 SourceFactory = Callable[[SourceOptions], FrameSource]
 """Opens a source; raises CmpTactileError where it gives no frames."""

@@ -29,6 +29,8 @@ TABLE = "the columns frame, row, col, x, y; optional: z, time_s, Ox, Oy"
 NEEDED = ("frame", "row", "col", "x", "y")
 NOT_SEEN = "NA,N/A,null,None,-"
 
+_NAMES = (POSITION, REFERENCE, TIME, STAMPS)
+
 
 @dataclass(frozen=True)
 class MarkerRecording:
@@ -104,9 +106,6 @@ def _read_arrays(path: Path) -> Mapping[str, NDArray[Any]]:
         )
         raise _error(path, found, f"an array {POSITION} of numbers")
     return arrays
-
-
-_NAMES = (POSITION, REFERENCE, TIME, STAMPS)
 
 
 def _no_number(values: NDArray[Any]) -> bool:

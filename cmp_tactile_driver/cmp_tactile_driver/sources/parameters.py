@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
+COMPRESSIONS = ("zstd", "png", "jpeg", "none")
+MEGABYTE = 10**6
+
 
 @dataclass(frozen=True)
 class CameraDriverParameters(Parameters):
@@ -137,10 +140,6 @@ class ReplayParameters(Parameters):
         "publish /clock with the recorded time of each message; set it to true for only one of "
         "several sensors",
     )
-
-
-COMPRESSIONS = ("zstd", "png", "jpeg", "none")
-MEGABYTE = 10**6
 
 
 @dataclass(frozen=True)

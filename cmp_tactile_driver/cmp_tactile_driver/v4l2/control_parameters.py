@@ -15,7 +15,8 @@ from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.parameters import declare_checked
 
 if TYPE_CHECKING:
-    from cmp_tactile_driver.v4l2.source import CameraPair, V4L2Source
+    from cmp_tactile_driver.v4l2.pair import CameraPair
+    from cmp_tactile_driver.v4l2.source import V4L2Source
 
 PREFIX = "controls."
 

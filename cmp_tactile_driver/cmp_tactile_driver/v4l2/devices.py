@@ -15,12 +15,17 @@ from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 FORBIDDEN = (errno.EACCES, errno.EPERM)
 
+DEVICE_ERRORS = (FrameSourceError, V4L2Error, OSError, ValueError)
+
+DEV = Path("/dev")
+SYS = Path("/sys/class/video4linux")
+LINKS = ("v4l/by-id", "v4l/by-path")
+
 
 class UnpluggedError(SourceNotReadyError):
     """A camera that was there and is no more."""
 
 
-DEVICE_ERRORS = (FrameSourceError, V4L2Error, OSError, ValueError)
 """What a camera on its way out or in may cause, those of linuxpy among them."""
 
 
@@ -62,11 +67,6 @@ def _reason(path: Path | str, error: OSError) -> str:
             "frame rate or size"
         )
     return f"found the error {error.strerror or error}, expected frames"
-
-
-DEV = Path("/dev")
-SYS = Path("/sys/class/video4linux")
-LINKS = ("v4l/by-id", "v4l/by-path")
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,8 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.reader import (
-    BagReader,
-    RecordedCameraInfo,
-    calibration_mismatch,
-    open_recording,
-)
+from cmp_tactile_driver.bags.reader import BagReader, RecordedCameraInfo, calibration_mismatch
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import BagError, FrameSourceError
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo

@@ -36,7 +36,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.files import Place
-from cmp_tactile_driver.bags.reader import BagReader, open_recording
+from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.storage import bag_files, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, FrameSourceError

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_driver.bags.reader import recorded_source
+from cmp_tactile_driver.bags.recording import recorded_source
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions
 

@@ -17,8 +17,9 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.sensor import parts
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.image_fault import SATURATED, image_fault
 from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
-from cmp_tactile_processing.tracking.tracker import SATURATED, GridTracker, image_fault
+from cmp_tactile_processing.tracking.tracker import GridTracker
 
 Float = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -49,6 +50,14 @@ BLURS, HARMONICS = np.geomspace(5e-3, 1.0, 200), np.arange(1, 200, 2)
 # contrast: below FLOOR_PX they do not fall; the rest is proportional to noise, to 1 / contrast, to
 # blur^2 + BLUR_PX^2 and, in units of the pitch, to side^-1.5.
 FLOOR_PX, BLUR_PX = 0.003, 1.37
+
+MOST_SATURATED = 0.02
+ADVICE = {
+    "blur_px": "out of focus or motion blur: adjust the focus, or shorten the exposure",
+    "contrast": "low contrast: add light, or print with more black",
+    "noise": "noise: add light and reduce the gain",
+    "side_px": "small checkers: move the camera closer, or print larger checkers",
+}
 
 
 @dataclass(frozen=True)
@@ -105,13 +114,6 @@ class Worth:
 
 # A good picture, as a webcam can take it.
 GOOD = Worth(side_px=16.0, blur_px=0.6, contrast=180.0, saturated=0.0, noise=1.5, std_px=FLOOR_PX)
-MOST_SATURATED = 0.02
-ADVICE = {
-    "blur_px": "out of focus or motion blur: adjust the focus, or shorten the exposure",
-    "contrast": "low contrast: add light, or print with more black",
-    "noise": "noise: add light and reduce the gain",
-    "side_px": "small checkers: move the camera closer, or print larger checkers",
-}
 
 
 @dataclass(frozen=True)

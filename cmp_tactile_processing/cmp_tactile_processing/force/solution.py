@@ -37,6 +37,26 @@ Mask = NDArray[np.bool_]
 # rings by up to 4.5 deviations around a load; a press has one.
 ANY_DIRECTION = 5 / 3
 
+Grid = TypeVar("Grid", NDArray[np.float64], NDArray[np.bool_])
+
+# Steps from the scale of the first pass to the contact's own, mostly none or one; that of a wide
+# contact is nearly the first pass's.
+SCALE_STEPS, WIDE_STEPS = 3, 1
+# Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
+# contacts solved on finer nodes show it, and of that the share along x and y.
+UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, (0.5, 0.5, 1.0)
+# Weight of the first pass that the deviations of a wrench at rest hold for.
+REST_WEIGHT = 1e-6
+# The second pass has left something out where it leaves so many times the first one's misfit,
+# squared; else it is mostly below 1.1.  What it left out is added so often at most.
+LEFT_OUT, ADDED = 1.2, 2
+# Markers that have moved by no force, as those of another reference, are explained by weak loads
+# all over, and so is a gel that does not quite follow the model.  So nothing is added where the
+# second pass leaves a larger share of the displacement beside the noise, where more than this
+# share of the nodes would be loaded, or where with it the squared misfit is still so many times
+# the first pass's.
+MOST_LEFT, ALL_OVER, EXPLAINED = 0.3, 0.5, 2.0
+
 
 class ContactRule:
     """Compares nodal forces with the noise, with their peak and with a floor.
@@ -127,27 +147,6 @@ def _widened(nodes: Mask, shape: tuple[int, int]) -> Mask:
             found[n - 1 if j > 0 else n] = True
             found[n + 1 if j + 1 < cols else n] = True
     return found
-
-
-Grid = TypeVar("Grid", NDArray[np.float64], NDArray[np.bool_])
-
-# Steps from the scale of the first pass to the contact's own, mostly none or one; that of a wide
-# contact is nearly the first pass's.
-SCALE_STEPS, WIDE_STEPS = 3, 1
-# Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
-# contacts solved on finer nodes show it, and of that the share along x and y.
-UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, (0.5, 0.5, 1.0)
-# Weight of the first pass that the deviations of a wrench at rest hold for.
-REST_WEIGHT = 1e-6
-# The second pass has left something out where it leaves so many times the first one's misfit,
-# squared; else it is mostly below 1.1.  What it left out is added so often at most.
-LEFT_OUT, ADDED = 1.2, 2
-# Markers that have moved by no force, as those of another reference, are explained by weak loads
-# all over, and so is a gel that does not quite follow the model.  So nothing is added where the
-# second pass leaves a larger share of the displacement beside the noise, where more than this
-# share of the nodes would be loaded, or where with it the squared misfit is still so many times
-# the first pass's.
-MOST_LEFT, ALL_OVER, EXPLAINED = 0.3, 0.5, 2.0
 
 
 @dataclass(frozen=True)

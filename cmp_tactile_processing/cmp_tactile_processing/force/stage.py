@@ -22,7 +22,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.surface.reference_keeping import RestParameters, rest_shape, why_touched
+from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
 
 # Without contact the force is 0 but for noise; more than so many deviations and this, N, is the
 # reference's.

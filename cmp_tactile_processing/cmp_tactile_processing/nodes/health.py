@@ -29,6 +29,11 @@ FAULT_LEVELS: dict[GridFault, bytes] = {
     GridFault.OTHER_COLOURS: DiagnosticStatus.ERROR,
 }
 
+# The others are reported, but belong to ordinary use.
+WARNED_OF = UNUSABLE & ~ForceFlag.BEYOND_MARKERS | ForceFlag.NOT_CONVERGED
+# A flag is reported where it holds in this share of a second's fields.
+REPORTED_FROM = 0.5
+
 
 class GridHealth:
     """Gathers grids; `close_period` reports those that came since the last call."""
@@ -77,12 +82,6 @@ def reference_figures(keeper: ReferenceKeeper) -> dict[str, object]:
             "drift shape (um)": f"{drift.shape * 1e6:.1f}",
         }
     return figures
-
-
-# The others are reported, but belong to ordinary use.
-WARNED_OF = UNUSABLE & ~ForceFlag.BEYOND_MARKERS | ForceFlag.NOT_CONVERGED
-# A flag is reported where it holds in this share of a second's fields.
-REPORTED_FROM = 0.5
 
 
 class ForceHealth:

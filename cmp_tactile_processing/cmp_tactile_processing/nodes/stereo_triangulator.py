@@ -31,7 +31,7 @@ from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationPa
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
-from cmp_tactile_processing.surface.reference_keeping import RestParameters
+from cmp_tactile_processing.surface.stillness import RestParameters
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.conversions import organised_cloud
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.rviz import MarkerParameters, force_markers, surface_markers
+from cmp_tactile_processing.ros.rviz_markers import MarkerParameters, force_markers, surface_markers
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface

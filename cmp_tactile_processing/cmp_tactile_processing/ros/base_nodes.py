@@ -47,6 +47,14 @@ SERVICE_QOS = QoSProfile(depth=1000)
 and whoever asked waits without end."""
 DIAGNOSTICS_PERIOD_S = 1.0
 
+Frame = TypeVar("Frame")
+
+RESULT_DEPTH = 10
+IMAGE_DEPTH = 5
+# A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
+INPUT_DEPTH = 20
+WARNING_PERIOD_S = 5.0
+
 
 class ReportingNode(WiredNode, ABC):
     """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up."""
@@ -113,9 +121,6 @@ class ReportingNode(WiredNode, ABC):
         """As Node's."""
         kwargs.setdefault("qos_profile", SERVICE_QOS)
         return super().create_service(*args, **kwargs)
-
-
-Frame = TypeVar("Frame")
 
 
 class FrameCollection(Generic[Frame]):
@@ -187,13 +192,6 @@ class FrameService(Generic[Frame]):
         if self._open is collection:
             self._open = None
         return response
-
-
-RESULT_DEPTH = 10
-IMAGE_DEPTH = 5
-# A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
-INPUT_DEPTH = 20
-WARNING_PERIOD_S = 5.0
 
 
 class StageNode(ReportingNode):

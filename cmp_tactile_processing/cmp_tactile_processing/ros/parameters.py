@@ -24,6 +24,16 @@ from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, numbers_text, parameter
 
+TYPES = {
+    ParameterType.PARAMETER_BOOL: "true or false",
+    ParameterType.PARAMETER_INTEGER: "an integer",
+    ParameterType.PARAMETER_DOUBLE: "a number with a decimal point",
+    ParameterType.PARAMETER_STRING: "a text",
+    ParameterType.PARAMETER_DOUBLE_ARRAY: "numbers with a decimal point",
+}
+
+T = TypeVar("T")
+
 
 def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
     """The descriptor of a field made by `parameters.parameter`."""
@@ -68,15 +78,6 @@ def allowed(descriptor: ParameterDescriptor) -> str:
     return ", ".join(limits)
 
 
-TYPES = {
-    ParameterType.PARAMETER_BOOL: "true or false",
-    ParameterType.PARAMETER_INTEGER: "an integer",
-    ParameterType.PARAMETER_DOUBLE: "a number with a decimal point",
-    ParameterType.PARAMETER_STRING: "a text",
-    ParameterType.PARAMETER_DOUBLE_ARRAY: "numbers with a decimal point",
-}
-
-
 def why_refused(node: Node, parameter: Parameter[Any]) -> str:
     """Why a name or a type is refused, which rclpy does not say by name; empty where neither is."""
     if not node.has_parameter(parameter.name):
@@ -110,9 +111,6 @@ def _unknown(node: Node, name: str) -> str:
 
 def _plain(found: Any) -> Any:
     return found if isinstance(found, (bool, int, float, str, type(None))) else list(found)
-
-
-T = TypeVar("T")
 
 
 class StageParameters(Generic[T]):

@@ -33,6 +33,8 @@ from cmp_tactile_processing.processes import Interruption
 LOGGED_S = 5.0
 HIGHEST_DOMAIN = 232
 
+Self = TypeVar("Self", bound="Listener")
+
 
 class JoinError(CmpTactileError):
     """ROS refuses this process, for its arguments, its domain or its security."""
@@ -198,9 +200,6 @@ def leave_at_once(code: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
-
-
-Self = TypeVar("Self", bound="Listener")
 
 
 class Listener:

@@ -27,6 +27,8 @@ from cmp_tactile_processing.cache.threads import ViewThreads, one_thread
 Info = Mapping[str, Any]
 """Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
 
+Finish = Callable[[], None]
+
 
 class Given:
     """What a node gives of one frame: a value of the core, and a message that says the same.
@@ -56,7 +58,6 @@ class Given:
         return self._make_message()
 
 
-Finish = Callable[[], None]
 """The rest of the work on a frame, on the thread of the sensor."""
 
 

@@ -58,6 +58,13 @@ ON_ONE_LINE = (
     parts.GelRelaxation,
 )
 
+DEFAULT_SENSOR = "prototype"
+SENSOR_NAME_HELP = (
+    "name of this sensor, the beginning of its tf frames; empty for the name in the sensor "
+    "description"
+)
+PACKAGE = "cmp_tactile_processing"
+
 
 @dataclass(frozen=True)
 class SensorDescription:
@@ -368,14 +375,6 @@ def _flow(part: Any) -> str:
     if isinstance(part, parts.PatternSurface):
         names = list(parts.SURFACE_KEYS[part.type])
     return f"{{{', '.join(f'{name}: {_inline(getattr(part, name))}' for name in names)}}}"
-
-
-DEFAULT_SENSOR = "prototype"
-SENSOR_NAME_HELP = (
-    "name of this sensor, the beginning of its tf frames; empty for the name in the sensor "
-    "description"
-)
-PACKAGE = "cmp_tactile_processing"
 
 
 def _config_folders() -> list[Path]:

@@ -20,6 +20,9 @@ ALIKE = 0.7
 OTHER_UNITS = {"m": (1e-3, 1e-6), "Pa": (1e3, 1e6)}
 _MISSING = object()
 
+Part = TypeVar("Part")
+Metadata = Mapping[str, Any]
+
 
 class MissingKeysError(DescriptionError):
     """A file lacks keys.
@@ -279,10 +282,6 @@ def _close(word: str, known: Iterable[str]) -> str:
     by_lower = {name.lower(): name for name in known}
     near = get_close_matches(word[:100].lower(), by_lower, n=1, cutoff=ALIKE)
     return by_lower[near[0]] if near else ""
-
-
-Part = TypeVar("Part")
-Metadata = Mapping[str, Any]
 
 
 def read_by(

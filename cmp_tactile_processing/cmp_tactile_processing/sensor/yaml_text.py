@@ -49,6 +49,12 @@ _NUMBERS = (
 _KEPT_TAGS = {_TAG + kind for kind in ("bool", "null", "merge")}
 _BOOLEANS = yaml.SafeLoader.bool_values
 
+# The line breaks of YAML, which are fewer than those of `str.splitlines`.
+LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
+COMMENT_LINE = re.compile(r"\s*(#.*)")
+BEHIND_A_VALUE = re.compile(r"\s+#\s*(.*\S)")
+BEHIND_A_KEY = re.compile(r"\s*:\s+#\s*(.*\S)")
+
 
 def _resolvers() -> dict[str, list[tuple[str, re.Pattern[str]]]]:
     """Meanings of unquoted words by their first letter: numbers as in YAML 1.2, dates are texts."""
@@ -266,13 +272,6 @@ def yaml_text(text: str) -> str:
         return text
     quoted: str = yaml.safe_dump(text, default_style='"', width=math.inf, allow_unicode=True)
     return quoted.rstrip("\n")
-
-
-# The line breaks of YAML, which are fewer than those of `str.splitlines`.
-LINE_BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
-COMMENT_LINE = re.compile(r"\s*(#.*)")
-BEHIND_A_VALUE = re.compile(r"\s+#\s*(.*\S)")
-BEHIND_A_KEY = re.compile(r"\s*:\s+#\s*(.*\S)")
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,12 @@ MISSING, PREDICTED = int(Status.MISSING), int(Status.PREDICTED)
 NOT_SEEN, NOT_SEEN_LEFT = int(MarkerFault.NOT_SEEN), int(MarkerFault.NOT_SEEN_LEFT)
 NOT_SEEN_RIGHT = int(MarkerFault.NOT_SEEN_RIGHT)
 
+# On clean frames of the sample rig the median gap is 0.4 um with its own description and 177 um
+# with that of the prototype; an error of a whole pixel in every corner makes 41 um.
+PLAUSIBLE_RAY_GAP_M = 50e-6
+# Fewer markers may all lie where one view is wrong: under glare, or at the rim of a contact.
+MIN_MEASURED_SHARE = 0.5
+
 
 class StereoRig:
     """The two views of a sensor, or the one of a monocular sensor with its known surface.
@@ -227,13 +233,6 @@ def _fill_std(given: NDArray[np.float64], unknown: float, std: NDArray[np.float6
     """Fill std (N,) from that of the corners, and where it is not finite, from the unknown's."""
     for n in range(len(std)):
         std[n] = max(given[n] if math.isfinite(given[n]) else unknown, LEAST_STD_PX)
-
-
-# On clean frames of the sample rig the median gap is 0.4 um with its own description and 177 um
-# with that of the prototype; an error of a whole pixel in every corner makes 41 um.
-PLAUSIBLE_RAY_GAP_M = 50e-6
-# Fewer markers may all lie where one view is wrong: under glare, or at the rim of a contact.
-MIN_MEASURED_SHARE = 0.5
 
 
 def implausible_ray_gap(

@@ -25,6 +25,16 @@ MOST_SEGMENTS_BRIDGED = 2
 # Where there is no further corner: how large the next difference is, of the highest known.
 NEXT_DIFFERENCE = 0.5
 
+Index: TypeAlias = NDArray[np.int64]
+# Position (C, 3) m and covariance (C, 3, 3) m^2 of the corners.
+Corners: TypeAlias = tuple[Array, Array]
+
+MISSING = int(Status.MISSING)
+# Least standard deviation of a curve, and that of one through corners without a covariance, m.
+LEAST_STD, UNKNOWN_STD = 1e-8, 1e-4
+# A gridline bends along what its curve leaves out; this share of that variance is even.
+EVEN_SHARE = 0.02
+
 
 class Stencils(NamedTuple):
     """Weights of T segments with n virtual markers each.
@@ -126,17 +136,6 @@ def _divide(nodes: NDArray[np.int64], count: int, divided: Array) -> None:
                     weight /= nodes[a] - nodes[b]
             divided[0, a] += weight
             divided[1, a] += weight if which == 0 else -weight
-
-
-Index: TypeAlias = NDArray[np.int64]
-# Position (C, 3) m and covariance (C, 3, 3) m^2 of the corners.
-Corners: TypeAlias = tuple[Array, Array]
-
-MISSING = int(Status.MISSING)
-# Least standard deviation of a curve, and that of one through corners without a covariance, m.
-LEAST_STD, UNKNOWN_STD = 1e-8, 1e-4
-# A gridline bends along what its curve leaves out; this share of that variance is even.
-EVEN_SHARE = 0.02
 
 
 class Layout(NamedTuple):

@@ -39,6 +39,9 @@ TINY = 1e-12
 # In place of MISSING, where the worst counts.
 UNKNOWN = 9
 
+# A point this far outside of a triangle, as a share of it, still lies on its border.
+ON_BORDER = 1e-9
+
 
 class DenseStatus(IntEnum):
     """What a node rests on.
@@ -396,10 +399,6 @@ def _pitch_of(reference: NDArray[np.float64]) -> float:
         msg = "dense surface: found no pitch in the reference, expected corners regular in x and y"
         raise GeometryError(msg)
     return pitch
-
-
-# A point this far outside of a triangle, as a share of it, still lies on its border.
-ON_BORDER = 1e-9
 
 
 @dataclass(frozen=True)

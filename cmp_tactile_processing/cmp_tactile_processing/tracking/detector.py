@@ -20,6 +20,18 @@ from cmp_tactile_processing.sensor.parts import Pattern
 # Pointers towards i-1, j+1, i+1, j-1 as steps in (i, j).
 STEPS = np.array([[-1, 0], [0, 1], [1, 0], [0, -1]])
 
+# The pattern is looked for this many sides around its nominal place: the largest displacement
+# that is expected, and the outermost checkers.
+SEARCH_MARGIN = 5.0
+# Smaller checkers than these cannot be distinguished.
+SMALLEST_SIDE_PX = 3.0
+# Nor smaller ones with dots.
+SMALLEST_CODED_SIDE_PX = 6.5
+
+DARK, LIGHT = 50, 190
+# Places are drawn to so many binary digits of a pixel.
+SHIFT = 4
+
 
 @dataclass(frozen=True)
 class CornerGraph:
@@ -60,14 +72,6 @@ class GridlineDetector(Protocol):
 
 
 # The pattern at rest as one view shows it: what the numbering is anchored to.
-
-# The pattern is looked for this many sides around its nominal place: the largest displacement
-# that is expected, and the outermost checkers.
-SEARCH_MARGIN = 5.0
-# Smaller checkers than these cannot be distinguished.
-SMALLEST_SIDE_PX = 3.0
-# Nor smaller ones with dots.
-SMALLEST_CODED_SIDE_PX = 6.5
 
 
 @dataclass(frozen=True)
@@ -208,10 +212,6 @@ class NominalAxes:
 
 
 # A plain drawing of the pattern at rest, as one view would show it.
-
-DARK, LIGHT = 50, 190
-# Places are drawn to so many binary digits of a pixel.
-SHIFT = 4
 
 
 def draw_nominal(

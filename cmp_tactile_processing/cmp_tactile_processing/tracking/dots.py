@@ -25,6 +25,34 @@ from cmp_tactile_processing.tracking.corners.neighbours import predicted_places
 
 Float = NDArray[np.float64]
 
+# Where a checker's grey levels are looked at, in sides from its middle: on the dot, beside it, and
+# close to the sides.
+ON_DOT = np.array([(0, 0), (-0.05, 0), (0.05, 0), (0, -0.05), (0, 0.05)])
+BESIDE = 0.25 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 0), (1, 0), (0, -1), (0, 1)])
+
+CLOSE = 0.36 * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
+# A checker counts where it differs from those beside it by this share of what is usual, and where
+# its own grey levels beside the dot scatter by less than a share of that.
+LEAST_CONTRAST, MOST_SCATTER = 0.4, 0.3
+# Dots and the lack of dots are distinguished where they differ by so much, as a share of the
+# contrast and of the scatter of each; what lies between them by less than a share is not known.
+LEAST_STRENGTH, LEAST_RATIO, BETWEEN = 0.04, 3.5, 0.2
+FEWEST_CHECKERS, FEWEST_OF_PLANE, ROUNDS = 12, 12, 8
+# Median of |x| of a normal distribution of standard deviation 1.
+MEDIAN_OF_NORMAL = 0.6745
+# Weaker dots are no proof of another code: what blur makes of checkers looks the same.
+LEAST_PROOF = 0.2
+# Where edges are so sharp (see `sharpness`) and checkers so large, dots would be seen.
+SHARP, LEAST_SIDE_PX = 0.92, 8.0
+
+# Share of the dots that are misread, and the most that is reckoned with.
+MISREAD, MOST_MISREAD = 0.05, 0.4
+LARGEST_ODDS, LARGEST_CHANCE = 1e-9, 1e-5
+# A view that is turned, mirrored or with colours exchanged is so much less likely than a right one.
+UNEXPECTED = 1e-3
+# Of the checkers that were read this share lies on the sheet: beside it a detector may see more.
+LEAST_ON_SHEET = 0.8
+
 
 @dataclass(frozen=True)
 class Cells:
@@ -65,25 +93,7 @@ class Cells:
         )
 
 
-# Where a checker's grey levels are looked at, in sides from its middle: on the dot, beside it, and
-# close to the sides.
-ON_DOT = np.array([(0, 0), (-0.05, 0), (0.05, 0), (0, -0.05), (0, 0.05)])
-BESIDE = 0.25 * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1), (-1, 0), (1, 0), (0, -1), (0, 1)])
 BESIDE[4:] *= 1.15
-CLOSE = 0.36 * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
-# A checker counts where it differs from those beside it by this share of what is usual, and where
-# its own grey levels beside the dot scatter by less than a share of that.
-LEAST_CONTRAST, MOST_SCATTER = 0.4, 0.3
-# Dots and the lack of dots are distinguished where they differ by so much, as a share of the
-# contrast and of the scatter of each; what lies between them by less than a share is not known.
-LEAST_STRENGTH, LEAST_RATIO, BETWEEN = 0.04, 3.5, 0.2
-FEWEST_CHECKERS, FEWEST_OF_PLANE, ROUNDS = 12, 12, 8
-# Median of |x| of a normal distribution of standard deviation 1.
-MEDIAN_OF_NORMAL = 0.6745
-# Weaker dots are no proof of another code: what blur makes of checkers looks the same.
-LEAST_PROOF = 0.2
-# Where edges are so sharp (see `sharpness`) and checkers so large, dots would be seen.
-SHARP, LEAST_SIDE_PX = 0.92, 8.0
 
 
 @dataclass(frozen=True)
@@ -206,13 +216,6 @@ def _two_levels(values: Float, place: Float) -> tuple[Float, Float] | None:
     return (none, some) if apart >= max(LEAST_STRENGTH, LEAST_RATIO * scatter) else None
 
 
-# Share of the dots that are misread, and the most that is reckoned with.
-MISREAD, MOST_MISREAD = 0.05, 0.4
-LARGEST_ODDS, LARGEST_CHANCE = 1e-9, 1e-5
-# A view that is turned, mirrored or with colours exchanged is so much less likely than a right one.
-UNEXPECTED = 1e-3
-# Of the checkers that were read this share lies on the sheet: beside it a detector may see more.
-LEAST_ON_SHEET = 0.8
 TURNS = tuple((turns, mirrored) for mirrored in (False, True) for turns in range(4))
 
 

@@ -21,11 +21,9 @@ from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.reference_keeping import (
     DriftParameters,
     ReferenceKeeper,
-    RestParameters,
-    StillnessWatch,
     ZeroParameters,
-    judge_frames,
 )
+from cmp_tactile_processing.surface.stillness import RestParameters, StillnessWatch, judge_frames
 
 SHAPE = GridShape(20, 20, 1)
 UM = 1e-6

@@ -8,7 +8,7 @@ import pytest
 
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.tracker import image_fault
+from cmp_tactile_processing.tracking.image_fault import image_fault
 
 SHAPE = (512, 594)
 

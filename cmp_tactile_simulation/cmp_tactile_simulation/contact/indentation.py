@@ -14,8 +14,8 @@ from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.contact.step import ContactStep
 from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
-from cmp_tactile_simulation.gel import Elastomer
 from cmp_tactile_simulation.indenters import Indenter
+from cmp_tactile_simulation.neo_hookean_gel import Elastomer
 
 Array = NDArray[np.float64]
 LOGGER = logging.getLogger(__name__)

@@ -22,6 +22,16 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_simulation.indenters import Indenter
 
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+# Step of the difference that shows how a normal turns along the surface, m.
+CURVATURE_STEP = 1e-7
+TINY = 1e-300
+# A normal force this much smaller than the largest is round-off, and its node open.
+LEAST_SHARE = 1e-9
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -78,17 +88,6 @@ class ContactState:
     def resultant(self) -> NDArray[np.float64]:
         """Sum of the nodal forces, (3,) N."""
         return np.asarray(self.force.sum(axis=0))
-
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
-Mask = NDArray[np.bool_]
-
-# Step of the difference that shows how a normal turns along the surface, m.
-CURVATURE_STEP = 1e-7
-TINY = 1e-300
-# A normal force this much smaller than the largest is round-off, and its node open.
-LEAST_SHARE = 1e-9
 
 
 @dataclass(frozen=True)

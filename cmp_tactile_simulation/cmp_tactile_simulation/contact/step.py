@@ -12,8 +12,8 @@ from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import ContactState, Pose, Problem, bulge
 from cmp_tactile_simulation.errors import ContactError, MaterialError
-from cmp_tactile_simulation.gel import Elastomer
 from cmp_tactile_simulation.indenters import Indenter
+from cmp_tactile_simulation.neo_hookean_gel import Elastomer
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]

@@ -17,13 +17,29 @@ from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
-from cmp_tactile_processing.surface.reference_keeping import RestParameters
+from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SimulationError
 from cmp_tactile_simulation.scenes.description import Press, Scene, load_between
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 
 HIGHEST_M = 0.1
+
+# What turns and torques are compared with ways and forces by: about half a gel's side, m.
+LEVER_M = 0.01
+# Of sums of intervals, in frames.
+ROUNDING = 1e-6
+# Frames of a scene that are solved in one step at most: a slow machine plays in slow motion.
+MOST_FRAMES = 4
+
+# After a pause the motion goes on from where it was, not from where it would be by now: a step
+# counts for so many regular ones at most.
+LONGEST_STEP = 3
+# Share of the last steps in the average of their duration.
+STEP_MEMORY = 0.9
+# A scene's motion begins when so many pictures of the gel at rest were taken: in them a reference
+# is found however slow the machine is, though some be lost and a count of frames be under way.
+REST_PICTURES = 3 * RestParameters().rest_frames
 
 
 @dataclass(frozen=True)
@@ -89,14 +105,6 @@ class LiveStatus:
     problem: str = ""
     steps: int = 0
     step_s: float = 0.0
-
-
-# What turns and torques are compared with ways and forces by: about half a gel's side, m.
-LEVER_M = 0.01
-# Of sums of intervals, in frames.
-ROUNDING = 1e-6
-# Frames of a scene that are solved in one step at most: a slow machine plays in slow motion.
-MOST_FRAMES = 4
 
 
 @dataclass(frozen=True)
@@ -210,14 +218,6 @@ def _load_distance(begin: Load, end: Load) -> float:
     return max(float(np.linalg.norm(forces)), abs(end.torque - begin.torque) / LEVER_M)
 
 
-# After a pause the motion goes on from where it was, not from where it would be by now: a step
-# counts for so many regular ones at most.
-LONGEST_STEP = 3
-# Share of the last steps in the average of their duration.
-STEP_MEMORY = 0.9
-# A scene's motion begins when so many pictures of the gel at rest were taken: in them a reference
-# is found however slow the machine is, though some be lost and a count of frames be under way.
-REST_PICTURES = 3 * RestParameters().rest_frames
 Goal = Pose | Load | LiveMode
 """PLAYING and HOLDING where there is no target."""
 

@@ -29,6 +29,9 @@ from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFram
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
 
+# Noise is drawn from so many images, at places by chance.
+NOISE_IMAGES = 8
+
 
 @dataclass(frozen=True)
 class TruthWanted:
@@ -116,10 +119,6 @@ def live_scene(scene: Scene, settings: LiveSettings) -> Scene:
         contact_nodes=min(scene.contact_nodes, settings.contact_nodes),
         samples=min(scene.samples, settings.samples),
     )
-
-
-# Noise is drawn from so many images, at places by chance.
-NOISE_IMAGES = 8
 
 
 class LiveCamera:

@@ -29,6 +29,8 @@ from cmp_tactile_simulation.scenes.file import load_scene
 # One lane asks for pictures and waits for them, the other takes commands meanwhile.
 LANES = 2
 
+FRAME_RATE = 20.0
+
 
 class LiveProcess:
     """A LiveSensor in another process, which computes contact and pictures.
@@ -120,7 +122,6 @@ def main() -> None:
     os._exit(0)
 
 
-FRAME_RATE = 20.0
 """Unless the driver asks for another, Hz: what two cores keep up with beside the whole graph."""
 
 

@@ -35,6 +35,8 @@ LEAST_FORCE_N = 0.02
 CODEC = "mp4v"
 SUBPIXEL_BITS = 4
 
+LEAST_DIGITS = 3
+
 
 def write_video(
     path: Path,
@@ -180,9 +182,6 @@ def _open(path: Path, picture: NDArray[np.uint8], rate: float) -> cv2.VideoWrite
         msg = f"{path}: OpenCV cannot write a video to this path"
         raise OutputError(msg)
     return writer
-
-
-LEAST_DIGITS = 3
 
 
 def write_images(

@@ -24,6 +24,17 @@ WIDE_BLUR, BLUR_BEFORE = 1.5, 1.0
 # Fixed, so that the noise is the same on every machine.
 NOISE_STREAMS = 4
 
+# Dust grains: radius, px.  Hairs: length and width, px.
+GRAIN_RADIUS = (1.5, 6.0)
+HAIR_LENGTH = (40.0, 200.0)
+HAIR_WIDTH = (1, 2)
+HAIR_POINTS = 24
+# Share of the light that one keeps, and the blur of what is not in focus, px.
+KEPT_LIGHT = (0.2, 0.7)
+CLUTTER_BLUR = 1.5
+# cv2 draws at fractions of a pixel of 2^-SHIFT.
+SHIFT = 4
+
 
 def expose(
     frame: RenderedFrame,
@@ -197,17 +208,6 @@ class CameraSettings(Parameters, section="camera"):
 
 
 # What stays between the gel and the camera: glare, dust and hairs.
-
-# Dust grains: radius, px.  Hairs: length and width, px.
-GRAIN_RADIUS = (1.5, 6.0)
-HAIR_LENGTH = (40.0, 200.0)
-HAIR_WIDTH = (1, 2)
-HAIR_POINTS = 24
-# Share of the light that one keeps, and the blur of what is not in focus, px.
-KEPT_LIGHT = (0.2, 0.7)
-CLUTTER_BLUR = 1.5
-# cv2 draws at fractions of a pixel of 2^-SHIFT.
-SHIFT = 4
 
 
 def glare_light(

@@ -29,6 +29,12 @@ LONGEST_BLOB = 1.6
 # Bins beyond the print: a blob at its rim reaches there, and what is beyond them is in the last.
 AROUND = 3
 
+# Greys of the noise-free frame; the camera settings say what a camera makes of them.
+DARK_GREY, LIGHT_GREY, HOUSING_GREY = 45.0, 205.0, 18.0
+PATTERN_TYPES = ("cmp", "dmp")
+
+CHECKERS, DOTS = 0, 1
+
 
 @dataclass(frozen=True)
 class PrintDefects(Parameters, section="print"):
@@ -174,10 +180,6 @@ def _binned(
 
 # The patterns.
 
-# Greys of the noise-free frame; the camera settings say what a camera makes of them.
-DARK_GREY, LIGHT_GREY, HOUSING_GREY = 45.0, 205.0, 18.0
-PATTERN_TYPES = ("cmp", "dmp")
-
 
 @dataclass(frozen=True)
 class Checkerboard:
@@ -285,8 +287,6 @@ def _arrays(
 
 
 # The grey of the print at a material point, as compiled code evaluates it.
-
-CHECKERS, DOTS = 0, 1
 
 
 class Print(NamedTuple):

@@ -31,6 +31,22 @@ from cmp_tactile_simulation.rendering.surface import (
 
 BANDS_PER_THREAD = 4
 
+# Pixels around the view that have rays too: what happens between two pixels depends on a third.
+BORDER = 1
+
+# Sides of the mesh's cells in the picture, px, and their number along the block.
+CELL_PX = 8.0
+FEWEST_CELLS, MOST_CELLS = 80, 300
+# The mesh reaches so many pixels beyond the block, so that its edge lies between mesh points.
+BEYOND_PX = 4.0
+# A point that its own pixel's ray misses by more than this, m, is outside what the lens shows.
+LENS_TOLERANCE_M = 1e-4
+
+# A marker is hidden where its ray first meets the surface further than this from it, m.
+SAME_POINT_M = 1e-7
+# Guesses this near to each other, in pixels, lead to the same meeting.
+ALIKE_PIXELS = 2.0
+
 
 @dataclass(frozen=True)
 class RenderedFrame:
@@ -147,10 +163,6 @@ class Renderer:
         list(self._pool.map(lambda band: work(*band), bands))
 
 
-# Pixels around the view that have rays too: what happens between two pixels depends on a third.
-BORDER = 1
-
-
 def pixel_rays(view: ViewGeometry) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rays inside the gel of a view's pixels and of one more all around, gel frame.
 
@@ -168,14 +180,6 @@ def pixel_rays(view: ViewGeometry) -> tuple[NDArray[np.float64], NDArray[np.floa
 
 
 # Triangles over the deformed surface as a view shows them: visibility and first guesses.
-
-# Sides of the mesh's cells in the picture, px, and their number along the block.
-CELL_PX = 8.0
-FEWEST_CELLS, MOST_CELLS = 80, 300
-# The mesh reaches so many pixels beyond the block, so that its edge lies between mesh points.
-BEYOND_PX = 4.0
-# A point that its own pixel's ray misses by more than this, m, is outside what the lens shows.
-LENS_TOLERANCE_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -329,12 +333,6 @@ def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int,
                 out[v, u, 1] = (wa * a[2] + wb * b[2] + wc * c[2]) * far
                 out[v, u, 2] = near
                 out[v, u, 3] = size
-
-
-# A marker is hidden where its ray first meets the surface further than this from it, m.
-SAME_POINT_M = 1e-7
-# Guesses this near to each other, in pixels, lead to the same meeting.
-ALIKE_PIXELS = 2.0
 
 
 class OpticalTruth:

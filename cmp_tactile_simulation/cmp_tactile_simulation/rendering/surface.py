@@ -16,6 +16,17 @@ from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 
+# A cubic that passes through the points needs so many along each side.
+LEAST_POINTS = 4
+PLANE, SPHERE, CYLINDER_X, CYLINDER_Y = range(4)
+
+NEWTON_STEPS = 25
+# Error that is left, m; sharper features than this radius, m, do not occur on the surface.
+TOLERANCE = 1e-9
+SMALLEST_RADIUS = 2e-4
+# Near a fold the tangent points far away.
+LONGEST_STEP = 3e-4
+
 
 @dataclass(frozen=True)
 class DeformedSurface:
@@ -70,10 +81,6 @@ class DeformedSurface:
 
 
 # The deformed marker surface as compiled code evaluates it: rest shape plus cubic spline.
-
-# A cubic that passes through the points needs so many along each side.
-LEAST_POINTS = 4
-PLANE, SPHERE, CYLINDER_X, CYLINDER_Y = range(4)
 
 
 class SplineSurface(NamedTuple):
@@ -222,13 +229,6 @@ def surface_points(s: SplineSurface, xy: NDArray[np.float64]) -> NDArray[np.floa
 
 
 # Where a ray meets the deformed surface: Newton's method in material coordinates.
-
-NEWTON_STEPS = 25
-# Error that is left, m; sharper features than this radius, m, do not occur on the surface.
-TOLERANCE = 1e-9
-SMALLEST_RADIUS = 2e-4
-# Near a fold the tangent points far away.
-LONGEST_STEP = 3e-4
 
 
 @kernel

@@ -29,7 +29,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
     text,
     whole,
 )
-from cmp_tactile_simulation import indenters
+from cmp_tactile_simulation import indenter_shapes, indenters
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import IndenterError
@@ -48,6 +48,13 @@ NOWHERE = (0.0, 0.0, 0.0)
 FIRST_STAMP_NS = 1_750_000_000 * 10**9
 
 Vector = tuple[float, float, float]
+
+MESH = "mesh"
+MESH_KEYS = ("scale", "edge_radius")
+MAX_FRICTION = 10.0
+# Of everything that presses on a gel.
+SIDE_M = 1e-6, 0.2
+DEFAULT_FRICTION = 0.6
 
 
 def read_name(section: YamlSection, key: str) -> str:
@@ -306,23 +313,16 @@ def _touching(
     return Pose(touching.position + (0.0, 0.0, clearance), rotation)
 
 
-MESH = "mesh"
-MESH_KEYS = ("scale", "edge_radius")
-MAX_FRICTION = 10.0
-# Of everything that presses on a gel.
-SIDE_M = 1e-6, 0.2
-DEFAULT_FRICTION = 0.6
-
 INDENTERS: Mapping[str, Any] = {
     shape.name: shape
     for shape in (
-        indenters.Sphere,
-        indenters.Cylinder,
-        indenters.FlatProbe,
-        indenters.Cuboid,
-        indenters.Ring,
-        indenters.HexagonalBar,
-        indenters.SphereGroup,
+        indenter_shapes.Sphere,
+        indenter_shapes.Cylinder,
+        indenter_shapes.FlatProbe,
+        indenter_shapes.Cuboid,
+        indenter_shapes.Ring,
+        indenter_shapes.HexagonalBar,
+        indenter_shapes.SphereGroup,
     )
 }
 

@@ -46,6 +46,9 @@ GOALS = ("to", "by", "load", "touch", "hold", "release")
 
 Point = tuple[float, float]
 
+PACKAGE = "cmp_tactile_simulation"
+VARIANT_MARK = ":"
+
 
 def variants_of(path: Path) -> tuple[str, ...]:
     """Names of a scene's variants; empty where it has none.  SceneError as for `read_scene`."""
@@ -344,10 +347,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, (tuple, list)) else value
-
-
-PACKAGE = "cmp_tactile_simulation"
-VARIANT_MARK = ":"
 
 
 class SceneName(NamedTuple):

@@ -26,7 +26,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
-from cmp_tactile_simulation.gel import elastomer_of
+from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import expose
 from cmp_tactile_simulation.rendering.ink import ink_of

@@ -12,7 +12,7 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError, LoadError
-from cmp_tactile_simulation.indenters import Cuboid, FlatProbe, Ring, Sphere, SphereGroup
+from cmp_tactile_simulation.indenter_shapes import Cuboid, FlatProbe, Ring, Sphere, SphereGroup
 
 YOUNG, POISSON = 1e6, 0.5
 MODULUS = YOUNG / (1 - POISSON**2)

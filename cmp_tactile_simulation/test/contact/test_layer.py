@@ -13,7 +13,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.errors import ContactError
 from cmp_tactile_simulation.gel import LinearElastomer
-from cmp_tactile_simulation.indenters import Sphere
+from cmp_tactile_simulation.indenter_shapes import Sphere
 
 YOUNG, POISSON, THICKNESS = 5e5, 0.49, 6e-3
 RADIUS = 12e-3

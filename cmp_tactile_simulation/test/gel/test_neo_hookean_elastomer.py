@@ -9,8 +9,9 @@ from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.errors import MaterialError
-from cmp_tactile_simulation.gel import LinearElastomer, NeoHookeanElastomer
-from cmp_tactile_simulation.indenters import Sphere
+from cmp_tactile_simulation.gel import LinearElastomer
+from cmp_tactile_simulation.indenter_shapes import Sphere
+from cmp_tactile_simulation.neo_hookean_gel import NeoHookeanElastomer
 
 NODES = 11
 COARSE = MeshDensity(across=6, rim=1, depth=2, growth=2.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_simulation.errors import IndenterError
-from cmp_tactile_simulation.indenters import (
+from cmp_tactile_simulation.indenter_shapes import (
     Cuboid,
     Cylinder,
     FlatProbe,

@@ -21,7 +21,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.surface.reference_keeping import RestParameters
+from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import CommandError, SceneError

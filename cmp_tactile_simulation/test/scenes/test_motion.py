@@ -9,7 +9,7 @@ from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer
-from cmp_tactile_simulation.indenters import Sphere
+from cmp_tactile_simulation.indenter_shapes import Sphere
 from cmp_tactile_simulation.scenes.description import (
     Hold,
     Motion,

@@ -19,6 +19,10 @@ from cmp_tactile_processing.ros.services import answer_of
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import Setting, ShownSensor
 
+STAGES = ("stereo_triangulator", "force_reconstructor")
+# Those of ROS itself are many, and seldom wanted.
+LEFT_OUT = ("qos_overrides.", "use_sim_time", "start_type_description_service")
+
 
 @dataclass(frozen=True)
 class RunningSensor:
@@ -32,11 +36,6 @@ class RunningSensor:
     description_file: str
     own_name: str
     shown: ShownSensor
-
-
-STAGES = ("stereo_triangulator", "force_reconstructor")
-# Those of ROS itself are many, and seldom wanted.
-LEFT_OUT = ("qos_overrides.", "use_sim_time", "start_type_description_service")
 
 
 def node_settings(node: Node, namespace: str, views: Iterable[str]) -> tuple[Setting, ...]:

@@ -43,6 +43,8 @@ LONGEST_NAME = 253
 UNSTATED_PORTS = (80, 443, None)
 _serving = threading.Lock()
 
+Answer = Callable[[Any, Request], Response | None]
+
 
 @dataclass(frozen=True)
 class Access:
@@ -195,9 +197,6 @@ def _allowed_name(text: str) -> str:
         msg = f"--allow-host: found {text!r}, expected the name of a machine, as robot.lab.example"
         raise ViewerError(msg)
     return place[0]
-
-
-Answer = Callable[[Any, Request], Response | None]
 
 
 def _with_guard(guard: Guard, answer: Answer) -> Answer:

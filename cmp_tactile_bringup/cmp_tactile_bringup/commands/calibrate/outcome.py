@@ -29,6 +29,13 @@ from cmp_tactile_processing.sensor.description import SensorDescription, write_s
 
 SUFFIXES = (".yaml", ".yml")
 
+# Of an estimate of what several parameters do at once.
+COMBINATION = "together: "
+NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
+WORDY_COLUMNS = ("Parameter", "Unit")
+Outcome = CalibrationOutcome | MaterialOutcome | RelaxationOutcome
+FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
+
 
 @dataclass(frozen=True)
 class CalibrationFiles:
@@ -94,14 +101,6 @@ class CalibrationFiles:
         if self.sensor is not None and sensor is not None:
             write_sensor_description(self.sensor, sensor)
         return self.written
-
-
-# Of an estimate of what several parameters do at once.
-COMBINATION = "together: "
-NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
-WORDY_COLUMNS = ("Parameter", "Unit")
-Outcome = CalibrationOutcome | MaterialOutcome | RelaxationOutcome
-FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
 
 
 def conclude(

@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import outcome
 from cmp_tactile_processing.calibration.board import result
-from cmp_tactile_processing.calibration.board.bundle import (
+from cmp_tactile_processing.calibration.board.images import (
+    corners_of,
+    findings_of_images,
+    look_for_board,
+)
+from cmp_tactile_processing.calibration.board.start import (
     Corners,
     RigFit,
     fit_rig,
     start_error,
     start_of_cameras,
-)
-from cmp_tactile_processing.calibration.board.images import (
-    corners_of,
-    findings_of_images,
-    look_for_board,
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian

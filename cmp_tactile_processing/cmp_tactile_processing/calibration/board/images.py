@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.bundle import Corners
+from cmp_tactile_processing.calibration.board.start import Corners
 from cmp_tactile_processing.calibration.board.target import (
     BoardSighting,
     BoardTarget,

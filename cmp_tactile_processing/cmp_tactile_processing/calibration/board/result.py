@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.board.bundle import RigFit
+from cmp_tactile_processing.calibration.board.start import RigFit
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,

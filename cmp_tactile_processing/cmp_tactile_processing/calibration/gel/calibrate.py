@@ -54,6 +54,8 @@ SWAP_GAIN = 5.0
 # A combination of parameters is named by those that have this share of it.
 NAMED_SHARE = 0.2
 
+_EXCHANGE = "swap the cameras' cables, or views.left.roi and views.right.roi"
+
 
 def calibrate_gel(
     sensor: SensorDescription,
@@ -146,9 +148,6 @@ def _refuse_exchanged(
             f"and vice versa: {_EXCHANGE}"
         )
         raise CalibrationError(msg)
-
-
-_EXCHANGE = "swap the cameras' cables, or views.left.roi and views.right.roi"
 
 
 def _shows(grids: Sequence[Grid], options: GelCalibrationParameters) -> NDArray[np.bool_]:

@@ -38,6 +38,18 @@ NEIGHBOURS_ROOT = 3.0
 # No gap of the rays is too wide to look at: it is what is looked for.
 WIDEST_GAP_M = 1e-2
 
+# Parts of the pattern move from frame to frame by this many standard deviations of a corner at
+# most: noise alone, averaged over 3 x 3 corners.
+NOISE_MOTION = 3.0
+# Of the surface's deviations, this many standard deviations may be noise and flaws of the print.
+NOISE_SHAPE = 4.0
+MOST_LISTED = 6
+
+_LOOK = (
+    "Check in the recording that the whole pattern is lit, in focus, clean, and within its part "
+    "of the frame."
+)
+
 
 @dataclass(frozen=True)
 class GelCalibrationParameters(RigPrior, section="gel calibration"):
@@ -277,14 +289,6 @@ def _grid(sensor: SensorDescription, view: ViewObservation) -> Grid:
     return replace(empty, corners=view.corners, corner_status=status, corner_std=view.std)
 
 
-# Parts of the pattern move from frame to frame by this many standard deviations of a corner at
-# most: noise alone, averaged over 3 x 3 corners.
-NOISE_MOTION = 3.0
-# Of the surface's deviations, this many standard deviations may be noise and flaws of the print.
-NOISE_SHAPE = 4.0
-MOST_LISTED = 6
-
-
 def frame_list(numbers: Sequence[int]) -> str:
     """Frames of these indices, from 0, by their numbers from 1: "frames 2, 5, 6"."""
     listed = ", ".join(str(number + 1) for number in numbers[:MOST_LISTED])
@@ -336,12 +340,6 @@ def sight_findings(
         )
         findings.append(Finding.graded(text, _LOOK, error=share < options.least_seen))
     return findings
-
-
-_LOOK = (
-    "Check in the recording that the whole pattern is lit, in focus, clean, and within its part "
-    "of the frame."
-)
 
 
 def motion_findings(

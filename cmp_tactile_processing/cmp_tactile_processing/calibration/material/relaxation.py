@@ -52,6 +52,8 @@ USELESS_SHARE, USELESS_TIME = 0.3, 0.5
 # the highest reading, are not those of one time constant.
 HANGS_TOGETHER, MISFIT_SHARE = 3.0, 0.001
 
+_LONGER = f"Hold the load for {HELD_WANTED:g} time constants or more."
+
 
 @dataclass(frozen=True)
 class RelaxationOutcome(WithFindings):
@@ -341,9 +343,6 @@ def _opposite_finding(fit: _Fit) -> Finding:
     )
     advice = "Check that reading and reference have the same sign and are not swapped."
     return Finding(Severity.ERROR, text, advice)
-
-
-_LONGER = f"Hold the load for {HELD_WANTED:g} time constants or more."
 
 
 def _time_findings(record: _Record, fit: _Fit) -> list[Finding]:

@@ -42,6 +42,19 @@ FARTHEST_CENTRE = 4.0
 # Nearest nominal corners are looked up in cells of this share of the smallest side.
 CELL = 0.5
 
+# Width (Gaussian, in sides) of the surroundings: they hold light and dark alike.
+SURROUNDINGS = 0.65
+# Where they vary by less than this share of the image's contrast, or by less than so many standard
+# deviations of the noise that smoothing leaves, there is no pattern.
+LEAST_CONTRAST, LEAST_DEVIATIONS = 0.03, 2.0
+# Surroundings are measured on pixels of this many to a side.
+COARSE = 5.0
+# Openings and closings go up to this share of a side.
+MEND = 0.08
+CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+SQUARE = np.ones((3, 3), np.uint8)
+NOWHERE = 1e4
+
 
 class NominalSteps:
     """Steps along i and j of the nominal corner nearest to a place, by table.
@@ -318,19 +331,6 @@ def _is_checker(corners: Floats, step: Floats) -> bool:
 
 # Pretreatment and contour extraction. Where a place is darker or lighter than its surroundings by a
 # share of what they vary by, the illumination does not matter.
-
-# Width (Gaussian, in sides) of the surroundings: they hold light and dark alike.
-SURROUNDINGS = 0.65
-# Where they vary by less than this share of the image's contrast, or by less than so many standard
-# deviations of the noise that smoothing leaves, there is no pattern.
-LEAST_CONTRAST, LEAST_DEVIATIONS = 0.03, 2.0
-# Surroundings are measured on pixels of this many to a side.
-COARSE = 5.0
-# Openings and closings go up to this share of a side.
-MEND = 0.08
-CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-SQUARE = np.ones((3, 3), np.uint8)
-NOWHERE = 1e4
 
 
 def least_deviation(image: PreparedImage) -> float:

@@ -33,6 +33,18 @@ MAGNIFY_BELOW_PX = 10.0
 # more than with their size.
 EROSION, DEEPEST_EROSION = 0.12, 3
 
+# A further pretreatment must add this share of the corners to what hangs together to go on.
+LITTLE_GAIN = 0.005
+
+Floats = NDArray[np.float64]
+Wholes = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+# Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart, more
+# where the gel is sheared.
+L_CHECKER, L_CORNER = 1.9, 0.55
+# Two outlines whose centres are nearer than this, in sides, are of one checker.
+ONE_CHECKER = 0.5
+
 
 @dataclass(frozen=True)
 class Pretreatment:
@@ -47,8 +59,6 @@ class Pretreatment:
     deeper: tuple[int, ...]
 
 
-# A further pretreatment must add this share of the corners to what hangs together to go on.
-LITTLE_GAIN = 0.005
 # Taken in turn, the checkers of both colours each time, until the corners of the whole grid hang
 # together; the paper repeats its pretreatment likewise.  Smoothing straightens ragged edges.
 PRETREATMENTS = (
@@ -123,14 +133,6 @@ class ContourStitching:
 # corner merges with the opposite-numbered corner of the diagonal neighbour of its colour.  Where
 # the checkers of both colours are outlined, either pair gives the corner, and the pairs join.
 
-Floats = NDArray[np.float64]
-Wholes = NDArray[np.intp]
-Flags = NDArray[np.bool_]
-# Algorithm 1's thresholds, in sides: diagonal neighbours' centres are sqrt(2) sides apart, more
-# where the gel is sheared.
-L_CHECKER, L_CORNER = 1.9, 0.55
-# Two outlines whose centres are nearer than this, in sides, are of one checker.
-ONE_CHECKER = 0.5
 # From corner k of a checker to k + 1, which way along the gridline: index into STEPS.
 TOWARDS = np.array(
     [

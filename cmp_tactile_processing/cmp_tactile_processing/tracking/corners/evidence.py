@@ -43,6 +43,23 @@ ANGLES = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
 COSINE, SINE = np.cos(ANGLES), np.sin(ANGLES)
 COSINE_2, SINE_2 = np.cos(2 * ANGLES), np.sin(2 * ANGLES)
 
+Float = NDArray[np.float64]
+# Where the rim of something that hides the gel crosses a gridline, there is a saddle too.  It is
+# weaker or stronger than those around it, or its contours run askew of the gridlines.  Of corners
+# in sight, 99.9 % stay within 0.73 to 1.2 of their neighbours' strength, even at noise of 16 grey
+# levels or on a worn print, and 99.9 % below a skew of 0.2 (0.48 on the worn print).
+WEAKEST_SADDLE, STRONGEST_SADDLE = 0.65, 1.4
+LARGEST_SKEW = 0.4
+# The rings reach farther than the fit: least share of their variance that is a corner's, and their
+# strength relative to the corners around.
+LEAST_QUALITY = 0.45
+WEAKEST_RING, STRONGEST_RING = 0.6, 1.5
+# An edge to a neighbour differs in grey by this share of the corner's amplitude.
+LEAST_EDGE = 0.4
+# A corner all of whose neighbours are known is no rim's: on a ragged or spotted print it may look
+# less like its neighbours.
+WEAKEST_ENCLOSED, LEAST_ENCLOSED_QUALITY = 0.35, 0.25
+
 
 def ring_evidence(
     smooth: NDArray[np.float32],
@@ -231,23 +248,6 @@ def _is_ring_inside(
 
 
 # Whether fitted corners look like those around them: bends, rings and edges, compared.
-
-Float = NDArray[np.float64]
-# Where the rim of something that hides the gel crosses a gridline, there is a saddle too.  It is
-# weaker or stronger than those around it, or its contours run askew of the gridlines.  Of corners
-# in sight, 99.9 % stay within 0.73 to 1.2 of their neighbours' strength, even at noise of 16 grey
-# levels or on a worn print, and 99.9 % below a skew of 0.2 (0.48 on the worn print).
-WEAKEST_SADDLE, STRONGEST_SADDLE = 0.65, 1.4
-LARGEST_SKEW = 0.4
-# The rings reach farther than the fit: least share of their variance that is a corner's, and their
-# strength relative to the corners around.
-LEAST_QUALITY = 0.45
-WEAKEST_RING, STRONGEST_RING = 0.6, 1.5
-# An edge to a neighbour differs in grey by this share of the corner's amplitude.
-LEAST_EDGE = 0.4
-# A corner all of whose neighbours are known is no rim's: on a ragged or spotted print it may look
-# less like its neighbours.
-WEAKEST_ENCLOSED, LEAST_ENCLOSED_QUALITY = 0.35, 0.25
 
 
 def find_edges(

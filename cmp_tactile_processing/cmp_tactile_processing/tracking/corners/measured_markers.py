@@ -23,7 +23,6 @@ from cmp_tactile_processing.tracking.corners.evidence import (
 )
 from cmp_tactile_processing.tracking.corners.neighbours import (
     border_of,
-    drop_stray_parts,
     edge_crossings,
     known_beside,
     local_steps,
@@ -33,6 +32,7 @@ from cmp_tactile_processing.tracking.corners.neighbours import (
     predicted_places,
 )
 from cmp_tactile_processing.tracking.corners.saddle_point import SaddlePointFit
+from cmp_tactile_processing.tracking.corners.stray_parts import drop_stray_parts
 from cmp_tactile_processing.tracking.detector import NominalGrid
 
 # Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie

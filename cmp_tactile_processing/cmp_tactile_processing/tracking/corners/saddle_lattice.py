@@ -28,6 +28,13 @@ LEAST_OF_NEIGHBOUR = 0.55
 # Nominal steps are looked up on a lattice of this many px.
 LOOKUP_PX = 8
 
+# Radius of the ring in sides of a checker: inside the four checkers, clear of their far corners.
+RING_RADIUS = 0.3
+# A candidate is the strongest response within this many sides.
+SUPPRESSION_RADIUS = 0.28
+# Share of the odd part (what differs on opposite sides, as at an edge) that is taken off.
+ODD_WEIGHT = 1.0
+
 
 class SaddleLattice:
     """Detector after section III's gridlines, found from their crossings instead of outlines.
@@ -287,13 +294,6 @@ def _keep_mutual(pointer: NDArray[np.intp]) -> None:
 
 
 # Where in an image four checkers meet: the second circular harmonic around each pixel.
-
-# Radius of the ring in sides of a checker: inside the four checkers, clear of their far corners.
-RING_RADIUS = 0.3
-# A candidate is the strongest response within this many sides.
-SUPPRESSION_RADIUS = 0.28
-# Share of the odd part (what differs on opposite sides, as at an edge) that is taken off.
-ODD_WEIGHT = 1.0
 
 
 class SaddleResponse:

@@ -38,6 +38,15 @@ FIRST_BLUR_PX = 1.0
 APART_PX, APART_STD = 0.1, 4.0
 NONE_UNKNOWN = np.zeros((0, 0), np.bool_)
 
+# The window moves at most so often.  The first is wider than the others by this factor, and so are
+# those after a move of more than FAR_MOVE of the narrow window.
+MOST_STEPS, FIRST_WINDOW, FAR_MOVE = 12, 1.6, 0.35
+# Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
+LONGEST_MOVE = 0.5
+# A start is a good one where the last window moves no farther from it, in window sizes.
+CLOSE = 0.12
+QuadraticWork = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+
 
 @dataclass(frozen=True)
 class SaddlePoints:
@@ -140,15 +149,6 @@ def _take_where_alike(
 
 
 # Saddle points of a smooth image, by quadratics fitted in windows that move by sub-pixels.
-
-# The window moves at most so often.  The first is wider than the others by this factor, and so are
-# those after a move of more than FAR_MOVE of the narrow window.
-MOST_STEPS, FIRST_WINDOW, FAR_MOVE = 12, 1.6, 0.35
-# Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
-LONGEST_MOVE = 0.5
-# A start is a good one where the last window moves no farther from it, in window sizes.
-CLOSE = 0.12
-QuadraticWork = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 
 def quadratic_work(widest_px: float) -> QuadraticWork:

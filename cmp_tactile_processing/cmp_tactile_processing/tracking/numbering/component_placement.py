@@ -58,6 +58,14 @@ FEWEST_CORNERS, FEWEST_LINES = 9, 3
 # Corners of which the misfit of every place is measured.
 SAMPLE = 60
 
+# Components of fewer corners are clutter as often as they are part of the pattern.
+SMALLEST_JOINED = 2
+# Checkers without sharp edges, and with less contrast than this, may be light where they should be
+# dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
+# leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
+# where neither has exchanged the colours, blur of a third of a side leaves more contrast.
+LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
+
 
 @dataclass(frozen=True)
 class Anchor:
@@ -416,15 +424,6 @@ def _without_stragglers(component: Component, expected: tuple[int, int]) -> Comp
 
 def _part(component: Component, chosen: NDArray[np.bool_]) -> Component:
     return Component(component.position[chosen], component.number[chosen], component.even[chosen])
-
-
-# Components of fewer corners are clutter as often as they are part of the pattern.
-SMALLEST_JOINED = 2
-# Checkers without sharp edges, and with less contrast than this, may be light where they should be
-# dark: beyond the first zero of its transfer function, blur exchanges them.  A lens out of focus
-# leaves 13 % of the first harmonic there, and a straight smear 22 %, with a sharpness below 0.6;
-# where neither has exchanged the colours, blur of a third of a side leaves more contrast.
-LEAST_SHARPNESS, LEAST_CONTRAST = 0.7, 0.3
 
 
 class ConnectedCorners:

@@ -25,6 +25,23 @@ _NEW, _LEFT_OUT, _NUMBERED = -2, -1, 0
 # Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
 FEWEST_STRAYS = 6
 
+Float = NDArray[np.float64]
+Index = NDArray[np.intp]
+# Places that are tried: around the one that the nearest known displacement suggests.
+REACH = 4
+# How fast the displacement changes from a corner to the next, and how much of it no plane follows,
+# in sides: it goes on across a gap as a plane whose slope is held back accordingly.
+SLOPE, ROUGHNESS = 0.1, 0.15
+# The best place fits within this and leads by this; few corners must fit better, in sides.
+FIT, LEAD = 0.45, 0.6
+FEW, FIT_OF_FEW, GAP_OF_FEW = 6, 0.3, 3.0
+# Distances between numbered corners of a line, as shares of the nominal ones.
+NEAREST, FARTHEST = 0.4, 1.6
+
+# A corner lies within this share of a side, and what detected corners are off by in px, of where
+# its neighbours put it.
+LARGEST_MISFIT, DETECTED_PX = 0.3, 1.5
+
 
 class GridlinePointers:
     """Follows the pointers of one graph after the other; keeps its buffers.
@@ -277,19 +294,6 @@ def _connected_parts(kept: Whole, walked: Whole, order: Whole, begin: Whole) -> 
 
 # Numbers of further components of corners, from those whose numbers are known.
 
-Float = NDArray[np.float64]
-Index = NDArray[np.intp]
-# Places that are tried: around the one that the nearest known displacement suggests.
-REACH = 4
-# How fast the displacement changes from a corner to the next, and how much of it no plane follows,
-# in sides: it goes on across a gap as a plane whose slope is held back accordingly.
-SLOPE, ROUGHNESS = 0.1, 0.15
-# The best place fits within this and leads by this; few corners must fit better, in sides.
-FIT, LEAD = 0.45, 0.6
-FEW, FIT_OF_FEW, GAP_OF_FEW = 6, 0.3, 3.0
-# Distances between numbered corners of a line, as shares of the nominal ones.
-NEAREST, FARTHEST = 0.4, 1.6
-
 
 def joined(
     corners: Float, component: Component, nominal: NominalGrid, even_first: bool
@@ -410,10 +414,6 @@ def _misfit(
 
 
 # Numbered corners that lie where their neighbours in the grid do not expect one.
-
-# A corner lies within this share of a side, and what detected corners are off by in px, of where
-# its neighbours put it.
-LARGEST_MISFIT, DETECTED_PX = 0.3, 1.5
 
 
 def drop_loose_corners(corners: NDArray[np.float64], nominal: NDArray[np.float64]) -> None:

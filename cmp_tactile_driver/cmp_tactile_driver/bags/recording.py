@@ -1,0 +1,186 @@
+"""What can be replayed: a bag, a video, an image, or a folder of them with stamps made up."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
+from cmp_tactile_driver.bags.storage import (
+    STORAGE_SUFFIXES,
+    bag_files,
+    is_bag_file,
+)
+from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
+from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources import files, frames
+from cmp_tactile_processing.measured import GridShape
+from cmp_tactile_processing.sensor.description import SensorDescription
+
+
+class ImageRecording:
+    """Images or a video: stamps are times from the first frame, and there is no calibration."""
+
+    has_camera_info = of_surfaces = False
+    gaps = ""
+
+    def __init__(self, source: files.ImageFolder | files.VideoFile, frame_id: str) -> None:
+        self._source, self._frame_id = source, frame_id
+        self.name, self.frame_rate = source.name, source.frame_rate
+
+    @property
+    def health(self) -> frames.SourceHealth:
+        """Frames that could not be used in the last reading."""
+        return self._source.health
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame that is said to be there, s."""
+        return max(self._source.declared_frames - 1, 0) / self.frame_rate
+
+    def calibration_mismatch(self, _sensor: SensorDescription) -> str:
+        """Nothing: images alone have no calibration."""
+        return ""
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
+        """The good frames; FrameSourceError where there is none, or of another size."""
+        for time_s, image in self._source.images():
+            if time_s >= span.end:
+                return
+            if time_s in span:
+                stamp_ns = round(time_s * 1e9)
+                yield RecordedFrame(time_s, stamp_ns, stamp_ns, self._frame_id, image)
+
+    frames = messages
+
+
+Recording = BagReader | ImageRecording
+
+
+def split_inputs(text: str) -> list[Path]:
+    """The recordings that a text names, separated as the folders of PATH are."""
+    return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
+
+
+def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
+    path: Path,
+    *,
+    topic: str = "",
+    frame_rate: float = files.DEFAULT_FRAME_RATE,
+    frame_id: str = "",
+    expected_size: frames.ImageSize | None = None,
+    shape: GridShape | None = None,
+) -> Recording:
+    """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
+
+    topic: of the bag's images, empty for the only one.  shape: of the surfaces that are read of a
+    bag without images; absent where only frames are of use.  frame_rate (Hz): of an image folder.
+    frame_id: of images and videos.  expected_size: absent for the size of the first image.
+    Raises FrameSourceError where there is nothing to replay.
+    """
+    if not (path.is_file() or path.is_dir()):
+        kinds = "a ROS 2 bag, a folder of images, an image or a video"
+        msg = f"{path}: found no such file or folder, expected {kinds}"
+        raise FrameSourceError(msg)
+    is_image = path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES
+    if is_image or (path.is_dir() and not is_bag(path)):
+        images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
+        return ImageRecording(images, frame_id)
+    if path.is_dir() or is_bag_file(path):
+        return BagReader(path, topic, expected_size, shape)
+    return ImageRecording(_video(path, expected_size), frame_id)
+
+
+def _video(path: Path, expected_size: frames.ImageSize | None) -> files.VideoFile:
+    suffix = path.suffix.lower()
+    if suffix == ".bag":
+        msg = (
+            f"{path}: found a bag of ROS 1, expected one of ROS 2; to convert it: "
+            f"rosbags-convert --src {shlex.quote(str(path))} --dst NEW_FOLDER"
+        )
+        raise FrameSourceError(msg)
+    try:
+        return files.VideoFile(path, expected_size=expected_size)
+    except FrameSourceError as error:
+        if suffix in files.VIDEO_SUFFIXES:
+            raise
+        kinds = ", ".join([*STORAGE_SUFFIXES, *files.IMAGE_SUFFIXES])
+        msg = f"{error}, or a file named {kinds}"
+        raise FrameSourceError(msg) from None
+
+
+def open_recording_of(
+    sensor: SensorDescription,
+    path: Path,
+    *,
+    topic: str = "",
+    frame_rate: float = files.DEFAULT_FRAME_RATE,
+) -> Recording:
+    """What a sensor recorded: frames of its camera's size or, from a bag, its surfaces.
+
+    Otherwise as `open_recording`.
+    """
+    return open_recording(
+        path,
+        topic=topic,
+        frame_rate=frame_rate,
+        expected_size=sensor.frame_size if sensor.views else None,
+        shape=sensor.pattern.shape,
+    )
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder holds files of a bag, as it may also without its metadata."""
+    return (folder / "metadata.yaml").exists() or bool(bag_files(folder))
+
+
+class RecordedSource:
+    """A FrameSource of the frames of a recording; their stamps are forgotten.
+
+    frame_rate: what is asked for, or as recorded.
+    """
+
+    def __init__(self, recording: Recording, options: frames.SourceOptions) -> None:
+        """Raises FrameSourceError for a recording that another camera made."""
+        self._recording, self.name = recording, recording.name
+        self._loop = options.loop
+        self._past_bad_frames = 0
+        mismatch = recording.calibration_mismatch(options.sensor)
+        if mismatch:
+            msg = f"{self.name}: {mismatch}"
+            raise FrameSourceError(msg)
+        self.frame_rate = options.frame_rate or recording.frame_rate
+        self._frames = recording.frames()
+
+    @property
+    def health(self) -> frames.SourceHealth:
+        """Frames that could not be used, in all passes."""
+        health = self._recording.health
+        return frames.SourceHealth(self._past_bad_frames + health.bad_frames, health.problem)
+
+    def read(self) -> frames.Frame | None:
+        """The next good frame, or None at the end; FrameSourceError where none is good."""
+        frame = next(self._frames, None)
+        if frame is None and self._loop:
+            self._past_bad_frames += self._recording.health.bad_frames
+            self._frames = self._recording.frames()
+            frame = next(self._frames, None)
+        if frame is None:
+            return None
+        return frames.Frame(frame.image, f"{self.name} at {frame.time_s:.3f} s")
+
+    def close(self) -> None:
+        """Forget where it was; files are open only while they are read."""
+        self._frames = iter(())
+
+
+def recorded_source(options: frames.SourceOptions) -> RecordedSource:
+    """The sources `bag`, `images` and `video` of the driver, which take any recording.
+
+    Raises FrameSourceError for what is none, or is of another camera.
+    """
+    path = Path(options.input).expanduser()
+    recording = open_recording(path, expected_size=options.frame_size)
+    return RecordedSource(recording, options)
