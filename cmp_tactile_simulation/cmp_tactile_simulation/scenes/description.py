@@ -194,14 +194,14 @@ class Scene:
     """
 
     name: str = field(metadata=read_by(read_name))
-    title: str = field(metadata=text())
-    source: str = field(metadata=text())
-    note: str = field(metadata=text())
     sensor: SensorDescription
     sensor_mapping: Mapping[str, Any]
     indenter: IndenterDescription
     start: Start
     motion: tuple[Phase, ...]
+    title: str = field(default="", metadata=text())
+    source: str = field(default="", metadata=text())
+    note: str = field(default="", metadata=text())
     pattern_type: str = field(default="cmp", metadata=choice("cmp", "dmp"))
     contact_nodes: int = field(default=40, metadata=whole(*NODES_RANGE))
     rate: float = field(default=30.0, metadata=number(MIN_RATE_HZ, MAX_RATE_HZ))

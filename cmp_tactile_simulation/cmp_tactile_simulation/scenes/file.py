@@ -72,7 +72,8 @@ def read_scene(path: Path, variant: str = "") -> description.Scene:
 
 def _read(top: YamlSection, path: Path) -> description.Scene:
     top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
-    values = field_values(top, description.Scene, **({} if "note" in top else {"note": ""}))
+    values = field_values(top, description.Scene)
+    values.setdefault("title", values["name"])
     sensor, mapping = _read_sensor(top, path)
     motion = _read_motion(top, values.get("rate", description.Scene.rate))
     start = _read_start(top.section("start"))

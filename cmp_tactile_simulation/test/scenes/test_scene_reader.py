@@ -16,8 +16,6 @@ from cmp_tactile_simulation.scenes.file import read_scene, variants_of, write_sc
 SCENE = """
 version: 1
 name: press
-title: A press
-source: test
 sensor: sample_rig
 indenter: {type: sphere, radius: 0.004}
 rate: 20
@@ -48,6 +46,7 @@ def write(tmp_path):
 def test_a_scene_is_what_its_file_says(write):
     scene = read_scene(write())
     assert (scene.name, scene.rate, scene.frame_count) == ("press", 20.0, 10)
+    assert (scene.title, scene.source) == ("press", "")
     assert scene.sensor.elastomer == load_sensor("sample_rig").elastomer
     assert scene.indenter.values == {"radius": 0.004}
     assert scene.start.place == (0.0, 0.0, 0.005)
