@@ -1,4 +1,4 @@
-"""Images that show no pattern, or too little of it: dark, saturated, of no contrast."""
+"""The fault of an image in which nothing was found, from its grey values alone."""
 
 from __future__ import annotations
 

@@ -34,12 +34,12 @@ from cmp_tactile_processing.tracking.detector import (
 )
 from cmp_tactile_processing.tracking.image_fault import image_fault
 from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering, filled
-from cmp_tactile_processing.tracking.numbering.components import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     lattice_graph,
     proven_tears,
     torn_rows,
 )
+from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
@@ -394,6 +394,3 @@ def _squares(corners: NDArray[np.float64]) -> tuple[float, int]:
                 if np.isfinite(square):
                     total, count = total + square, count + 1
     return total, count
-
-
-# The fault of an image in which nothing was found, from its grey values alone.

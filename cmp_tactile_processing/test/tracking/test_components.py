@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph
-from cmp_tactile_processing.tracking.numbering.components import (
-    GridlinePointers,
-    traverse,
-)
+from cmp_tactile_processing.tracking.numbering.components import GridlinePointers, traverse
 
 SIDE = 16.0
 

@@ -25,16 +25,13 @@ from cmp_tactile_processing.tracking.detector import (
     NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.component_placement import ConnectedCorners
-from cmp_tactile_processing.tracking.numbering.components import (
-    Numbering,
-    drop_loose_corners,
-    placed,
-)
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     cut_at,
     proven_tears,
     turned_reason,
 )
+from cmp_tactile_processing.tracking.numbering.joining import drop_loose_corners, placed
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]

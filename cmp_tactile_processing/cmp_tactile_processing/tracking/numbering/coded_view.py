@@ -16,18 +16,18 @@ from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.parts import Pattern
 from cmp_tactile_processing.tracking.detector import Component, NominalAxes, NominalGrid
 from cmp_tactile_processing.tracking.dots import Decoding, DotDecoder, DotReading, read_dots
-from cmp_tactile_processing.tracking.numbering.components import (
-    Numbering,
-    drop_loose_corners,
-    in_order,
-    joined,
-    placed,
-)
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     TURNED_SHARE,
     turned_by,
     turned_reason,
 )
+from cmp_tactile_processing.tracking.numbering.joining import (
+    drop_loose_corners,
+    in_order,
+    joined,
+    placed,
+)
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 
 Float = NDArray[np.float64]
 # Fewer corners are surrounded by too few checkers to be compared with each other.

@@ -29,12 +29,6 @@ from cmp_tactile_processing.tracking.numbering.component_placement import (
     ConnectedCorners,
     without_blurred,
 )
-from cmp_tactile_processing.tracking.numbering.components import (
-    Numbering,
-    drop_loose_corners,
-    in_order,
-    joined,
-)
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
     LARGEST_TURN,
     TURNED_SHARE,
@@ -45,6 +39,8 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     suspected_tears,
     turned_reason,
 )
+from cmp_tactile_processing.tracking.numbering.joining import drop_loose_corners, in_order, joined
+from cmp_tactile_processing.tracking.numbering.result import Numbering
 
 # A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1

@@ -44,9 +44,6 @@ LEAST_SEEN = 0.5
 ROUNDING_NOISE = 12**-0.5
 
 
-# How far printed edges stray from the smooth curves that they should follow.
-
-
 class PrintInspection:
     """Inspects a print in one frame at rest or, better, in the mean of several.
 
