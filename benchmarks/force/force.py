@@ -27,6 +27,7 @@ TITLES = {
     "case": "Load cases at 10 N and 1 N",
     "load": "By load",
     "noise": "By noise",
+    "smoothing": "Markers that were smoothed first",
     "missing": "Missing markers",
     "description": "Wrong description of the gel",
     "large press": "Neo-Hookean gel: linear against corrected",

@@ -26,6 +26,7 @@ from sweeps import (
     by_load,
     by_missing,
     by_noise,
+    by_smoothing,
     rendered_errors,
 )
 from tables import Limit, LimitRun
@@ -45,7 +46,7 @@ class ForceRun(LimitRun):
     frames: int
 
     PARTS: ClassVar[tuple[str, ...]] = (
-        "case", "load", "noise", "missing", "description", "large_press",
+        "case", "load", "noise", "smoothing", "missing", "description", "large_press",
         "certainty", "floor", "rendered",
     )  # fmt: skip
 
@@ -65,6 +66,9 @@ class ForceRun(LimitRun):
 
     def _noise(self) -> Iterator[Limit]:
         yield from self._informed(by_noise(self._model, self._cases, self.frames))
+
+    def _smoothing(self) -> Iterator[Limit]:
+        yield from self._informed(by_smoothing(self._model, self._cases, self.frames))
 
     def _missing(self) -> Iterator[Limit]:
         yield from self._informed(by_missing(self._model, self._cases, self.frames))
@@ -136,9 +140,10 @@ class ForceRun(LimitRun):
             limit += "" if np.isnan(limits.torque) else f" {1e3 * limits.torque:g} N mm"
             limit += "" if np.isnan(limits.l2) else f" L2 {100 * limits.l2:g} %"
             text = _text(point.errors, case)
-            text += "" if np.isnan(point.oracle) else f" (oracle {100 * point.oracle:.1f} %)"
+            l2, fz = point.oracle
+            text += "" if np.isnan(l2) else f" (oracle: Fz {fz:.4f} N L2 {100 * l2:.1f} %)"
             text += f", missed: {', '.join(missed)}" if missed else ""
-            text += " (by the oracle as well)" if point.oracle > limits.l2 else ""
+            text += " (by the oracle as well)" if l2 > limits.l2 or fz > limits.fz else ""
             yield Limit(f"{case.name}, {case.newton:g} N", limit, text, not missed, point.sweep)
 
     def _informed(self, points: Iterable[Point]) -> Iterator[Limit]:

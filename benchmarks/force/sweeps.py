@@ -18,7 +18,8 @@ from cases import (
     ForceCase,
     load_neo_hookean_cases,
 )
-from errors import ForceErrors, Limits, errors_of, noisy, oracle_l2, reconstructed
+from errors import ForceErrors, Limits, errors_of, noisy, oracle, reconstructed
+from scipy.signal import savgol_filter
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.model import ForceModel
@@ -40,7 +41,7 @@ from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
 
 # Multiples of the noise that the parameters state: 2 um in plane, 5 um in depth.
-NOISE_SCALES = (0.25, 0.5, 1.0, 2.0, 4.0)
+NOISE_SCALES, SMOOTHED_NOISE = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0, 4.0)
 MISSING_SHARES = (0.05, 0.10, 0.33)
 # What sweeps other than those over cases and loads are measured on.
 SOME_CASES = ("sphere", "edge", "ring", "shear")
@@ -50,7 +51,8 @@ SOME_CASES = ("sphere", "edge", "ring", "shear")
 class Point:
     """Errors of one load under one condition of a sweep.
 
-    limits: None where there is none.  oracle: least distribution error, NaN where not asked for.
+    limits: None where there is none.  oracle: what it errs by, of the distribution and of Fz, N,
+    NaN where not asked for.
     """
 
     sweep: str
@@ -58,7 +60,7 @@ class Point:
     case: ForceCase
     errors: ForceErrors
     limits: Limits | None = None
-    oracle: float = float("nan")
+    oracle: tuple[float, float] = (float("nan"), float("nan"))
 
 
 def by_case(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -66,8 +68,8 @@ def by_case(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
     for case in cases:
         if case.newton in (10.0, 1.0):
             errors = errors_of(model, case, frames)
-            best = oracle_l2(model, case) if case.material == LINEAR else float("nan")
-            yield Point("case", case.material, case, errors, Limits.from_case(case), best)
+            known = {"oracle": oracle(model, case, frames)} if case.material == LINEAR else {}
+            yield Point("case", case.material, case, errors, Limits.from_case(case), **known)
 
 
 def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -82,7 +84,8 @@ def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
             if case.newton > SOLVED_N[-1]:
                 limits = replace(limits, torque=float("nan"))
             errors = errors_of(model, case, frames)
-            yield Point("load", f"{case.newton:g} N", case, errors, limits)
+            known = {"oracle": oracle(model, case, frames)} if case.newton < 1 else {}
+            yield Point("load", f"{case.newton:g} N", case, errors, limits, **known)
 
 
 def by_noise(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -91,6 +94,18 @@ def by_noise(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iter
         for scale in NOISE_SCALES:
             errors = errors_of(model, case, frames, scale)
             yield Point("noise", f"noise x {scale:g}", case, errors)
+
+
+def by_smoothing(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
+    """Some cases with displacements that a cubic surface through 5 x 5 markers has smoothed."""
+    for case in _some(cases):
+        for scale in SMOOTHED_NOISE:
+            raw = np.stack(noisy(case, frames, scale))
+            moved = savgol_filter(savgol_filter(raw, 5, 3, axis=1), 5, 3, axis=2)
+            errors = ForceErrors.from_case(case, reconstructed(model, moved))
+            off = [1e6 * np.std((found - case.displacement)[..., 0]) for found in (raw, moved)]
+            name = f"noise x {scale:g}, along x {off[0]:.1f} -> {off[1]:.1f} um"
+            yield Point("smoothing", name, case, errors)
 
 
 def by_missing(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:

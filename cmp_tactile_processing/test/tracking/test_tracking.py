@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.parts import Camera, Pattern, PatternSurface, RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # Measured on the sample frames (camera noise sigma 1, blur 0.7 px): 0.0068 to 0.0075, 0.025 and
@@ -146,6 +148,34 @@ def test_the_rim_of_a_spot_is_no_corner(trackers, stills, view_image, name, colo
     assert found > 6 * 250
     # Rims that happen to run along a gridline; without the check most of these cases fail.
     assert wrong <= 0.002 * found
+
+
+@pytest.mark.parametrize("height", [0.12, 0.15, 0.18])
+@pytest.mark.parametrize("width", [0.3, 0.4])
+def test_a_corner_on_a_sharp_bend_of_the_gel_is_no_spot(sensor, trackers, draw, height, width):
+    """As under a small ball that drags the gel; height and width of the bend in checker sides."""
+    nominal = NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
+    centre, side = nominal.corners[5, 6], nominal.side_px
+
+    def bent(q):
+        x, y = np.moveaxis((q - centre) / side, -1, 0)
+        dip = height * side * np.exp(-((x / width) ** 2) / 2 - (y / 0.8) ** 2 / 2)
+        return q - np.stack([np.zeros_like(dip), dip], axis=-1)
+
+    flat = cv2.GaussianBlur(draw(nominal, noise=0.0), (0, 0), 1.0)
+    y, x = np.mgrid[: flat.shape[0], : flat.shape[1]].astype(np.float64)
+    source = bent(np.stack([x, y], axis=-1)).astype(np.float32)
+    image = cv2.remap(flat, source[..., 0], source[..., 1], cv2.INTER_CUBIC)
+    noise = np.random.default_rng(1).normal(0, 1, image.shape)
+    image = np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+    true = nominal.corners
+    for _ in range(100):
+        true = true - (bent(true) - nominal.corners)
+    grid = trackers["left"].track(image)
+    # The crossing of the straight parts of its gridlines lies 1.4 to 2.3 px from it.
+    error = np.linalg.norm(grid.corners - true, axis=-1)[5, 6]
+    assert error < 0.7
+    assert error < 4 * grid.corner_std[5, 6]
 
 
 @pytest.mark.parametrize("pitch", [1e-9, 1e-6, 5e-5])

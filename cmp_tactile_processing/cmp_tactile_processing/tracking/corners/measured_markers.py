@@ -41,6 +41,9 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 # A corner that lies this far (in sides, and times the median of those around it) from the cubics
 # through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
+# A spot takes from the rings around a corner; where they are so strong, against those around, the
+# gel bends.  What is fitted does not bend as sharply, and errs by some share of what it is off.
+WHOLE_RING, BENT_SHARE = 0.96, 0.12
 # Where no crossing is better, a corner off by more than this is no measurement; nor is a corner
 # beside missing ones that is off the displacement of the others by so much; in sides.
 FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
@@ -152,6 +155,11 @@ class MeasuredMarkers:
                 break
             corners = self._repaired_at(image, corners, guess, off, pulled)
             left &= ~pulled
+        bent = ~corners.predicted & (off > PULLED)
+        if bent.any():
+            corners = corners.copy()
+            least = BENT_SHARE * off[bent] * self._nominal.side_px
+            corners.std[bent] = np.maximum(corners.std[bent], least)
         return corners
 
     def _repaired_at(
@@ -166,15 +174,19 @@ class MeasuredMarkers:
         corners = corners.copy()
         position, std = corners.position, corners.std
         without = np.where(pulled[..., None], np.nan, position)
-        crossing = self._around(image, without).crossings(image, guess, pulled)
+        around = self._around(image, without)
+        crossing = around.crossings(image, guess, pulled)
+        steps = around.row_step[pulled], around.col_step[pulled]
+        rings = ring_evidence(image.smooth, position[pulled], *steps)[:, 0]
+        spoilt = ~(rings / around.amplitude[pulled] > WHOLE_RING)
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
         left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
         better, doubtful = pulled.copy(), pulled.copy()
-        better[pulled] = (away > ELSEWHERE) & (left < off[pulled])
+        better[pulled] = spoilt & (away > ELSEWHERE) & (left < off[pulled])
         corners.put(better, crossing[better[pulled]], CROSSING_STD * side)
         # What cannot be measured otherwise stays, with half of what it is off as its deviation,
         # or gives way to where its neighbours have it.
-        doubtful[pulled] = ~(away <= ELSEWHERE) & ~better[pulled]
+        doubtful[pulled] = spoilt & ~(away <= ELSEWHERE) & ~better[pulled]
         std[doubtful] = np.maximum(std[doubtful], off[doubtful] * side / 2)
         given_up = doubtful & (off > FARTHEST_PULLED)
         corners.put(given_up, guess[given_up], std[given_up], predicted=True)
