@@ -1,9 +1,10 @@
-"""Noisy drawings of a pattern, as the left view of the sample rig would show it."""
+"""A tracker of the left view of the sample rig, and noisy drawings of what that view would show."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,8 +13,36 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
+from cmp_tactile_processing.tracking.tracker import GridTracker
 
 NOISE_SEED = 5
+
+
+@pytest.fixture(scope="session")
+def nominal(sensor: SensorDescription) -> NominalGrid:
+    """The whole print at rest, px."""
+    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
+
+
+@pytest.fixture(scope="session")
+def kept_tracker(sensor: SensorDescription) -> GridTracker:
+    """The tracker that the tests of a module share; a module may have one of another sensor."""
+    return GridTracker(sensor, "left")
+
+
+@pytest.fixture
+def tracker(kept_tracker: GridTracker) -> GridTracker:
+    """A tracker as after its start."""
+    kept_tracker.reset()
+    return kept_tracker
+
+
+@pytest.fixture
+def photograph(
+    draw: Callable[..., NDArray[np.uint8]], nominal: NominalGrid
+) -> Callable[..., NDArray[np.uint8]]:
+    """Draws the print with its corners displaced by (rows, cols, 2) or (2,) px."""
+    return partial(draw, nominal)
 
 
 @pytest.fixture

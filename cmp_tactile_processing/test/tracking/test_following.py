@@ -3,41 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from command_output import output_of
 
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
 DRAWN_PX = 0.3
-
-
-@pytest.fixture(scope="module")
-def nominal(sensor):
-    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
-
-
-@pytest.fixture(scope="module")
-def kept_tracker(sensor):
-    return GridTracker(sensor, "left")
-
-
-@pytest.fixture
-def tracker(kept_tracker):
-    kept_tracker.reset()
-    return kept_tracker
-
-
-@pytest.fixture
-def photograph(draw, nominal):
-    """Draws the pattern with its corners displaced by (rows, cols, 2) or (2,) px."""
-    return partial(draw, nominal)
 
 
 def push(nominal, size_px, reach=0.35):
