@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,11 +13,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from cmp_tactile_processing.elastic.mesh import MeshDensity
-from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import ForceField
+from cmp_tactile_processing.measured import ForceField, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 
@@ -190,39 +190,26 @@ def other_rig(sample_rig: SensorDescription) -> Callable[..., SensorDescription]
     return make
 
 
-@dataclass(frozen=True)
-class Built:
-    """A model that was built, the folder that it is kept in, what was reported and logged of it."""
-
-    rig: SensorDescription
-    folder: Path
-    model: ElasticModel
-    reported: list[tuple[str, float]]
-    logged: list[str]
-
-
-class _Log(logging.Handler):
-    def __init__(self, lines: list[str]) -> None:
-        super().__init__()
-        self._lines = lines
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._lines.append(record.getMessage())
-
-
 @pytest.fixture(scope="session")
-def built_plane(
-    other_rig: Callable[..., SensorDescription], tmp_path_factory: pytest.TempPathFactory
-) -> Built:
-    """A plane of 8 x 13 markers, built into an empty folder."""
-    rig, folder = other_rig(8, 13, PatternSurface()), tmp_path_factory.mktemp("plane")
-    reported: list[tuple[str, float]] = []
-    logged: list[str] = []
-    logger, log = logging.getLogger("cmp_tactile_processing"), _Log(logged)
-    level = logger.level
-    logger.addHandler(log)
-    logger.setLevel(logging.INFO)
-    model = ElasticModel(rig, folder, lambda text, done: reported.append((text, done)))
-    logger.removeHandler(log)
-    logger.setLevel(level)
-    return Built(rig, folder, model, reported, logged)
+def seen(sample_rig: SensorDescription) -> Callable[..., Surface]:
+    """Makes the surface that is seen of a displacement from `zero`, with noise of the seed."""
+    rest = surface_at_rest(Reference.nominal(sample_rig), sample_rig.pattern.shape)
+
+    def make(
+        displacement: NDArray[np.float64],
+        seed: int = 1,
+        zero: NDArray[np.float64] | float = 0.0,
+        **changes: Any,
+    ) -> Surface:
+        reference, moved = rest.reference + zero, noisy(displacement, seed)
+        surface = replace(
+            rest,
+            reference=reference,
+            position=reference + moved,
+            displacement=moved,
+            covariance=np.broadcast_to(np.diag(NOISE_M**2), (*moved.shape, 3)).copy(),
+            ray_gap=np.zeros(moved.shape[:2]),
+        )
+        return replace(surface, **changes)
+
+    return make

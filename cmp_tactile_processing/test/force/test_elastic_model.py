@@ -40,18 +40,20 @@ def test_key_changes_with_all_that_the_model_depends_on(sample_rig):
     assert len({*keys, json.dumps(problem.key, sort_keys=True)}) == len(keys) + 1
 
 
-def test_model_is_built_once_for_any_stiffness(built_plane, caplog):
+def test_model_is_built_once_for_any_stiffness(other_rig, tmp_path, caplog):
     """Compliance goes with 1 / E; only the ratio of the two moduli needs another solution."""
     caplog.set_level(logging.INFO, "cmp_tactile_processing")
-    rig, first, reported = built_plane.rig, built_plane.model, built_plane.reported
-    assert "building the elastic model of plane_8x13" in built_plane.logged[0]
+    rig, reported = other_rig(8, 13, PatternSurface()), []
+    first = ElasticModel(rig, tmp_path, lambda text, done: reported.append((text, done)))
+    assert "building the elastic model of plane_8x13" in caplog.messages[0]
+    caplog.clear()
     assert [done for _, done in reported] == sorted(done for _, done in reported)
     assert reported[-1][1] == 1
     layer = replace(rig.elastomer.shading_layer, young=2 * rig.elastomer.shading_layer.young)
     elastomer = replace(rig.elastomer, young=2 * rig.elastomer.young, shading_layer=layer)
-    second = ElasticModel(replace(rig, elastomer=elastomer), built_plane.folder)
+    second = ElasticModel(replace(rig, elastomer=elastomer), tmp_path)
     assert not caplog.records
-    assert len(list(built_plane.folder.iterdir())) == 1
+    assert len(list(tmp_path.iterdir())) == 1
     np.testing.assert_allclose(second.compliance * 2, first.compliance, rtol=1e-12)
 
 

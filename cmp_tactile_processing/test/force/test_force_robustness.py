@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,9 +25,8 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
-from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
-from .conftest import NOISE_M, Press, bump, noisy
+from .conftest import Press, bump, noisy
 
 # Of the 10 N of the loads that are taken for true: 1 N presses the gel in by about 0.3 mm.
 SCALE = 0.1
@@ -70,25 +68,6 @@ def wide(sample_rig: SensorDescription) -> dict[str, NDArray[np.float64]]:
 
 def _shape(sensor: SensorDescription) -> tuple[int, int]:
     return sensor.pattern.rows, sensor.pattern.cols
-
-
-@pytest.fixture(scope="module")
-def seen(sample_rig: SensorDescription) -> Callable[..., Surface]:
-    """Makes the surface that is seen of a displacement, with noise of the seed."""
-    rest = surface_at_rest(Reference.nominal(sample_rig), sample_rig.pattern.shape)
-
-    def make(displacement: NDArray[np.float64], seed: int = 1, **changes: object) -> Surface:
-        moved = noisy(displacement, seed)
-        surface = replace(
-            rest,
-            position=rest.reference + moved,
-            displacement=moved,
-            covariance=np.broadcast_to(np.diag(NOISE_M**2), (*moved.shape, 3)).copy(),
-            ray_gap=np.zeros(moved.shape[:2]),
-        )
-        return replace(surface, **changes)  # type: ignore[arg-type]
-
-    return make
 
 
 def hidden(surface: Surface, where: NDArray[np.bool_]) -> Surface:
