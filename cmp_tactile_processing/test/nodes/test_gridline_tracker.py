@@ -32,9 +32,13 @@ def _stamp(number: int) -> Time:
     return Time(sec=100 + number, nanosec=7 * number)
 
 
-def _view_msg(sample, view: str = "left", number: int = 0) -> Image:
-    half = sample.frame[:, :512] if view == "left" else sample.frame[:, 512:]
-    return image_to_msg(np.ascontiguousarray(half[:, ::-1]), "mono8", Header(stamp=_stamp(number)))
+def _view(sample) -> np.ndarray:
+    return np.ascontiguousarray(sample("rest").frame[:, 511::-1])
+
+
+def _message(image: np.ndarray, number: int) -> Image:
+    encoding = "mono8" if image.ndim == 2 else "bgr8"
+    return image_to_msg(image, encoding, Header(stamp=_stamp(number)))
 
 
 def test_both_views_of_three_frames_match_the_truth(ros, sample):
@@ -67,12 +71,12 @@ def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sa
     tracker = ros.start(GridlineTracker)
     grids = ros.listen(GridMsg, "left/grid")
     publisher = ros.publisher(Image, "left/image_raw")
-    publisher.publish(_view_msg(sample("rest"), number=0))
+    publisher.publish(_message(_view(sample), 0))
     ros.wait(lambda: grids, "a grid")
     assert not drawn
     overlays = ros.listen(Image, "left/grid_overlay")
     ros.wait_subscribed(tracker, "left/grid_overlay")
-    publisher.publish(_view_msg(sample("rest"), number=1))
+    publisher.publish(_message(_view(sample), 1))
     ros.wait(lambda: overlays, "the overlay")
     (overlay,) = overlays
     assert overlay.header.stamp == _stamp(1)
@@ -84,15 +88,6 @@ def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sa
     assert (green > blue + 50).all()
     grey = image[:20, :20]
     assert (grey == grey[..., :1]).all(), "outside the grid the view shows as it is"
-
-
-def _view(sample) -> np.ndarray:
-    return np.ascontiguousarray(sample("rest").frame[:, 511::-1])
-
-
-def _message(image: np.ndarray, number: int) -> Image:
-    encoding = "mono8" if image.ndim == 2 else "bgr8"
-    return image_to_msg(image, encoding, Header(stamp=_stamp(number)))
 
 
 def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sample):

@@ -24,7 +24,6 @@ from cmp_tactile_processing.ros.diagnostics import (
     LossWatch,
     SentFrames,
     StageDiagnostics,
-    Stamp,
     StampWatch,
     summary,
 )
@@ -206,15 +205,6 @@ def test_losses_are_reported_where_rclpy_does_not_name_the_publisher(numbers, lo
     for number in numbers:
         watch.take({"publication_sequence_number": number})
     assert watch.lost == lost
-
-
-def test_stamps_out_of_order_are_distinguished():
-    watch = StampWatch()
-    kinds = [watch.take(stamp * MS) for stamp in (100, 150, 150, 0, 120, 170)]
-    later, back, again, zero = Stamp.LATER, Stamp.BACK, Stamp.REPEATED, Stamp.ZERO
-    assert kinds == [later, later, again, zero, back, later]
-    assert watch.stamps == {later: 3, back: 1, again: 1, zero: 1}
-    assert watch.missing == 0
 
 
 def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
