@@ -20,8 +20,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
-CONFIG = Path(__file__).parent.parent.parent / "config"
-
 # Noise of a measured marker displacement along x, y, z, m.
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
 MEASURED = np.ones((20, 20), dtype=np.uint8)
@@ -155,15 +153,9 @@ SAGS = [
 
 
 @pytest.fixture(scope="session")
-def sample_rig() -> SensorDescription:
-    """The packaged rig: 20 x 20 markers on a sphere cap of 27 mm."""
-    return SensorDescription.load(CONFIG / "sample_rig.yaml")
-
-
-@pytest.fixture(scope="session")
-def truth(sample_rig: SensorDescription) -> dict[str, Press]:
+def truth(sensor: SensorDescription) -> dict[str, Press]:
     """Loads of 10 N on the packaged rig."""
-    return presses(sample_rig)
+    return presses(sensor)
 
 
 @pytest.fixture(scope="session")
@@ -173,27 +165,27 @@ def cache_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def model(sample_rig: SensorDescription, cache_dir: Path) -> ForceModel:
+def model(sensor: SensorDescription, cache_dir: Path) -> ForceModel:
     """The force model of the packaged rig, as a user gets it."""
-    return ForceModel(sample_rig, cache_dir)
+    return ForceModel(sensor, cache_dir)
 
 
 @pytest.fixture(scope="session")
-def other_rig(sample_rig: SensorDescription) -> Callable[..., SensorDescription]:
+def other_rig(sensor: SensorDescription) -> Callable[..., SensorDescription]:
     """Makes a rig with rows x cols markers over 13 mm on another surface."""
 
     def make(rows: int, cols: int, surface: PatternSurface) -> SensorDescription:
         pitch = 0.013 / (max(rows, cols) - 1)
-        pattern = replace(sample_rig.pattern, rows=rows, cols=cols, pitch=pitch, surface=surface)
-        return replace(sample_rig, pattern=pattern, name=f"{surface.type}_{rows}x{cols}")
+        pattern = replace(sensor.pattern, rows=rows, cols=cols, pitch=pitch, surface=surface)
+        return replace(sensor, pattern=pattern, name=f"{surface.type}_{rows}x{cols}")
 
     return make
 
 
 @pytest.fixture(scope="session")
-def seen(sample_rig: SensorDescription) -> Callable[..., Surface]:
+def seen(sensor: SensorDescription) -> Callable[..., Surface]:
     """Makes the surface that is seen of a displacement from `zero`, with noise of the seed."""
-    rest = surface_at_rest(Reference.nominal(sample_rig), sample_rig.pattern.shape)
+    rest = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
 
     def make(
         displacement: NDArray[np.float64],

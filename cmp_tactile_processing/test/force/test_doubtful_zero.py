@@ -30,9 +30,9 @@ DOUBTED = ForceFlag.ZERO_DOUBTFUL
 
 
 @pytest.fixture(scope="module")
-def stage(sample_rig: SensorDescription) -> ForceStage:
+def stage(sensor: SensorDescription) -> ForceStage:
     """The stage of the packaged rig."""
-    return ForceStage(sample_rig)
+    return ForceStage(sensor)
 
 
 @pytest.fixture

@@ -45,15 +45,15 @@ OUTSIDE = [name for name in WIDE_LOADS if name not in ("inside", "at border")]
 
 
 @pytest.fixture(scope="module")
-def stage(sample_rig: SensorDescription) -> ForceStage:
+def stage(sensor: SensorDescription) -> ForceStage:
     """The stage of the packaged rig, from the user's cache."""
-    return ForceStage(sample_rig)
+    return ForceStage(sensor)
 
 
 @pytest.fixture(scope="module")
-def wide(sample_rig: SensorDescription) -> dict[str, NDArray[np.float64]]:
+def wide(sensor: SensorDescription) -> dict[str, NDArray[np.float64]]:
     """Displacement (rows, cols, 3) m under 1 N anywhere on the gel, by name of the load."""
-    problem = ElasticProblem.from_sensor(sample_rig)
+    problem = ElasticProblem.from_sensor(sensor)
     grid = SurfaceGrid(61, 61, (0.02, 0.02))
     problem = replace(problem, nodes=grid, density=WIDE_DENSITY)
     force = np.array([0.15, -0.1, -1.0])
@@ -62,7 +62,7 @@ def wide(sample_rig: SensorDescription) -> dict[str, NDArray[np.float64]]:
         for (x, y), radius in WIDE_LOADS.values()
     ]
     moved = problem.expand(problem.solve(np.stack(columns, axis=1)), of_nodes=False)
-    moved = (moved / sample_rig.elastomer.young).T.reshape(len(columns), *_shape(sample_rig), 3)
+    moved = (moved / sensor.elastomer.young).T.reshape(len(columns), *_shape(sensor), 3)
     return dict(zip(WIDE_LOADS, moved, strict=True))
 
 
@@ -115,10 +115,8 @@ def test_missing_corners_cost_little_and_raise_no_flag(stage, seen, truth, name,
     assert not field.flags & (ForceFlag.POOR_FIT | ForceFlag.BEYOND_MARKERS)
 
 
-def test_a_contact_that_leaves_the_view_of_a_larger_pattern_is_at_its_border(
-    sample_rig, seen, truth
-):
-    beyond = replace(sample_rig, pattern=replace(sample_rig.pattern, border="beyond_view"))
+def test_a_contact_that_leaves_the_view_of_a_larger_pattern_is_at_its_border(sensor, seen, truth):
+    beyond = replace(sensor, pattern=replace(sensor.pattern, border="beyond_view"))
     larger = ForceStage(beyond)
     moved = SCALE * truth["off centre"].displacement
     # The contact is at x = 3 mm, and the view ends within it.
@@ -181,9 +179,9 @@ print(*(name for name, count in compiled().items() if count > before.get(name, 0
 """
 
 
-def test_nothing_is_compiled_in_a_frame(seen, truth, sample_rig, tmp_path):
+def test_nothing_is_compiled_in_a_frame(seen, truth, sensor, tmp_path):
     """Sound frames and some with markers missing, from the first one of a process on."""
-    gel = replace(sample_rig.elastomer, model="neo_hookean", relaxation=GelRelaxation(0.1, 2.0))
+    gel = replace(sensor.elastomer, model="neo_hookean", relaxation=GelRelaxation(0.1, 2.0))
     where = np.zeros((20, 20), np.bool_)
     where[9:11, 12:14] = True
     surfaces = []
@@ -191,7 +189,7 @@ def test_nothing_is_compiled_in_a_frame(seen, truth, sample_rig, tmp_path):
         press = seen(SCALE * truth[load].displacement)
         surfaces += [press, hidden(press, where), press]
     given = tmp_path / "frames"
-    given.write_bytes(pickle.dumps((replace(sample_rig, elastomer=gel), surfaces)))
+    given.write_bytes(pickle.dumps((replace(sensor, elastomer=gel), surfaces)))
     command = [sys.executable, "-c", FIRST_FRAMES, str(given)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.returncode) == ("", 0), done.stderr
@@ -234,10 +232,10 @@ def test_covariances_that_say_nothing_change_little(stage, seen, truth, spoil):
     assert np.isfinite(field.wrench_covariance).all()
 
 
-def test_another_reference_begins_again(sample_rig, seen, truth):
+def test_another_reference_begins_again(sensor, seen, truth):
     """What the gel remembers counts from the old reference."""
-    soft = replace(sample_rig.elastomer, relaxation=GelRelaxation(share=0.3, time=2.0))
-    stage = ForceStage(replace(sample_rig, elastomer=soft))
+    soft = replace(sensor.elastomer, relaxation=GelRelaxation(share=0.3, time=2.0))
+    stage = ForceStage(replace(sensor, elastomer=soft))
     press, rest = (seen(k * SCALE * truth["press"].displacement) for k in (1, 0))
     fields = [stage.process(surface, stamp) for surface, stamp in ((rest, 0), (press, 10**7))]
     held = stage.process(press, 20 * 10**9)
@@ -251,10 +249,10 @@ def test_another_reference_begins_again(sample_rig, seen, truth):
     assert not stage.process(press).relaxed
 
 
-def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sample_rig, seen, truth):
+def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sensor, seen, truth):
     """Remembered by the relaxation, it would be a marker pulled by millimetres for seconds."""
-    soft = replace(sample_rig.elastomer, relaxation=GelRelaxation(share=0.3, time=1.0))
-    stage = ForceStage(replace(sample_rig, elastomer=soft))
+    soft = replace(sensor.elastomer, relaxation=GelRelaxation(share=0.3, time=1.0))
+    stage = ForceStage(replace(sensor, elastomer=soft))
     moved = SCALE * truth["press"].displacement
     wild = moved.copy()
     wild[4, 4] = 0.1
@@ -268,14 +266,14 @@ def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sample_rig
 
 @pytest.mark.parametrize("slant", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("name", ["press", "shear", "off centre"])
-def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant):
+def test_one_view_says_how_little_it_knows(sensor, seen, truth, name, slant):
     """Seen aslant, a press is a shift of the markers on the surface that they are taken to be on.
 
     slant: tangent of the angle between the camera's axis and the gel's.
     """
-    optics = replace(sample_rig.optics, type="monocular")
-    views = {"left": sample_rig.views["left"]}
-    stage = ForceStage(replace(sample_rig, optics=optics, views=views))
+    optics = replace(sensor.optics, type="monocular")
+    views = {"left": sensor.views["left"]}
+    stage = ForceStage(replace(sensor, optics=optics, views=views))
     press = truth[name]
     moved = SCALE * press.displacement
     shift = moved[..., 2:] * np.array([0.0, slant, 0.0])
@@ -289,11 +287,11 @@ def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant)
     assert field.slip_state == SlipState.UNKNOWN
 
 
-def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
+def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sensor):
     """A wide press of more force, which the gel can follow, would be reported uncorrected."""
-    gel = replace(sample_rig.elastomer, model="neo_hookean")
-    model = ForceModel(replace(sample_rig, elastomer=gel))
-    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    gel = replace(sensor.elastomer, model="neo_hookean")
+    model = ForceModel(replace(sensor, elastomer=gel))
+    status = np.full(_shape(sensor), Status.MEASURED, np.uint8)
     place = model.elastic.nodes.points
     even = np.full(len(place), 1 / len(place))
     fields = [
@@ -305,14 +303,14 @@ def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
     assert fields[2].corrected
 
 
-def test_a_jump_is_corrected_over_several_frames(sample_rig):
+def test_a_jump_is_corrected_over_several_frames(sensor):
     """At once the linear force with its flag, soon that of a model that settles in every frame."""
-    gel = replace(sample_rig.elastomer, model="neo_hookean")
-    sensor = replace(sample_rig, elastomer=gel)
+    gel = replace(sensor.elastomer, model="neo_hookean")
+    sensor = replace(sensor, elastomer=gel)
     off = replace(sensor, force=replace(sensor.force, large_press="off"))
     whole, linear = ForceModel(sensor), ForceModel(off)
     gradual = ForceModel(sensor, large_press_steps=4)
-    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    status = np.full(_shape(sensor), Status.MEASURED, np.uint8)
     weight = bump(whole.elastic.nodes.points, (0, 0), 3e-3)[:, None]
     rng = np.random.default_rng(0)
     for newton, frames in ((2.0, 16), (3.0, 16), (0.5, 6)):
