@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -153,46 +150,6 @@ def test_lost_frames_are_nan_and_leave_nothing_behind(stage, seen, truth):
     after = stage.process(press)
     np.testing.assert_allclose(after.wrench, before.wrench, rtol=1e-9)
     assert after.slip_state is not SlipState.NO_CONTACT
-
-
-# Counts how often each function of the package has been compiled, before and after the frames.
-FIRST_FRAMES = """
-import pickle, sys
-from cmp_tactile_processing.force.stage import ForceStage
-
-def compiled():
-    return {
-        f"{name}.{key}": len(value.signatures)
-        for name, module in list(sys.modules.items())
-        if name.startswith("cmp_tactile_processing.")
-        for key, value in vars(module).items()
-        if hasattr(value, "signatures")
-    }
-
-with open(sys.argv[1], "rb") as file:
-    sensor, surfaces = pickle.load(file)
-stage = ForceStage(sensor)
-before = compiled()
-for number, surface in enumerate(surfaces):
-    stage.process(surface, number * 10**8)
-print(*(name for name, count in compiled().items() if count > before.get(name, 0)))
-"""
-
-
-def test_nothing_is_compiled_in_a_frame(seen, truth, sensor, tmp_path):
-    """Sound frames and some with markers missing, from the first one of a process on."""
-    gel = replace(sensor.elastomer, model="neo_hookean", relaxation=GelRelaxation(0.1, 2.0))
-    where = np.zeros((20, 20), np.bool_)
-    where[9:11, 12:14] = True
-    surfaces = []
-    for load in ("press", "shear"):
-        press = seen(SCALE * truth[load].displacement)
-        surfaces += [press, hidden(press, where), press]
-    given = tmp_path / "frames"
-    given.write_bytes(pickle.dumps((replace(sensor, elastomer=gel), surfaces)))
-    command = [sys.executable, "-c", FIRST_FRAMES, str(given)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.stdout.strip(), done.returncode) == ("", 0), done.stderr
 
 
 @pytest.mark.parametrize("newton", [1.0, -1.0, 4.0])
