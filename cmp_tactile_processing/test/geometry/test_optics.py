@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import DescriptionError
-from cmp_tactile_processing.geometry.optics import (
-    build_views,
-)
+from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 
 
