@@ -91,22 +91,6 @@ class Rig:
         return future
 
 
-def test_surface_and_displacement_are_the_true_ones(ros, sample):
-    rig = Rig(ros)
-    rest, press = sample("rest").truth["corners_m"], sample("press").truth["corners_m"]
-    rig.send(sample("press"), 5)
-    (surface,) = rig.wait_surfaces(1)
-    (msg,) = rig.surfaces
-    assert msg.header == Header(stamp=Time(sec=5), frame_id="sample_rig_gel_frame")
-    assert (surface.status == Status.MEASURED).all()
-    np.testing.assert_allclose(surface.position, press, atol=ATOL_M)
-    np.testing.assert_allclose(surface.displacement, press - rest, atol=ATOL_M)
-    np.testing.assert_allclose(surface.reference, rest, atol=ATOL_M)
-    assert (surface.ray_gap < 1e-8).all()
-    assert surface.displacement[..., 2].min() < -2e-4, "a press moves the gel towards -z"
-    assert (surface.reference_id, surface.reference_stamp_ns) == (0, 0)
-
-
 def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
     """Nothing else shows that the sensor description is another sensor's."""
     rig = Rig(ros)
