@@ -5,17 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 NOISE_SEED = 5
+SMOOTHING_PX = 1.2
+
+
+def prepared(image: NDArray[Any]) -> PreparedImage:
+    """The image with noise of one grey level, rounded to these, ready to be measured."""
+    noisy = image + np.random.default_rng(0).normal(0, 1.0, image.shape)
+    grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
+    low, high = np.percentile(grey, (5, 95))
+    return PreparedImage(grey, np.asarray(smooth), SMOOTHING_PX, 1.0, float(high - low))
 
 
 @pytest.fixture(scope="session")

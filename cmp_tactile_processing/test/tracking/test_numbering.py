@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import (
     LIGHT,
@@ -26,9 +25,10 @@ from cmp_tactile_processing.tracking.detector import (
 )
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 
+from .conftest import prepared
+
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
 WRONG = 0.5
-SMOOTHING_PX = 1.2
 # Detected positions: standard deviation of each coordinate, px.
 DETECTED_PX = 0.4
 
@@ -92,14 +92,6 @@ class Rig:
     def wrong(self, found, outline):
         apart = np.linalg.norm(found.corners - outline[1:-1, 1:-1], axis=-1)
         return int((apart > WRONG * self.nominal.side_px).sum())
-
-
-def prepared(image):
-    noisy = image + np.random.default_rng(1).normal(0, 1.0, image.shape)
-    grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
-    low, high = np.percentile(grey, (5, 95))
-    return PreparedImage(grey, smooth, SMOOTHING_PX, 1.0, float(high - low))
 
 
 def filled(polygon, shape):
