@@ -88,60 +88,6 @@ def test_every_kind_of_rig_shows_what_its_rays_meet(rigs, deformed, dent, name):
         assert (np.ptp(shown) > 0.95 * CONTRAST).all(), "the pattern is in view"
 
 
-@pytest.mark.parametrize("samples", [2, 4])
-def test_edges_lie_where_the_projection_says_to_a_two_hundredth_of_a_pixel(
-    sensor, deformed, dent, samples
-):
-    """The integral over a column of pixels across a gridline shows where the line passes."""
-    surface = deformed(sensor, dent)
-    frame = Renderer(sensor, Checkerboard(sensor.pattern), samples).render(surface).pixels
-    for name, view in build_views(sensor).items():
-        image = split_frame(frame, view.placement)
-        off = np.concatenate(
-            [
-                _edge_errors(image, view, surface.at),
-                _edge_errors(image, view, lambda i, j: surface.at(j, i)),
-            ]
-        )
-        assert len(off) > 500, f"{name}: found {len(off)} edges"
-        assert np.sqrt((off**2).mean()) < 0.005
-        assert abs(off.mean()) < 0.001
-
-
-def _edge_errors(image, view, at):
-    """Where gridlines pass a line of pixels, px, against where `at(i, j)` projects to.
-
-    The line runs along the pixel axis that the gridline is more across.
-    """
-    errors = []
-    share = np.linspace(0.2, 0.8, 61)
-    for i in range(20):
-        for j in range(19):
-            q = view.project(at(np.full(61, float(i)), j + share))
-            side = np.linalg.norm(
-                view.project(at(np.array([i + 1.0]), np.array([j + 0.5]))) - q[30]
-            )
-            steep = abs(q[-1, 1] - q[0, 1]) > abs(q[-1, 0] - q[0, 0])
-            picture, q = (image.T, q[:, ::-1]) if steep else (image, q)
-            q = q[np.argsort(q[:, 0])]
-            col, middle = round(q[30, 0]), round(q[30, 1])
-            reach = int(0.35 * side)
-            if not 0 < q[30, 1] - reach - 1 < picture.shape[0] - 2 * reach - 3 or reach < 3:
-                continue
-            column = picture[middle - reach : middle + reach + 1, col].astype(float)
-            # The line crosses the whole width of the column, and nothing else does.
-            if (
-                q[0, 0] > col - 0.5
-                or q[-1, 0] < col + 0.5
-                or abs(column[0] - column[-1]) < CONTRAST
-            ):
-                continue
-            seen = (column - column[-1]).sum() / (column[0] - column[-1]) + middle - reach - 0.5
-            along = np.linspace(col - 0.5, col + 0.5, 41)
-            errors.append(seen - np.interp(along, q[:, 0], q[:, 1]).mean())
-    return np.array(errors)
-
-
 def test_a_ridge_hides_what_lies_behind_it(rigs, deformed):
     """Against a march along the ray in steps of 10 um: which part of the surface comes first."""
     sensor, view, surface, depth = _ridge(rigs, deformed)
