@@ -128,7 +128,7 @@ def test_the_gel_rests_long_enough_for_a_reference_however_slow_pictures_are(sta
     at_rest = 0
     while (state := live.picture()).pose is None or state.status.steps == 0:
         at_rest += state.pose is not None
-        time.sleep(0.1)
+        time.sleep(0.05)
     assert at_rest >= 2 * RestParameters().rest_frames, "counting may begin at any of them"
 
 
