@@ -7,10 +7,7 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from cmp_tactile_processing.elastic.cholesky import (
-    Dissection,
-    RestInverse,
-)
+from cmp_tactile_processing.elastic.cholesky import Dissection, RestInverse
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,
     BlockMesh,

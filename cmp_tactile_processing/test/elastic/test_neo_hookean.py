@@ -8,12 +8,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium
-from cmp_tactile_processing.elastic.mesh import (
-    BlockGeometry,
-    BlockMesh,
-    assembled,
-    stiffness,
-)
+from cmp_tactile_processing.elastic.mesh import BlockGeometry, BlockMesh, assembled, stiffness
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

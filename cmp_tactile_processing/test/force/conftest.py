@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,13 +13,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from cmp_tactile_processing.elastic.mesh import MeshDensity
-from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, SurfaceGrid
+from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import ForceField
+from cmp_tactile_processing.measured import ForceField, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
-
-CONFIG = Path(__file__).parent.parent.parent / "config"
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 # Noise of a measured marker displacement along x, y, z, m.
 NOISE_M = np.array([2e-6, 2e-6, 5e-6])
@@ -155,15 +153,9 @@ SAGS = [
 
 
 @pytest.fixture(scope="session")
-def sample_rig() -> SensorDescription:
-    """The packaged rig: 20 x 20 markers on a sphere cap of 27 mm."""
-    return SensorDescription.load(CONFIG / "sample_rig.yaml")
-
-
-@pytest.fixture(scope="session")
-def truth(sample_rig: SensorDescription) -> dict[str, Press]:
+def truth(sensor: SensorDescription) -> dict[str, Press]:
     """Loads of 10 N on the packaged rig."""
-    return presses(sample_rig)
+    return presses(sensor)
 
 
 @pytest.fixture(scope="session")
@@ -173,56 +165,43 @@ def cache_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def model(sample_rig: SensorDescription, cache_dir: Path) -> ForceModel:
+def model(sensor: SensorDescription, cache_dir: Path) -> ForceModel:
     """The force model of the packaged rig, as a user gets it."""
-    return ForceModel(sample_rig, cache_dir)
+    return ForceModel(sensor, cache_dir)
 
 
 @pytest.fixture(scope="session")
-def other_rig(sample_rig: SensorDescription) -> Callable[..., SensorDescription]:
+def other_rig(sensor: SensorDescription) -> Callable[..., SensorDescription]:
     """Makes a rig with rows x cols markers over 13 mm on another surface."""
 
     def make(rows: int, cols: int, surface: PatternSurface) -> SensorDescription:
         pitch = 0.013 / (max(rows, cols) - 1)
-        pattern = replace(sample_rig.pattern, rows=rows, cols=cols, pitch=pitch, surface=surface)
-        return replace(sample_rig, pattern=pattern, name=f"{surface.type}_{rows}x{cols}")
+        pattern = replace(sensor.pattern, rows=rows, cols=cols, pitch=pitch, surface=surface)
+        return replace(sensor, pattern=pattern, name=f"{surface.type}_{rows}x{cols}")
 
     return make
 
 
-@dataclass(frozen=True)
-class Built:
-    """A model that was built, the folder that it is kept in, what was reported and logged of it."""
-
-    rig: SensorDescription
-    folder: Path
-    model: ElasticModel
-    reported: list[tuple[str, float]]
-    logged: list[str]
-
-
-class _Log(logging.Handler):
-    def __init__(self, lines: list[str]) -> None:
-        super().__init__()
-        self._lines = lines
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._lines.append(record.getMessage())
-
-
 @pytest.fixture(scope="session")
-def built_plane(
-    other_rig: Callable[..., SensorDescription], tmp_path_factory: pytest.TempPathFactory
-) -> Built:
-    """A plane of 8 x 13 markers, built into an empty folder."""
-    rig, folder = other_rig(8, 13, PatternSurface()), tmp_path_factory.mktemp("plane")
-    reported: list[tuple[str, float]] = []
-    logged: list[str] = []
-    logger, log = logging.getLogger("cmp_tactile_processing"), _Log(logged)
-    level = logger.level
-    logger.addHandler(log)
-    logger.setLevel(logging.INFO)
-    model = ElasticModel(rig, folder, lambda text, done: reported.append((text, done)))
-    logger.removeHandler(log)
-    logger.setLevel(level)
-    return Built(rig, folder, model, reported, logged)
+def seen(sensor: SensorDescription) -> Callable[..., Surface]:
+    """Makes the surface that is seen of a displacement from `zero`, with noise of the seed."""
+    rest = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+
+    def make(
+        displacement: NDArray[np.float64],
+        seed: int = 1,
+        zero: NDArray[np.float64] | float = 0.0,
+        **changes: Any,
+    ) -> Surface:
+        reference, moved = rest.reference + zero, noisy(displacement, seed)
+        surface = replace(
+            rest,
+            reference=reference,
+            position=reference + moved,
+            displacement=moved,
+            covariance=np.broadcast_to(np.diag(NOISE_M**2), (*moved.shape, 3)).copy(),
+            ray_gap=np.zeros(moved.shape[:2]),
+        )
+        return replace(surface, **changes)
+
+    return make

@@ -13,7 +13,6 @@ taken in contact, see TestKeeping.test_contact_is_no_drift_and_never_zeroed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,9 +21,8 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
-from .conftest import NOISE_M, Press, noisy
+from .conftest import Press
 
 Measure = Callable[..., ForceField]
 FREE = np.zeros((20, 20, 3))
@@ -32,32 +30,19 @@ DOUBTED = ForceFlag.ZERO_DOUBTFUL
 
 
 @pytest.fixture(scope="module")
-def stage(sample_rig: SensorDescription) -> ForceStage:
+def stage(sensor: SensorDescription) -> ForceStage:
     """The stage of the packaged rig."""
-    return ForceStage(sample_rig)
+    return ForceStage(sensor)
 
 
 @pytest.fixture
-def measure(stage: ForceStage, sample_rig: SensorDescription) -> Measure:
+def measure(stage: ForceStage, seen: Callable[..., Surface]) -> Measure:
     """Measures a true displacement against a true one that is reference `number`, with noise."""
-    rest: Surface = surface_at_rest(Reference.nominal(sample_rig), sample_rig.pattern.shape)
 
     def process(
         moved: NDArray[np.float64], zero: NDArray[np.float64], number: int, seed: int = 1
     ) -> ForceField:
-        reference = rest.reference + zero
-        displacement = noisy(moved - zero, seed)
-        covariance = np.broadcast_to(np.diag(NOISE_M**2), (20, 20, 3, 3))
-        surface = replace(
-            rest,
-            position=reference + displacement,
-            reference=reference,
-            displacement=displacement,
-            covariance=covariance.copy(),
-            ray_gap=np.zeros((20, 20)),
-            reference_id=number,
-        )
-        return stage.process(surface)
+        return stage.process(seen(moved - zero, seed, zero, reference_id=number))
 
     process(FREE, FREE, 0)
     return process

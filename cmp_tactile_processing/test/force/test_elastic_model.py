@@ -33,34 +33,36 @@ def changed(problem):
             yield replace(problem, **{item.name: variant})
 
 
-def test_key_changes_with_all_that_the_model_depends_on(sample_rig):
-    problem = ElasticProblem.from_sensor(sample_rig)
+def test_key_changes_with_all_that_the_model_depends_on(sensor):
+    problem = ElasticProblem.from_sensor(sensor)
     keys = [json.dumps(variant.key, sort_keys=True) for variant in changed(problem)]
     assert len(keys) > 20
     assert len({*keys, json.dumps(problem.key, sort_keys=True)}) == len(keys) + 1
 
 
-def test_model_is_built_once_for_any_stiffness(built_plane, caplog):
+def test_model_is_built_once_for_any_stiffness(other_rig, tmp_path, caplog):
     """Compliance goes with 1 / E; only the ratio of the two moduli needs another solution."""
     caplog.set_level(logging.INFO, "cmp_tactile_processing")
-    rig, first, reported = built_plane.rig, built_plane.model, built_plane.reported
-    assert "building the elastic model of plane_8x13" in built_plane.logged[0]
+    rig, reported = other_rig(8, 13, PatternSurface()), []
+    first = ElasticModel(rig, tmp_path, lambda text, done: reported.append((text, done)))
+    assert "building the elastic model of plane_8x13" in caplog.messages[0]
+    caplog.clear()
     assert [done for _, done in reported] == sorted(done for _, done in reported)
     assert reported[-1][1] == 1
     layer = replace(rig.elastomer.shading_layer, young=2 * rig.elastomer.shading_layer.young)
     elastomer = replace(rig.elastomer, young=2 * rig.elastomer.young, shading_layer=layer)
-    second = ElasticModel(replace(rig, elastomer=elastomer), built_plane.folder)
+    second = ElasticModel(replace(rig, elastomer=elastomer), tmp_path)
     assert not caplog.records
-    assert len(list(built_plane.folder.iterdir())) == 1
+    assert len(list(tmp_path.iterdir())) == 1
     np.testing.assert_allclose(second.compliance * 2, first.compliance, rtol=1e-12)
 
 
-def test_mesh_follows_the_surface(sample_rig):
+def test_mesh_follows_the_surface(sensor):
     """The marker surface at its level, the contact surface a layer above, the base flat."""
-    problem = ElasticProblem.from_sensor(sample_rig)
+    problem = ElasticProblem.from_sensor(sensor)
     mesh = problem.mesh()
     nodes = mesh.nodes()
-    radius = sample_rig.pattern.surface.radius
+    radius = sensor.pattern.surface.radius
     sphere = np.sqrt(radius**2 - (nodes[:, :, 0, :2] ** 2).sum(axis=-1)) - radius
     np.testing.assert_allclose(nodes[:, :, mesh.marker_level, 2], sphere, atol=1e-12)
     np.testing.assert_allclose(nodes[:, :, -1, 2], sphere + 3e-4, atol=1e-12)
@@ -77,10 +79,10 @@ def test_mesh_follows_the_surface(sample_rig):
         pytest.param(PatternSurface("cylinder", 0.0105, "x"), "wider", id="cylinder too narrow"),
     ],
 )
-def test_surface_that_reaches_the_base_is_an_error(sample_rig, surface, found):
-    pattern = replace(sample_rig.pattern, surface=surface)
+def test_surface_that_reaches_the_base_is_an_error(sensor, surface, found):
+    pattern = replace(sensor.pattern, surface=surface)
     with pytest.raises(GeometryError, match=rf"sample_rig: elastomer.size .*{found}"):
-        ElasticProblem.from_sensor(replace(sample_rig, pattern=pattern))
+        ElasticProblem.from_sensor(replace(sensor, pattern=pattern))
 
 
 @pytest.mark.parametrize("thickness_mm", [1, 6, 80])
@@ -95,7 +97,7 @@ def test_thickness_chooses_the_elements_over_the_depth(other_rig, thickness_mm):
     assert len(mesh.body) == 5 or highest > 0.9 * width
 
 
-def test_more_markers_than_a_response_can_hold_are_refused_by_name(sample_rig):
-    pattern = replace(sample_rig.pattern, rows=100, cols=100, border="beyond_view")
+def test_more_markers_than_a_response_can_hold_are_refused_by_name(sensor):
+    pattern = replace(sensor.pattern, rows=100, cols=100, border="beyond_view")
     with pytest.raises(GeometryError, match=r"pattern\.rows, pattern\.cols: found 100 x 100"):
-        ElasticProblem.from_sensor(replace(sample_rig, pattern=pattern))
+        ElasticProblem.from_sensor(replace(sensor, pattern=pattern))

@@ -184,10 +184,10 @@ def test_pulls_and_drags_are_measured_and_no_contacts(model, truth, name):
 @pytest.mark.parametrize(
     "surface", [PatternSurface(), PatternSurface("cylinder", 0.02, "y")], ids=["plane", "cylinder"]
 )
-def test_grid_that_is_not_square(other_rig, built_plane, cache_dir, surface):
+def test_grid_that_is_not_square(other_rig, cache_dir, surface):
     """Rows along y and columns along x must not be mixed up anywhere on the way."""
     rig = other_rig(8, 13, surface)
-    model = ForceModel(rig, built_plane.folder if surface.type == "plane" else cache_dir)
+    model = ForceModel(rig, cache_dir)
     nodes = model.elastic.nodes.points
     weights = np.maximum(0, 1 - ((nodes - [2e-3, -1e-3]) ** 2).sum(axis=1) / 3e-3**2) ** 1.5
     force = (weights / weights.sum())[:, None] * [1.0, -2.0, -8.0]
@@ -201,22 +201,22 @@ def test_grid_that_is_not_square(other_rig, built_plane, cache_dir, surface):
     np.testing.assert_allclose(field.position[:, 2], height)
 
 
-def test_parameters_reach_the_field(sample_rig, truth, cache_dir):
+def test_parameters_reach_the_field(sensor, truth, cache_dir):
     """A fixed weight of the first pass alone: less force; a floor above the peak: no contact."""
     parameters = ForceParameters(regularization=0.1, two_pass=False, contact_pressure_floor=1e9)
-    stiff = ForceModel(replace(sample_rig, force=parameters), cache_dir)
+    stiff = ForceModel(replace(sensor, force=parameters), cache_dir)
     field = stiff.reconstruct(truth["press"].displacement, MEASURED)
     assert field.regularization == pytest.approx(0.1, rel=0.2)
     assert -9.5 < field.wrench[2] < -5
     assert not field.contact.any()
-    assert (field.young, field.poisson) == (sample_rig.elastomer.young, 0.48)
+    assert (field.young, field.poisson) == (sensor.elastomer.young, 0.48)
 
 
-def test_uncertain_material_widens_the_error_bars(sample_rig, model, truth, cache_dir):
+def test_uncertain_material_widens_the_error_bars(sensor, model, truth, cache_dir):
     """Relative deviations of a calibration come on top, along their own components."""
     record = MaterialRecord("weights", "2026-07-01T12:00:00Z", 4, 0.05, 0.1)
-    elastomer = replace(sample_rig.elastomer, calibration=record)
-    uncertain = ForceModel(replace(sample_rig, elastomer=elastomer), cache_dir)
+    elastomer = replace(sensor.elastomer, calibration=record)
+    uncertain = ForceModel(replace(sensor, elastomer=elastomer), cache_dir)
     moved = noisy(truth["shear"].displacement)
     known, field = (alone(item, moved, MEASURED) for item in (model, uncertain))
     np.testing.assert_array_equal(field.wrench, known.wrench)
@@ -224,10 +224,10 @@ def test_uncertain_material_widens_the_error_bars(sample_rig, model, truth, cach
     np.testing.assert_allclose(field.wrench_std[:3], expected, rtol=1e-2)
 
 
-def test_a_deep_press_of_a_linear_gel_is_flagged(sample_rig, model, truth):
+def test_a_deep_press_of_a_linear_gel_is_flagged(sensor, model, truth):
     """No rubber is linear at 16 % of the thickness, whatever its description says."""
     press = truth["press"].displacement / -truth["press"].displacement[..., 2].min()
-    thickness = sample_rig.elastomer.size[2]
+    thickness = sensor.elastomer.size[2]
     sure, deep = (
         alone(model, noisy(share * thickness * press), MEASURED) for share in (0.14, 0.16)
     )
@@ -236,11 +236,11 @@ def test_a_deep_press_of_a_linear_gel_is_flagged(sample_rig, model, truth):
     assert deep.wrench[2] == pytest.approx(16 / 14 * sure.wrench[2], rel=0.01)
 
 
-def test_large_press_that_is_not_corrected_is_in_doubt(sample_rig, model, truth, cache_dir):
+def test_large_press_that_is_not_corrected_is_in_doubt(sensor, model, truth, cache_dir):
     """A neo-Hookean gel without the correction: half of depth over thickness, and a flag."""
     neo = replace(
-        sample_rig,
-        elastomer=replace(sample_rig.elastomer, model="neo_hookean"),
+        sensor,
+        elastomer=replace(sensor.elastomer, model="neo_hookean"),
         force=ForceParameters(large_press="off"),
     )
     moved = noisy(0.2 * truth["press"].displacement)
@@ -248,7 +248,7 @@ def test_large_press_that_is_not_corrected_is_in_doubt(sample_rig, model, truth,
     field = ForceModel(neo, cache_dir).reconstruct(moved, MEASURED)
     assert field.flags == ForceFlag.LARGE_PRESS
     np.testing.assert_array_equal(field.wrench, sure.wrench)
-    depth = -moved[..., 2].min() / sample_rig.elastomer.size[2]
+    depth = -moved[..., 2].min() / sensor.elastomer.size[2]
     expected = np.hypot(sure.wrench_std[2], 0.5 * depth * field.wrench[2])
     assert field.wrench_std[2] == pytest.approx(expected, rel=0.05)
     total = field.contacts[0].covariance[2, 2] ** 0.5

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import subprocess
-import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,9 +22,8 @@ from cmp_tactile_processing.measured import (
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
-from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
-from .conftest import NOISE_M, Press, bump, noisy
+from .conftest import Press, bump, noisy
 
 # Of the 10 N of the loads that are taken for true: 1 N presses the gel in by about 0.3 mm.
 SCALE = 0.1
@@ -47,15 +42,15 @@ OUTSIDE = [name for name in WIDE_LOADS if name not in ("inside", "at border")]
 
 
 @pytest.fixture(scope="module")
-def stage(sample_rig: SensorDescription) -> ForceStage:
+def stage(sensor: SensorDescription) -> ForceStage:
     """The stage of the packaged rig, from the user's cache."""
-    return ForceStage(sample_rig)
+    return ForceStage(sensor)
 
 
 @pytest.fixture(scope="module")
-def wide(sample_rig: SensorDescription) -> dict[str, NDArray[np.float64]]:
+def wide(sensor: SensorDescription) -> dict[str, NDArray[np.float64]]:
     """Displacement (rows, cols, 3) m under 1 N anywhere on the gel, by name of the load."""
-    problem = ElasticProblem.from_sensor(sample_rig)
+    problem = ElasticProblem.from_sensor(sensor)
     grid = SurfaceGrid(61, 61, (0.02, 0.02))
     problem = replace(problem, nodes=grid, density=WIDE_DENSITY)
     force = np.array([0.15, -0.1, -1.0])
@@ -64,31 +59,12 @@ def wide(sample_rig: SensorDescription) -> dict[str, NDArray[np.float64]]:
         for (x, y), radius in WIDE_LOADS.values()
     ]
     moved = problem.expand(problem.solve(np.stack(columns, axis=1)), of_nodes=False)
-    moved = (moved / sample_rig.elastomer.young).T.reshape(len(columns), *_shape(sample_rig), 3)
+    moved = (moved / sensor.elastomer.young).T.reshape(len(columns), *_shape(sensor), 3)
     return dict(zip(WIDE_LOADS, moved, strict=True))
 
 
 def _shape(sensor: SensorDescription) -> tuple[int, int]:
     return sensor.pattern.rows, sensor.pattern.cols
-
-
-@pytest.fixture(scope="module")
-def seen(sample_rig: SensorDescription) -> Callable[..., Surface]:
-    """Makes the surface that is seen of a displacement, with noise of the seed."""
-    rest = surface_at_rest(Reference.nominal(sample_rig), sample_rig.pattern.shape)
-
-    def make(displacement: NDArray[np.float64], seed: int = 1, **changes: object) -> Surface:
-        moved = noisy(displacement, seed)
-        surface = replace(
-            rest,
-            position=rest.reference + moved,
-            displacement=moved,
-            covariance=np.broadcast_to(np.diag(NOISE_M**2), (*moved.shape, 3)).copy(),
-            ray_gap=np.zeros(moved.shape[:2]),
-        )
-        return replace(surface, **changes)  # type: ignore[arg-type]
-
-    return make
 
 
 def hidden(surface: Surface, where: NDArray[np.bool_]) -> Surface:
@@ -136,10 +112,8 @@ def test_missing_corners_cost_little_and_raise_no_flag(stage, seen, truth, name,
     assert not field.flags & (ForceFlag.POOR_FIT | ForceFlag.BEYOND_MARKERS)
 
 
-def test_a_contact_that_leaves_the_view_of_a_larger_pattern_is_at_its_border(
-    sample_rig, seen, truth
-):
-    beyond = replace(sample_rig, pattern=replace(sample_rig.pattern, border="beyond_view"))
+def test_a_contact_that_leaves_the_view_of_a_larger_pattern_is_at_its_border(sensor, seen, truth):
+    beyond = replace(sensor, pattern=replace(sensor.pattern, border="beyond_view"))
     larger = ForceStage(beyond)
     moved = SCALE * truth["off centre"].displacement
     # The contact is at x = 3 mm, and the view ends within it.
@@ -176,46 +150,6 @@ def test_lost_frames_are_nan_and_leave_nothing_behind(stage, seen, truth):
     after = stage.process(press)
     np.testing.assert_allclose(after.wrench, before.wrench, rtol=1e-9)
     assert after.slip_state is not SlipState.NO_CONTACT
-
-
-# Counts how often each function of the package has been compiled, before and after the frames.
-FIRST_FRAMES = """
-import pickle, sys
-from cmp_tactile_processing.force.stage import ForceStage
-
-def compiled():
-    return {
-        f"{name}.{key}": len(value.signatures)
-        for name, module in list(sys.modules.items())
-        if name.startswith("cmp_tactile_processing.")
-        for key, value in vars(module).items()
-        if hasattr(value, "signatures")
-    }
-
-with open(sys.argv[1], "rb") as file:
-    sensor, surfaces = pickle.load(file)
-stage = ForceStage(sensor)
-before = compiled()
-for number, surface in enumerate(surfaces):
-    stage.process(surface, number * 10**8)
-print(*(name for name, count in compiled().items() if count > before.get(name, 0)))
-"""
-
-
-def test_nothing_is_compiled_in_a_frame(seen, truth, sample_rig, tmp_path):
-    """Sound frames and some with markers missing, from the first one of a process on."""
-    gel = replace(sample_rig.elastomer, model="neo_hookean", relaxation=GelRelaxation(0.1, 2.0))
-    where = np.zeros((20, 20), np.bool_)
-    where[9:11, 12:14] = True
-    surfaces = []
-    for load in ("press", "shear"):
-        press = seen(SCALE * truth[load].displacement)
-        surfaces += [press, hidden(press, where), press]
-    given = tmp_path / "frames"
-    given.write_bytes(pickle.dumps((replace(sample_rig, elastomer=gel), surfaces)))
-    command = [sys.executable, "-c", FIRST_FRAMES, str(given)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.stdout.strip(), done.returncode) == ("", 0), done.stderr
 
 
 @pytest.mark.parametrize("newton", [1.0, -1.0, 4.0])
@@ -255,10 +189,10 @@ def test_covariances_that_say_nothing_change_little(stage, seen, truth, spoil):
     assert np.isfinite(field.wrench_covariance).all()
 
 
-def test_another_reference_begins_again(sample_rig, seen, truth):
+def test_another_reference_begins_again(sensor, seen, truth):
     """What the gel remembers counts from the old reference."""
-    soft = replace(sample_rig.elastomer, relaxation=GelRelaxation(share=0.3, time=2.0))
-    stage = ForceStage(replace(sample_rig, elastomer=soft))
+    soft = replace(sensor.elastomer, relaxation=GelRelaxation(share=0.3, time=2.0))
+    stage = ForceStage(replace(sensor, elastomer=soft))
     press, rest = (seen(k * SCALE * truth["press"].displacement) for k in (1, 0))
     fields = [stage.process(surface, stamp) for surface, stamp in ((rest, 0), (press, 10**7))]
     held = stage.process(press, 20 * 10**9)
@@ -272,10 +206,10 @@ def test_another_reference_begins_again(sample_rig, seen, truth):
     assert not stage.process(press).relaxed
 
 
-def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sample_rig, seen, truth):
+def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sensor, seen, truth):
     """Remembered by the relaxation, it would be a marker pulled by millimetres for seconds."""
-    soft = replace(sample_rig.elastomer, relaxation=GelRelaxation(share=0.3, time=1.0))
-    stage = ForceStage(replace(sample_rig, elastomer=soft))
+    soft = replace(sensor.elastomer, relaxation=GelRelaxation(share=0.3, time=1.0))
+    stage = ForceStage(replace(sensor, elastomer=soft))
     moved = SCALE * truth["press"].displacement
     wild = moved.copy()
     wild[4, 4] = 0.1
@@ -289,14 +223,14 @@ def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sample_rig
 
 @pytest.mark.parametrize("slant", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("name", ["press", "shear", "off centre"])
-def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant):
+def test_one_view_says_how_little_it_knows(sensor, seen, truth, name, slant):
     """Seen aslant, a press is a shift of the markers on the surface that they are taken to be on.
 
     slant: tangent of the angle between the camera's axis and the gel's.
     """
-    optics = replace(sample_rig.optics, type="monocular")
-    views = {"left": sample_rig.views["left"]}
-    stage = ForceStage(replace(sample_rig, optics=optics, views=views))
+    optics = replace(sensor.optics, type="monocular")
+    views = {"left": sensor.views["left"]}
+    stage = ForceStage(replace(sensor, optics=optics, views=views))
     press = truth[name]
     moved = SCALE * press.displacement
     shift = moved[..., 2:] * np.array([0.0, slant, 0.0])
@@ -310,11 +244,11 @@ def test_one_view_says_how_little_it_knows(sample_rig, seen, truth, name, slant)
     assert field.slip_state == SlipState.UNKNOWN
 
 
-def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
+def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sensor):
     """A wide press of more force, which the gel can follow, would be reported uncorrected."""
-    gel = replace(sample_rig.elastomer, model="neo_hookean")
-    model = ForceModel(replace(sample_rig, elastomer=gel))
-    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    gel = replace(sensor.elastomer, model="neo_hookean")
+    model = ForceModel(replace(sensor, elastomer=gel))
+    status = np.full(_shape(sensor), Status.MEASURED, np.uint8)
     place = model.elastic.nodes.points
     even = np.full(len(place), 1 / len(place))
     fields = [
@@ -326,14 +260,14 @@ def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sample_rig):
     assert fields[2].corrected
 
 
-def test_a_jump_is_corrected_over_several_frames(sample_rig):
+def test_a_jump_is_corrected_over_several_frames(sensor):
     """At once the linear force with its flag, soon that of a model that settles in every frame."""
-    gel = replace(sample_rig.elastomer, model="neo_hookean")
-    sensor = replace(sample_rig, elastomer=gel)
+    gel = replace(sensor.elastomer, model="neo_hookean")
+    sensor = replace(sensor, elastomer=gel)
     off = replace(sensor, force=replace(sensor.force, large_press="off"))
     whole, linear = ForceModel(sensor), ForceModel(off)
     gradual = ForceModel(sensor, large_press_steps=4)
-    status = np.full(_shape(sample_rig), Status.MEASURED, np.uint8)
+    status = np.full(_shape(sensor), Status.MEASURED, np.uint8)
     weight = bump(whole.elastic.nodes.points, (0, 0), 3e-3)[:, None]
     rng = np.random.default_rng(0)
     for newton, frames in ((2.0, 16), (3.0, 16), (0.5, 6)):

@@ -21,13 +21,13 @@ LARGE = 0.9
 
 
 @pytest.fixture(scope="module")
-def problem(sample_rig) -> ElasticProblem:
-    return ElasticProblem.from_sensor(sample_rig)
+def problem(sensor) -> ElasticProblem:
+    return ElasticProblem.from_sensor(sensor)
 
 
 @pytest.fixture(scope="module")
-def shared(problem, sample_rig, cache_dir) -> LargePress:
-    return LargePress(problem, sample_rig.elastomer.young, cache_dir, density=COARSE)
+def shared(problem, sensor, cache_dir) -> LargePress:
+    return LargePress(problem, sensor.elastomer.young, cache_dir, density=COARSE)
 
 
 @pytest.fixture

@@ -60,9 +60,9 @@ def described(truth):
 
 
 @pytest.fixture(scope="module")
-def other(sample_rig):
+def other(sensor):
     """Displacement and force of loads on a gel of another modulus and Poisson's ratio."""
-    problem = ElasticProblem.from_sensor(sample_rig)
+    problem = ElasticProblem.from_sensor(sensor)
     grid = SurfaceGrid(61, 61, problem.nodes.extent)
     density = MeshDensity(across=16, rim=3, depth=4, growth=1.3)
     problem = replace(problem, poisson=OTHER_POISSON, nodes=grid, density=density)
@@ -75,15 +75,15 @@ def other(sample_rig):
     }
 
 
-def test_modulus_and_what_a_wrong_poisson_ratio_leaves_open(sample_rig, cache_dir, other):
+def test_modulus_and_what_a_wrong_poisson_ratio_leaves_open(sensor, cache_dir, other):
     """Of a gel on another mesh whose ratio is one standard deviation off: presses alone."""
     samples = [
         sample(*other[name], seed, name) for seed, name in enumerate(("press", "off centre"))
     ]
-    outcome = fit_material(sample_rig, samples, "weights", cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "weights", cache_dir=cache_dir)
     assert outcome.accepted, outcome.findings
     gel, record = outcome.sensor.elastomer, outcome.record
-    assert gel.poisson == sample_rig.elastomer.poisson
+    assert gel.poisson == sensor.elastomer.poisson
     assert gel.shading_layer.young == pytest.approx(gel.young)
     assert abs(gel.young - OTHER_YOUNG) < 3 * record.young_std * gel.young
     assert record == gel.calibration
@@ -96,15 +96,15 @@ def test_modulus_and_what_a_wrong_poisson_ratio_leaves_open(sample_rig, cache_di
 
 @pytest.mark.parametrize("names", [("press",), ("press", "shear")])
 def test_the_error_bar_of_sideways_forces_covers_a_wrong_poisson_ratio(
-    sample_rig, model, cache_dir, other, names
+    sensor, model, cache_dir, other, names
 ):
     """Known sideways or not; where it is, the bar is that of what was seen."""
     samples = [sample(*other[name], seed, name) for seed, name in enumerate(names)]
-    outcome = fit_material(sample_rig, samples, "weights", cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "weights", cache_dir=cache_dir)
     record = outcome.record
     moved, force = other["shear"]
     shown = model.reconstruct(moved, MEASURED).wrench[:3]
-    off = shown * outcome.sensor.elastomer.young / sample_rig.elastomer.young / force - 1
+    off = shown * outcome.sensor.elastomer.young / sensor.elastomer.young / force - 1
     assert abs(off[0]) < 3 * record.tangential_std < 0.15
     assert abs(off[2]) < 3 * record.normal_std < 0.05
     only_presses = any("All loads are presses" in item.text for item in outcome.findings)
@@ -112,11 +112,11 @@ def test_the_error_bar_of_sideways_forces_covers_a_wrong_poisson_ratio(
 
 
 @pytest.mark.parametrize("young", [2.5e5, 1.2e6])
-def test_young_alone(sample_rig, cache_dir, described, young):
+def test_young_alone(sensor, cache_dir, described, young):
     """The others held: nothing is built, and the old modulus does not matter."""
-    gel = replace(sample_rig.elastomer, young=young)
+    gel = replace(sensor.elastomer, young=young)
     gel = replace(gel, shading_layer=replace(gel.shading_layer, young=young))
-    sensor = replace(sample_rig, elastomer=gel)
+    sensor = replace(sensor, elastomer=gel)
     outcome = fit_material(sensor, described, "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert outcome.accepted, outcome.findings
     assert outcome.sensor.elastomer.young == pytest.approx(5e5, rel=0.01)
@@ -127,44 +127,44 @@ def test_young_alone(sample_rig, cache_dir, described, young):
     assert "elastomer.poisson" in outcome.record.held
 
 
-def test_a_wrong_load_is_named_and_left_out(sample_rig, cache_dir, described):
+def test_a_wrong_load_is_named_and_left_out(sensor, cache_dir, described):
     wrong = replace(described[2], force=1.3 * described[2].force, name="200 g")
     samples = [*described[:2], wrong, described[3]]
-    outcome = fit_material(sample_rig, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert outcome.accepted, outcome.findings
     assert [load.used for load in outcome.loads] == [True, True, False, True]
     assert outcome.sensor.elastomer.young == pytest.approx(5e5, rel=0.01)
     assert any("Load 3 (200 g) was left out" in item.text for item in outcome.findings)
 
 
-def test_two_loads_that_contradict_each_other(sample_rig, cache_dir, described):
+def test_two_loads_that_contradict_each_other(sensor, cache_dir, described):
     samples = [described[1], replace(described[3], force=1.5 * described[3].force)]
-    outcome = fit_material(sample_rig, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert not outcome.accepted
     assert any("contradict one another" in item.text for item in outcome.findings)
 
 
-def test_offset_of_the_reference_sensor(sample_rig, cache_dir, described):
+def test_offset_of_the_reference_sensor(sensor, cache_dir, described):
     offset = np.array([0.05, 0.0, -0.1])
     samples = [replace(item, force=item.force + offset) for item in described]
-    outcome = fit_material(sample_rig, samples, "force_sensor", POISSON_KNOWN, cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "force_sensor", POISSON_KNOWN, cache_dir=cache_dir)
     assert outcome.accepted, outcome.findings
     assert outcome.sensor.elastomer.young == pytest.approx(5e5, rel=0.03)
     np.testing.assert_allclose(outcome.offset, offset, atol=0.015)
     assert (np.abs(outcome.offset - offset) < 4 * outcome.offset_std).all()
 
 
-def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
+def test_large_strain_is_taken_off(sensor, model, cache_dir):
     """A neo-Hookean gel that is described a fifth too stiff, under 1.5 N on a patch of 3 mm."""
     force = 3 * loads(model.elastic.nodes.points)["press"]
-    gel = sample_rig.elastomer
-    press = LargePress(ElasticProblem.from_sensor(sample_rig), gel.young, cache_dir)
+    gel = sensor.elastomer
+    press = LargePress(ElasticProblem.from_sensor(sensor), gel.young, cache_dir)
     excess = press.excess(force)
     moved = model.elastic.displacement(force) + excess
     assert np.abs(excess).max() > 0.03 * np.abs(moved).max()
     layer = replace(gel.shading_layer, young=1.2 * gel.young)
     gel = replace(gel, model="neo_hookean", young=1.2 * gel.young, shading_layer=layer)
-    sensor = replace(sample_rig, elastomer=gel)
+    sensor = replace(sensor, elastomer=gel)
     samples = [sample(moved, force.sum(axis=0), 3)]
     outcome = fit_material(sensor, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert outcome.accepted, outcome.findings
@@ -181,11 +181,11 @@ def test_large_strain_is_taken_off(sample_rig, model, cache_dir):
         ("linear", "on", False),
     ],
 )
-def test_presses_that_are_too_deep_for_a_linear_gel(sample_rig, model, large_press, warned):
+def test_presses_that_are_too_deep_for_a_linear_gel(sensor, model, large_press, warned):
     sensor = replace(
-        sample_rig,
-        elastomer=replace(sample_rig.elastomer, model=model),
-        force=replace(sample_rig.force, large_press=large_press),
+        sensor,
+        elastomer=replace(sensor.elastomer, model=model),
+        force=replace(sensor.force, large_press=large_press),
     )
     deep = np.full((20, 20, 3), [0.0, 0.0, -0.6e-3])
     for displacement, expected in ((deep, warned), (deep / 10, False)):
@@ -224,28 +224,28 @@ def turned(degrees):
         (turned(90), "sideways forces have another direction"),
     ],
 )
-def test_reference_in_another_frame(sample_rig, cache_dir, described, change, finding):
+def test_reference_in_another_frame(sensor, cache_dir, described, change, finding):
     """One clear finding, and the description as it was."""
     samples = [replace(item, force=change @ item.force) for item in described]
-    outcome = fit_material(sample_rig, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert not outcome.accepted
     assert len(outcome.findings) == 1
     assert re.search(finding, outcome.findings[0].text)
-    assert outcome.sensor is sample_rig
+    assert outcome.sensor is sensor
     assert outcome.record is None
 
 
-def test_nothing_that_touches(sample_rig, cache_dir):
+def test_nothing_that_touches(sensor, cache_dir):
     samples = [sample(np.zeros((20, 20, 3)), np.array([0.0, 0.0, -0.5]), 0)]
-    outcome = fit_material(sample_rig, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
+    outcome = fit_material(sensor, samples, "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert not outcome.accepted
     assert outcome.findings[0].severity is Severity.ERROR
     assert "measures no contact" in outcome.findings[0].text
     assert outcome.loads[0].reason
 
 
-def test_one_press_is_enough_and_is_said_to_be_little(sample_rig, cache_dir, described):
-    outcome = fit_material(sample_rig, described[:1], "weights", POISSON_KNOWN, cache_dir=cache_dir)
+def test_one_press_is_enough_and_is_said_to_be_little(sensor, cache_dir, described):
+    outcome = fit_material(sensor, described[:1], "weights", POISSON_KNOWN, cache_dir=cache_dir)
     assert outcome.accepted
     texts = " ".join(item.text for item in outcome.findings)
     assert "only one load" in texts
@@ -279,9 +279,9 @@ GOOD = LoadSample(np.zeros((20, 20, 3)), MEASURED, np.array([0, 0, -1.0]), np.fu
         ([replace(GOOD, std=np.zeros(3))], "weights", r"std: found \[0, 0, 0\], expected a number"),
     ],
 )
-def test_what_cannot_be_used_is_named(sample_rig, samples, method, message):
+def test_what_cannot_be_used_is_named(sensor, samples, method, message):
     with pytest.raises(CalibrationError, match=f"sample_rig: .*{message}"):
-        fit_material(sample_rig, samples, method)
+        fit_material(sensor, samples, method)
 
 
 def test_small_loads_whose_noise_hides_them_do_not_widen_the_error_bar():

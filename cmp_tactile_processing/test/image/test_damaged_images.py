@@ -69,14 +69,8 @@ def test_whole_pictures_are_read_as_opencv_reads_them(picture, kind):
     # A camera's buffer is longer than the picture.
     np.testing.assert_array_equal(_decode(content + bytes(500)), expected)
     grey = decode_jpeg(content, "data", grey=True)
-    assert (
-        np.abs(
-            grey.astype(int) - cv2.cvtColor(expected, cv2.COLOR_BGR2GRAY)
-            if kind == "colour"
-            else grey.astype(int) - expected
-        ).max()
-        <= 1
-    )
+    plain = cv2.cvtColor(expected, cv2.COLOR_BGR2GRAY) if kind == "colour" else expected
+    assert np.abs(grey.astype(int) - plain).max() <= 1
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "colour"])

@@ -1,4 +1,4 @@
-"""What other makes of cameras send is read: mosaics, YUV, alpha, 16 bits a pixel.
+"""What other makes of cameras send is read, or the field that is wrong is named.
 
 Public reports, each tried here:
 - ethz-asl/okvis_ros 20 (mono16 of the TUM dataset read as bytes): read, scaled by the bits used.
@@ -205,6 +205,7 @@ def test_compressed_colours(text):
     bgr = np.tile(np.array([BLUE, GREEN, RED], np.uint8), (HEIGHT, WIDTH, 1))
     found = decode_compressed(text, _encoded(".jpg", bgr))
     assert np.abs(found.astype(int) - bgr).max() <= YUV_TOLERANCE
+    np.testing.assert_array_equal(decode_compressed("png", _encoded(".png", bgr)), bgr)
     swapped = np.ascontiguousarray(bgr[..., ::-1])
     found = decode_compressed("rgb8; png compressed rgb8", _encoded(".png", swapped))
     np.testing.assert_array_equal(found, bgr)
@@ -223,7 +224,7 @@ def test_compressed_16_bits_and_mosaics():
 
 @pytest.mark.parametrize("encoding", ["32FC1", "16SC1", "theora", "MONO8", ""])
 def test_what_is_no_image_is_refused(encoding):
-    with pytest.raises(FrameError, match=r"encoding: found .*expected mono8"):
+    with pytest.raises(FrameError, match=r"encoding: found .*expected mono8, bgr8"):
         decode_raw((WIDTH, HEIGHT), encoding, 64, np.zeros(9999, np.uint8))
 
 
@@ -234,3 +235,48 @@ def test_planes_with_padded_rows_and_with_the_step_of_all_planes():
     np.testing.assert_array_equal(_decode(padded, "nv12"), _decode(rows, "nv12"))
     found = _decode(rows, "nv12", step=2 * WIDTH, luminance=True)
     np.testing.assert_array_equal(found, luma)
+
+
+def test_a_name_without_end_is_cut_in_the_error():
+    with pytest.raises(FrameError, match=r"encoding: found 'xx.*\.\.\., exp") as raised:
+        decode_raw((8, 6), "x" * 10**6, 8, np.zeros(48, np.uint8))
+    with pytest.raises(FrameError, match=r"format: found 'xx.*\.\.\., exp") as compressed:
+        decode_compressed("x" * 10**6, np.zeros(48, np.uint8))
+    assert max(len(str(raised.value)), len(str(compressed.value))) < 300
+
+
+@pytest.mark.parametrize(
+    ("size", "encoding", "step", "length", "message"),
+    [
+        ((0, 6), "mono8", 8, 48, "width, height: found 0 x 6"),
+        ((70000, 60000), "mono8", 70000, 48, "width, height: found 70000 x 60000"),
+        ((8, 6), "bgr8", 8, 48, "step: found 8 bytes, expected at least 24 for bgr8"),
+        ((8, 6), "mono8", 8, 47, r"data: found 47 bytes, expected 48 \(6 rows of 8\)"),
+        ((8, 6), "mono16", 16, 95, r"data: found 95 bytes, expected 96"),
+        ((8, 6), "nv12", 8, 71, r"data: found 71 bytes, expected 72 \(9 rows of 8\)"),
+        ((7, 6), "yuyv", 14, 84, "width: found 7 px, expected an even number"),
+    ],
+)
+def test_wrong_fields_are_named(size, encoding, step, length, message):
+    with pytest.raises(FrameError, match=message):
+        decode_raw(size, encoding, step, np.zeros(length, np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("format_text", "data", "message"),
+    [
+        ("mono8; theora compressed", b"abc", "format: found 'mono8; theora compressed'"),
+        ("16UC1; compressedDepth png", b"abc", "format: found '16UC1; compressedDepth png'"),
+        ("png", b"abc", "data: found 3 bytes that are not a readable image"),
+        ("jpeg", b"", "data: found 0 bytes"),
+    ],
+)
+def test_unusable_compressed_data_are_named(format_text, data, message):
+    with pytest.raises(FrameError, match=message):
+        decode_compressed(format_text, np.frombuffer(data, np.uint8))
+
+
+def test_floating_point_is_refused():
+    data = cv2.imencode(".tiff", np.full((4, 4), 1000, np.float32))[1].ravel()
+    with pytest.raises(FrameError, match="found float32 pixels, expected uint8 or uint16"):
+        decode_image(data, "data")

@@ -1,4 +1,4 @@
-"""Frames go through splitter and tracker over DDS; the grids are compared with the truth."""
+"""Views go in over DDS; grids and overlays come out.  Of the grids: test/test_system_replay.py."""
 
 from __future__ import annotations
 
@@ -13,18 +13,12 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.nodes import gridline_tracker as gridline_tracker_node
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
-from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
-from cmp_tactile_processing.ros.messages.reading import grid_from_msg
-from cmp_tactile_processing.sensor.description import load_sensor
 
 pytestmark = pytest.mark.ros
 
-# What the whole chain promises for clean frames.
-RMSE_PX = 0.05
 CHANNELS = ("red", "green", "blue")
 
 
@@ -32,34 +26,13 @@ def _stamp(number: int) -> Time:
     return Time(sec=100 + number, nanosec=7 * number)
 
 
-def _view_msg(sample, view: str = "left", number: int = 0) -> Image:
-    half = sample.frame[:, :512] if view == "left" else sample.frame[:, 512:]
-    return image_to_msg(np.ascontiguousarray(half[:, ::-1]), "mono8", Header(stamp=_stamp(number)))
+def _view(sample) -> np.ndarray:
+    return np.ascontiguousarray(sample("rest").frame[:, 511::-1])
 
 
-def test_both_views_of_three_frames_match_the_truth(ros, sample):
-    sensor = load_sensor("sample_rig")
-    views = build_views(sensor)
-    splitter = ros.start(ViewSplitter)
-    grids = {}
-    for view in ("left", "right"):
-        ros.start(GridlineTracker, name=f"{view}_tracker", view=view)
-        grids[view] = ros.listen(GridMsg, f"{view}/grid")
-    samples = [sample(name) for name in ("rest", "slide", "press")]
-    publisher = ros.publisher(Image, "image_raw")
-    ros.wait_subscribed(splitter, *(f"{view}/image_raw" for view in views))
-    for number, item in enumerate(samples):
-        publisher.publish(image_to_msg(item.frame, "mono8", Header(stamp=_stamp(number))))
-    ros.wait(lambda: all(len(found) == 3 for found in grids.values()), "three grids a view", 60)
-    for view, found in grids.items():
-        for number, (msg, item) in enumerate(zip(found, samples, strict=True)):
-            assert msg.header == Header(
-                stamp=_stamp(number), frame_id=f"sample_rig_{view}_optical_frame"
-            )
-            assert msg.found_fraction == 1.0
-            grid = grid_from_msg(msg, sensor.pattern.shape, views[view].placement)
-            error = grid.corners_frame - item.truth[f"corners_{view}_px"]
-            assert np.sqrt(np.mean(np.sum(error**2, axis=-1))) <= RMSE_PX
+def _message(image: np.ndarray, number: int) -> Image:
+    encoding = "mono8" if image.ndim == 2 else "bgr8"
+    return image_to_msg(image, encoding, Header(stamp=_stamp(number)))
 
 
 def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sample, count_calls):
@@ -67,12 +40,12 @@ def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sa
     tracker = ros.start(GridlineTracker)
     grids = ros.listen(GridMsg, "left/grid")
     publisher = ros.publisher(Image, "left/image_raw")
-    publisher.publish(_view_msg(sample("rest"), number=0))
+    publisher.publish(_message(_view(sample), 0))
     ros.wait(lambda: grids, "a grid")
     assert not drawn
     overlays = ros.listen(Image, "left/grid_overlay")
     ros.wait_subscribed(tracker, "left/grid_overlay")
-    publisher.publish(_view_msg(sample("rest"), number=1))
+    publisher.publish(_message(_view(sample), 1))
     ros.wait(lambda: overlays, "the overlay")
     (overlay,) = overlays
     assert overlay.header.stamp == _stamp(1)
@@ -84,15 +57,6 @@ def test_overlay_is_drawn_for_subscribers_only_and_where_the_corners_are(ros, sa
     assert (green > blue + 50).all()
     grey = image[:20, :20]
     assert (grey == grey[..., :1]).all(), "outside the grid the view shows as it is"
-
-
-def _view(sample) -> np.ndarray:
-    return np.ascontiguousarray(sample("rest").frame[:, 511::-1])
-
-
-def _message(image: np.ndarray, number: int) -> Image:
-    encoding = "mono8" if image.ndim == 2 else "bgr8"
-    return image_to_msg(image, encoding, Header(stamp=_stamp(number)))
 
 
 def test_an_image_without_a_pattern_gives_a_missing_grid_with_its_fault(ros, sample):

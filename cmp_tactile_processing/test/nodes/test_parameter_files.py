@@ -14,11 +14,7 @@ pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import (
-    DescribeParameters,
-    GetParameters,
-    ListParameters,
-)
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image
 

@@ -38,13 +38,10 @@ class Rig:
         self.ros.wait(lambda: len(self.grids) == self._sent, f"grid {self._sent}", 60)
         return self.grids[-1]
 
-    def ask_for_inspection(self):
-        name = f"{self.ros.namespace}/gridline_tracker/inspect_print"
-        return self.ros.call_later(Trigger, name, Trigger.Request())
-
     def inspect_later(self):
         """Asked for, and the next frames count."""
-        future = self.ask_for_inspection()
+        name = f"{self.ros.namespace}/gridline_tracker/inspect_print"
+        future = self.ros.call_later(Trigger, name, Trigger.Request())
         self.ros.wait(lambda: self.node._inspection.is_open, "the request")
         return future
 

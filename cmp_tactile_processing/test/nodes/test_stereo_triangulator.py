@@ -21,7 +21,7 @@ from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, Status
-from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.nodes.stereo_triangulator import StampPairing, StereoTriangulator
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
@@ -89,22 +89,6 @@ class Rig:
         future = self.ask_for_reference()
         self.ros.wait(lambda: self.node._averaging.is_open, "the request")
         return future
-
-
-def test_surface_and_displacement_are_the_true_ones(ros, sample):
-    rig = Rig(ros)
-    rest, press = sample("rest").truth["corners_m"], sample("press").truth["corners_m"]
-    rig.send(sample("press"), 5)
-    (surface,) = rig.wait_surfaces(1)
-    (msg,) = rig.surfaces
-    assert msg.header == Header(stamp=Time(sec=5), frame_id="sample_rig_gel_frame")
-    assert (surface.status == Status.MEASURED).all()
-    np.testing.assert_allclose(surface.position, press, atol=ATOL_M)
-    np.testing.assert_allclose(surface.displacement, press - rest, atol=ATOL_M)
-    np.testing.assert_allclose(surface.reference, rest, atol=ATOL_M)
-    assert (surface.ray_gap < 1e-8).all()
-    assert surface.displacement[..., 2].min() < -2e-4, "a press moves the gel towards -z"
-    assert (surface.reference_id, surface.reference_stamp_ns) == (0, 0)
 
 
 def test_rays_that_miss_each_other_are_warned_of(ros, sample, capfd):
@@ -252,3 +236,36 @@ def test_drift_at_rest_is_warned_of(ros, sample):
         "drift turn (mrad)": 0.0,
         "drift shape (um)": 0.0,
     }
+
+
+@pytest.fixture
+def pairing() -> StampPairing:
+    return StampPairing(("left", "right"), capacity=4)
+
+
+def test_the_oldest_is_given_up_when_a_side_stays_away(pairing):
+    for stamp in range(100):
+        assert pairing.add("left", stamp, stamp) is None
+    assert pairing.unpaired == {"left": 96, "right": 0}
+    assert pairing.add("right", 95, "r") is None
+    assert pairing.add("right", 96, "r") == (96, "r")
+
+
+def test_repeated_stamp_keeps_the_newer(pairing):
+    pairing.add("left", 1, "old")
+    pairing.add("left", 1, "new")
+    assert pairing.unpaired["left"] == 1
+    assert pairing.add("right", 1, "r") == ("new", "r")
+
+
+def test_shuffled_within_the_buffer_loses_nothing():
+    pairing = StampPairing(("left", "right"), capacity=10)
+    rng = np.random.default_rng(5)
+    arrivals = [
+        (stamp + rng.uniform(0, 4), side, stamp)
+        for stamp in range(200)
+        for side in ("left", "right")
+    ]
+    pairs = [pairing.add(side, stamp, stamp) for _, side, stamp in sorted(arrivals)]
+    assert sorted(pair for pair in pairs if pair) == [(stamp, stamp) for stamp in range(200)]
+    assert pairing.unpaired == {"left": 0, "right": 0}

@@ -85,14 +85,15 @@ class Scene:
         }
 
     def publish(self, *messages: SurfaceMsg | ForceFieldMsg) -> None:
+        """Publish them, and wait until each is drawn."""
+        count = len(self.arrays) + len(messages)
         for msg in messages:
             self._publishers[type(msg)].publish(msg)
+        self.ros.wait(lambda: len(self.arrays) == count, "markers")
 
     def show(self, *data: Surface | ForceField) -> dict[str, Marker]:
         """What is drawn of one frame, by name."""
-        count = len(self.arrays) + len(data)
         self.publish(*(_message(item, HEADER) for item in data))
-        self.ros.wait(lambda: len(self.arrays) == count, "markers")
         return self.shown()
 
     def shown(self) -> dict[str, Marker]:
@@ -258,9 +259,7 @@ def test_the_newest_surface_and_force_are_drawn_unless_one_of_them_is_old(ros):
         (surface, {"force", "surface", "legend"}),
         (_message(_surface(), Header(stamp=Time(sec=10), frame_id="later")), {"surface", "legend"}),
     ):
-        count = len(scene.arrays) + 1
         scene.publish(message)
-        ros.wait(lambda count=count: len(scene.arrays) == count, "markers")
         first, *markers = scene.arrays[-1].markers
         assert {marker.ns for marker in markers} == names
         assert all(marker.header == message.header for marker in (first, *markers))

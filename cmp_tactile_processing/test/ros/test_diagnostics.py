@@ -1,6 +1,8 @@
-"""What nodes report of bugs, stamps, ages and wrong connections."""
+"""What nodes report of bugs, stamps, ages and wrong connections, and what counts these."""
 
 from __future__ import annotations
+
+import math
 
 import pytest
 
@@ -14,9 +16,23 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Surface
+from cmp_tactile_processing.ros import diagnostics
 from cmp_tactile_processing.ros.base_nodes import StageNode
+from cmp_tactile_processing.ros.diagnostics import (
+    SILENT_S,
+    InputWatch,
+    LossWatch,
+    SentFrames,
+    StageDiagnostics,
+    StampWatch,
+    summary,
+)
+from cmp_tactile_processing.ros.wiring import Input
 
 pytestmark = pytest.mark.ros
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+MS = 1_000_000
 
 
 def _values(status: DiagnosticStatus) -> dict[str, str]:
@@ -146,3 +162,161 @@ def test_nobody_publishing_is_reported(ros):
     assert node._status().message == f"no frames received: no publisher of {topic}"
     ros.node.create_publisher(Surface, "surface", 1)
     ros.wait(lambda: node._status().message == "no frames received", "the publisher")
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(diagnostics.time, "monotonic", lambda: now[0])
+    return now
+
+
+def _end() -> Input:
+    return Input(lambda _: lambda: None)
+
+
+def _info(number: int | None, publisher: bytes = b"a") -> dict:
+    """As rclpy gives it."""
+    gid = {"implementation_identifier": "x", "data": publisher}
+    return {"publication_sequence_number": number, "publisher_gid": gid}
+
+
+def test_numbers_of_messages_show_what_was_lost():
+    """Of each publisher apart: one that starts, or starts again, is no loss."""
+    watch = LossWatch(_end())
+    for number in (7, 8, 11):
+        watch.take(_info(number))
+    assert watch.lost == 2
+    for info in (_info(1, b"b"), _info(12), _info(2, b"b")):
+        watch.take(info)
+    assert watch.lost == 2
+    for info in (_info(14), _info(None), None):
+        watch.take(info)
+    assert watch.lost == 3
+
+
+@pytest.mark.parametrize(
+    ("numbers", "lost"),
+    [((7, 8, 11), 2), ((100, 1, 101, 2, 102, 3), 0), ((100, 101, 1, 2, 3, 5), 1)],
+)
+def test_losses_are_reported_where_rclpy_does_not_name_the_publisher(numbers, lost):
+    """As in ROS 2 Jazzy.  Two publishers by turns lose nothing, nor does one that starts again."""
+    watch = LossWatch(_end())
+    for number in numbers:
+        watch.take({"publication_sequence_number": number})
+    assert watch.lost == lost
+
+
+def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
+    watch = StampWatch()
+    stamps = [33 * k for k in range(1, 20)]
+    del stamps[12:15]
+    for stamp in stamps:
+        watch.take(stamp * MS)
+    assert watch.missing == 3
+    start = stamps[-1]
+    for k in range(1, 40):
+        watch.take((start + 100 * k) * MS)
+    # A third of the rate: the first few look like gaps of two frames each.
+    assert watch.missing == 3 + 5 * 2
+
+
+def test_a_clock_that_is_set_and_another_recording_miss_no_frames():
+    """Tried: 2591980 of 2592010 frames missing, where the second recording is of the next day.
+
+    Reports: stereolabs/zed-ros-wrapper 778, ouster-lidar/ouster-sdk 176, evercam/ex_nvr 404.
+    """
+    watch = StampWatch()
+    for day in range(3):
+        for k in range(1, 10):
+            watch.take((86_400_000 * day + 33 * k) * MS)
+    assert watch.missing == 0
+    # A source that was silent for two seconds.
+    watch.take((86_400_000 * 2 + 33 * 69) * MS)
+    assert watch.missing == 59
+
+
+def test_rate_and_latency_are_those_of_the_last_period(clock):
+    """A report between two others, as after a change of state, has too few frames for a rate."""
+    frames = SentFrames()
+    for k in range(101):
+        frames.sent(k * 1e-3)
+    clock[0] += 2.0
+    before = frames.close_period()
+    assert before == {
+        "rate (Hz)": "50.50", "latency median (ms)": "50.0", "latency p99 (ms)": "99.0"
+    }  # fmt: skip
+    frames.sent(math.nan)
+    clock[0] += 0.1
+    assert frames.close_period() == before
+    clock[0] += 0.9
+    assert frames.close_period()["rate (Hz)"] == "1.00"
+    assert frames.close_period()["latency median (ms)"] == "no frames"
+
+
+@pytest.mark.parametrize("age_s", [3e7, -3.0, 11.0])
+def test_latency_is_unknown_where_stamps_are_of_another_clock(age_s):
+    frames = SentFrames()
+    frames.sent(age_s)
+    reported = frames.close_period()["latency p99 (ms)"]
+    assert reported.startswith(f"not known: stamps differ from the clock by {-age_s:+.0f} s")
+
+
+def _reported(diagnostics: StageDiagnostics) -> tuple[bytes, str]:
+    _, findings = diagnostics.report()
+    return summary(findings, "running")
+
+
+def test_losses_are_warned_of_and_a_newer_frame_in_the_place_of_another_is_no_loss():
+    for newest, words in ((False, (3, 0)), (True, (0, 3))):
+        diagnostics, end = StageDiagnostics(), _end()
+        diagnostics.inputs.append(InputWatch(end, newest=newest))
+        diagnostics.frames_in, end.dropped = 30, 3
+        text = "{} frames lost on the way, {} passed over, 30 received".format(*words)
+        assert _reported(diagnostics) == (WARN, text)
+        diagnostics.frames_in += 30
+        assert _reported(diagnostics) == (OK, "running")
+
+
+@pytest.mark.parametrize("report_s", [0.1, 1.0])
+@pytest.mark.parametrize("pause_s", [1, 2, 4, 10])
+def test_a_slow_source_is_not_a_silent_one(clock, pause_s, report_s):
+    """As in ros/diagnostics 45: a topic of 0.3 Hz has no message in most seconds."""
+    diagnostics = StageDiagnostics()
+
+    def levels_for(seconds: float) -> list[bytes]:
+        levels = []
+        for _ in range(round(seconds / report_s)):
+            clock[0] += report_s
+            levels.append(_reported(diagnostics)[0])
+        return levels
+
+    # The first pause is not known to be usual yet.
+    for _ in range(3):
+        diagnostics.frames_in += 1
+        levels = levels_for(pause_s)
+    assert set(levels) == {OK}
+    assert levels_for(SILENT_S + pause_s)[-1] == WARN
+
+
+def test_bad_frames_are_warned_of_in_their_second_and_the_last_one_is_remembered(clock):
+    diagnostics = StageDiagnostics()
+    diagnostics.frames_in = 30
+    diagnostics.bad_frame("/rig/image_raw: step: found 3, expected 4")
+    text = "1 bad frames, last: /rig/image_raw: step: found 3, expected 4"
+    assert _reported(diagnostics) == (WARN, text)
+    diagnostics.frames_in += 1
+    values, findings = diagnostics.report()
+    assert summary(findings, "running") == (OK, "running")
+    assert values["last error"] == "/rig/image_raw: step: found 3, expected 4"
+    clock[0] += SILENT_S - 0.1
+    assert _reported(diagnostics)[0] == OK
+    clock[0] += 0.2
+    assert _reported(diagnostics) == (WARN, "no frames received")
+
+
+def test_lasting_failure_is_an_error_whatever_comes_in():
+    diagnostics = StageDiagnostics()
+    diagnostics.failure = "no model"
+    diagnostics.frames_in += 1
+    assert _reported(diagnostics) == (ERROR, "no model")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import threading
 from collections.abc import Iterator
 from typing import Any
@@ -14,11 +12,10 @@ pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode
 from rclpy.lifecycle.publisher import LifecyclePublisher
 from rclpy.qos import QoSProfile
+from ros_graph import RosGraph
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from waiting import wait_until
@@ -34,8 +31,6 @@ from cmp_tactile_processing.ros.wiring import (
     publish_side_by_side,
 )
 
-_numbers = itertools.count()
-
 
 def _to_msg(value: int, header: Header) -> Image:
     return Image(header=header, width=value)
@@ -46,28 +41,23 @@ def _of(given: Given) -> int:
     return int(value.width) if isinstance(value, Image) else int(value)
 
 
-class Container:
-    """Nodes that one wiring connects, in a namespace of the test, and somebody outside."""
+class Container(RosGraph):
+    """Nodes that one wiring connects, and somebody outside."""
 
     def __init__(self) -> None:
-        self.context = rclpy.Context()
-        self.context.init(args=[])
-        self.namespace = f"/wired_{os.getpid()}_{next(_numbers)}"
+        super().__init__()
         self.wiring = Wiring()
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.nodes: list[Any] = []
-        self.outside = self._add(
-            rclpy.create_node("outside", context=self.context, namespace=self.namespace)
-        )
+        self.sources: list[Any] = []
 
-    def node(self, name: str, *bases: type) -> Any:
+    def wired(self, name: str, *bases: type) -> Any:
+        """A node of the container."""
         kind = type("Sample", bases or (WiredNode,), {})
         with joining(self.wiring):
             return self._add(kind(name, context=self.context, namespace=self.namespace))
 
     def stage(self, name: str, topic: str, **fields: Any) -> Stage:
         """A node with one input."""
-        node = self.node(name)
+        node = self.wired(name)
         stage = Stage(node, topic, **fields)
         with self.wiring.lock:
             node.attach()
@@ -75,38 +65,23 @@ class Container:
 
     def output(self, topic: str, **fields: Any) -> Output:
         """That of a node of its own."""
-        node = self.node(f"source_{next(_numbers)}")
+        node = self.wired(f"source_{len(self.sources)}")
+        self.sources.append(node)
         return node.add_output(node.create_publisher(Image, topic, 10), _to_msg, **fields)
 
-    def listen(self, topic: str) -> list[int]:
+    def hear(self, topic: str) -> list[int]:
         """What arrives outside."""
         heard: list[int] = []
-        self.outside.create_subscription(Image, topic, lambda m: heard.append(m.width), 100)
+        self.node.create_subscription(Image, topic, lambda m: heard.append(m.width), 100)
         return heard
-
-    def wait(self, condition: Any, what: str) -> None:
-        wait_until(condition, what, step=lambda: self.executor.spin_once(timeout_sec=0.05))
 
     def detach(self, node: Any) -> None:
         with self.wiring.lock:
             node.detach()
 
-    def settle(self) -> None:
-        """Let what is under way arrive."""
-        for _ in range(20):
-            self.executor.spin_once(timeout_sec=0.01)
-
     def close(self) -> None:
         self.wiring.close()
-        self.executor.shutdown()
-        for node in self.nodes:
-            node.destroy_node()
-        self.context.try_shutdown()
-
-    def _add(self, node: Any) -> Any:
-        self.nodes.append(node)
-        self.executor.add_node(node)
-        return node
+        super().close()
 
 
 class Stage:
@@ -154,15 +129,15 @@ def test_a_message_is_made_once_for_all_who_ask(container):
         made.append(value)
         return _to_msg(value, header)
 
-    node = container.node("source")
+    node = container.wired("source")
     output = node.add_output(node.create_publisher(Image, "grid", 10), to_msg)
     messages: list[Image] = []
-    recorder = container.node("recorder")
+    recorder = container.wired("recorder")
     end = Input(lambda given: lambda: messages.append(given.message))
     recorder.connect_input(end, Image, "grid", 10)
     with container.wiring.lock:
         recorder.attach()
-    heard = container.listen("grid")
+    heard = container.hear("grid")
     container.wait(lambda: output.is_heard, "the listener")
     output.publish(2, Header())
     container.wait(lambda: 2 in heard, "the message outside")
@@ -172,7 +147,7 @@ def test_a_message_is_made_once_for_all_who_ask(container):
 
 def test_a_stage_hears_dds_before_and_after_its_neighbour_is_there(container):
     stage = container.stage("stage", "grid")
-    outside = container.outside.create_publisher(Image, "grid", 10)
+    outside = container.node.create_publisher(Image, "grid", 10)
     container.wait(outside.get_subscription_count, "the stage")
     outside.publish(_to_msg(1, Header()))
     container.wait(lambda: stage.seen == [1], "a message from outside")
@@ -180,9 +155,9 @@ def test_a_stage_hears_dds_before_and_after_its_neighbour_is_there(container):
     # What comes from elsewhere meanwhile is of another source, and is not looked at.
     outside.publish(_to_msg(2, Header()))
     output.publish(3, Header())
-    container.settle()
+    container.run(0.2)
     assert stage.seen == [1, 3]
-    container.detach(container.nodes[-1])
+    container.detach(container.sources[-1])
     outside.publish(_to_msg(4, Header()))
     container.wait(lambda: 4 in stage.seen, "a message from outside, again")
     assert stage.seen == [1, 3, 4]
@@ -224,7 +199,7 @@ def test_both_views_are_begun_at_once_and_finished_in_order_on_one_thread(contai
     order: list[tuple[str, int]] = []
     outputs = []
     for view in ("left", "right"):
-        node = container.node(view)
+        node = container.wired(view)
 
         def begin(_given: Given, view: str = view) -> Any:
             both.wait(timeout=60)
@@ -243,7 +218,7 @@ def test_whole_values_are_wanted_while_anybody_looks(container):
     output = container.output("surface")
     assert not output.is_wanted
     looks = False
-    node = container.node("viewer")
+    node = container.wired("viewer")
     end = Input(lambda _: lambda: None, needs_all=lambda: looks)
     node.connect_input(end, Image, "surface", 10)
     with container.wiring.lock:
@@ -253,17 +228,17 @@ def test_whole_values_are_wanted_while_anybody_looks(container):
     looks = True
     assert output.is_wanted
     looks = False
-    container.listen("surface")
+    container.hear("surface")
     container.wait(lambda: output.is_wanted, "the listener outside")
 
 
 def test_a_lifecycle_publisher_sends_no_message_before_it_is_active(container):
     stage = container.stage("stage", "image")
-    node = container.node("camera", WiredNode, LifecycleNode)
+    node = container.wired("camera", WiredNode, LifecycleNode)
     publisher = node.create_lifecycle_publisher(Image, "image", 10)
     assert isinstance(publisher, LifecyclePublisher)
     output = node.add_output(publisher, _to_msg)
-    heard = container.listen("image")
+    heard = container.hear("image")
     container.wait(lambda: output.is_heard, "the listener")
     output.publish(1, Header())
     node.trigger_configure()
@@ -275,7 +250,7 @@ def test_a_lifecycle_publisher_sends_no_message_before_it_is_active(container):
 
 
 def test_a_frame_that_cannot_be_used_loses_no_other(container):
-    node = container.node("stage")
+    node = container.wired("stage")
     seen: list[int] = []
 
     def begin(given: Given) -> Any:

@@ -7,12 +7,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.sensor.dot_code import (
-    LARGEST_SHEET,
-    WINDOW,
-    dot_map,
-    window_words,
-)
+from cmp_tactile_processing.sensor.dot_code import LARGEST_SHEET, WINDOW, dot_map, window_words
 
 
 @pytest.mark.parametrize("seed", [0, 1, 65535])

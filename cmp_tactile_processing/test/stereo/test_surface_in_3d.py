@@ -67,22 +67,6 @@ def test_a_grid_whose_arrays_are_not_of_its_shape_is_refused(sensor, field):
         StereoRig(sensor).triangulate(grid, wrong)
 
 
-def test_missing_in_one_view_is_missing_in_3d(sensor, stills):
-    grids = exact_grids(sensor, stills["press"].truth)
-    corners, status = grids["left"].corners.copy(), grids["left"].corner_status.copy()
-    corners[3, 4], status[3, 4] = np.nan, Status.MISSING
-    status[5, 6] = Status.PREDICTED
-    # A tracker that lost a corner without saying so must not poison its neighbours.
-    corners[7, 8] = np.nan
-    left = replace(grids["left"], corners=corners, corner_status=status)
-    markers = StereoRig(sensor).triangulate(left, grids["right"])
-    surface = Reference.nominal(sensor).surface(markers)
-    assert surface.status[3, 4] == surface.status[7, 8] == Status.MISSING
-    assert surface.status[5, 6] == Status.PREDICTED
-    lost = np.isnan(surface.displacement).any(axis=-1)
-    assert np.argwhere(lost).tolist() == [[3, 4], [7, 8]]
-
-
 def test_split_cuts_and_unmirrors():
     frame = np.arange(6 * 10, dtype=np.uint8).reshape(6, 10)
     plain = split_frame(frame, ViewPlacement(2, 1, 4, 3, flipped=False))

@@ -144,17 +144,23 @@ def test_stage_reports_why_a_marker_is_missing(sensor, points):
 
     left, right = without("left", (0, 0), (0, 1)), without("right", (0, 0), (0, 2))
     right.corners[0, 3] += [0.0, 30.0]
+    left.corner_status[0, 5] = Status.PREDICTED
+    # A tracker that lost a corner without saying so must not poison its neighbours.
+    left.corners[0, 4] = np.nan
     markers = StereoRig(sensor).triangulate(left, right)
-    assert markers.fault[0, :5].tolist() == [
+    assert markers.fault[0, :6].tolist() == [
         MarkerFault.NOT_SEEN,
         MarkerFault.NOT_SEEN_LEFT,
         MarkerFault.NOT_SEEN_RIGHT,
         MarkerFault.RAY_GAP,
+        MarkerFault.NO_RAY,
         MarkerFault.NONE,
     ]
-    assert (markers.status[0, :4] == Status.MISSING).all()
-    assert np.isnan(markers.position[0, :4]).all()
-    assert np.isnan(markers.covariance[0, :4]).all()
+    assert (markers.status[0, :5] == Status.MISSING).all()
+    assert markers.status[0, 5] == Status.PREDICTED
+    assert np.isnan(markers.position[0, :5]).all()
+    assert np.isfinite(markers.position[0, 5:]).all()
+    assert np.isnan(markers.covariance[0, :5]).all()
     assert (markers.status[1:] == Status.MEASURED).all()
 
 

@@ -9,10 +9,7 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import Prefilter
-from cmp_tactile_processing.tracking.contour_stitching.stitcher import (
-    ContourStitching,
-    largest_set,
-)
+from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching, largest_set
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.numbering.components import traverse
 

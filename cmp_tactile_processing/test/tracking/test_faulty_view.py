@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import GridFault
-from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
+from cmp_tactile_processing.tracking.detector import draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # A corner is misnumbered within this share of a checker's side of another corner.
@@ -30,11 +30,6 @@ SAYS_SO = {GridFault.TWO_PATTERNS, GridFault.AMBIGUOUS, GridFault.OTHER_SIZE}
 NOISE_SEED = 5
 # The image row of the tear, as a share of the pattern's height.
 SHARES = [0.1, 0.35, 0.5, 0.8]
-
-
-@pytest.fixture(scope="module")
-def nominal(sensor):
-    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
 
 
 @pytest.fixture(scope="module")

@@ -3,41 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
-from command_output import output_of
 
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
 DRAWN_PX = 0.3
-
-
-@pytest.fixture(scope="module")
-def nominal(sensor):
-    return NominalGrid.of_view(sensor.pattern, build_views(sensor)["left"])
-
-
-@pytest.fixture(scope="module")
-def kept_tracker(sensor):
-    return GridTracker(sensor, "left")
-
-
-@pytest.fixture
-def tracker(kept_tracker):
-    kept_tracker.reset()
-    return kept_tracker
-
-
-@pytest.fixture
-def photograph(draw, nominal):
-    """Draws the pattern with its corners displaced by (rows, cols, 2) or (2,) px."""
-    return partial(draw, nominal)
 
 
 def push(nominal, size_px, reach=0.35):
@@ -88,65 +62,6 @@ def test_a_grid_that_is_not_followed_is_detected_each_time(sensor, photograph, n
         grid = tracker.track(photograph(np.zeros(2)))
         assert_right(grid, nominal, np.zeros(2))
         assert not grid.followed
-
-
-COMPILES = """
-import sys
-from dataclasses import replace
-import numpy as np
-from cmp_tactile_processing.tracking.detector import NominalGrid, draw_nominal
-from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.stereo.rig import StereoRig
-from cmp_tactile_processing.tracking.tracker import GridTracker
-
-
-def versions():
-    return {
-        f"{name}.{key}": len(value.signatures)
-        for name, module in list(sys.modules.items())
-        if name.startswith("cmp_tactile_processing.")
-        for key, value in vars(module).items()
-        if hasattr(value, "signatures")
-    }
-
-
-sensor = load_sensor("sample_rig")
-views = build_views(sensor)
-nominals = [NominalGrid.of_view(sensor.pattern, view) for view in views.values()]
-shape = views["left"].placement.height, views["left"].placement.width
-rng = np.random.default_rng(3)
-# The second one finds there what the first one has loaded.
-trackers = [GridTracker(sensor, view) for view in views]
-rigs = [StereoRig(sensor), StereoRig(replace(sensor, views={"left": sensor.views["left"]}))]
-before = versions()
-for number in range(60):
-    tracker, nominal = trackers[number % 2], nominals[number % 2]
-    image = draw_nominal(nominal, shape, True)
-    image = np.clip(image + rng.normal(0, 1 + number % 16, shape), 0, 255).astype(np.uint8)
-    for _ in range(number % 4):
-        x, y = rng.integers(0, shape[1]), rng.integers(0, shape[0])
-        w, h = rng.integers(5, 250, 2)
-        image[y : y + h, x : x + w] = rng.integers(0, 256)
-    if number % 7 == 3:
-        image = np.roll(image, rng.integers(0, 60, 2), (0, 1))
-    if number % 11 == 5:
-        image[rng.random(shape) < 0.05] = 255
-    grid = tracker.track(image)
-    rigs[0].triangulate(grid, replace(grid, corners=grid.corners + [40.0, 0.0]))
-    rigs[1].triangulate(grid, None)
-for tracker, nominal in zip(trackers, nominals):
-    tracker.inspect_print([draw_nominal(nominal, shape, True)] * 2)
-changed = {name: count for name, count in versions().items() if count != before.get(name)}
-print(len(before), changed)
-"""
-
-
-def test_no_frame_compiles_anything():
-    """In a process of its own: what another tracker has compiled would count as there."""
-    count, changed = output_of("-c", COMPILES).split(" ", 1)
-    assert int(count) > 50
-    assert changed.strip() == "{}"
 
 
 @pytest.mark.parametrize("light", [0.0, 0.5, 2.0])

@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.tracking.detector import (
+    LIGHT,
     STEPS,
     CornerGraph,
     NominalGrid,
+    draw_nominal,
 )
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 
+from .conftest import prepared
+
 # A corner farther than this from its true place bears a wrong number or is none, in sides.
 WRONG = 0.5
-FINENESS = 4
-SMOOTHING_PX = 1.2
-DARK, LIGHT = 40.0, 200.0
 # Detected positions: standard deviation of each coordinate, px.
 DETECTED_PX = 0.4
 
@@ -63,30 +63,21 @@ class Rig:
         j += (self.size[1] - cols) / 2 + shift[1] - 0.8 * drag
         return self.geometry.project(self.sensor.pattern.at(i, j)) - self.window.origin
 
-    def draw(self, outline, margin=LIGHT, dark_first=None):
-        """The view (H, W) float32 without blur and noise."""
-        dark_first = self.dark_first if dark_first is None else dark_first
-        shape = self.window.height * FINENESS, self.window.width * FINENESS
-        image = np.full(shape, margin, np.float32)
-        fine = np.rint(((outline + 0.5) * FINENESS - 0.5) * 16).astype(np.int32)
-        for i, j in product(*(range(count - 1) for count in outline.shape[:2])):
-            dark = ((i + j) % 2 == 0) == dark_first
-            quad = np.array([fine[i, j], fine[i, j + 1], fine[i + 1, j + 1], fine[i + 1, j]])
-            cv2.fillConvexPoly(image, quad, DARK if dark else LIGHT, cv2.LINE_8, 4)
-        size = self.window.width, self.window.height
-        return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    def draw(self, outline):
+        """The view (H, W) uint8 without noise."""
+        seen = replace(self.nominal, corners=outline[1:-1, 1:-1])
+        return draw_nominal(seen, (self.window.height, self.window.width), self.dark_first)
 
-    def graph(self, outline, visible=None, dark_first=None, seed=0):
+    def graph(self, outline, visible=None):
         """Graph of the corners that are visible (rows, cols)."""
-        dark_first = self.dark_first if dark_first is None else dark_first
         corners = outline[1:-1, 1:-1]
         visible = np.ones(corners.shape[:2], bool) if visible is None else visible
         index = np.full(np.add(visible.shape, 2), -1)
         i, j = np.nonzero(visible)
         index[i + 1, j + 1] = np.arange(len(i))
         neighbour = np.stack([index[i + 1 + a, j + 1 + b] for a, b in STEPS], axis=1)
-        noise = np.random.default_rng(seed).normal(0, DETECTED_PX, (len(i), 2))
-        even = ((i + j) % 2 == 0) == dark_first
+        noise = np.random.default_rng(0).normal(0, DETECTED_PX, (len(i), 2))
+        even = ((i + j) % 2 == 0) == self.dark_first
         return CornerGraph(corners[i, j] + noise, np.ones(len(i), bool), even, neighbour)
 
     def number(self, outline, image=None, hidden=None, previous=None):
@@ -101,15 +92,6 @@ class Rig:
     def wrong(self, found, outline):
         apart = np.linalg.norm(found.corners - outline[1:-1, 1:-1], axis=-1)
         return int((apart > WRONG * self.nominal.side_px).sum())
-
-
-def prepared(image, blur=0.8, noise=1.0, seed=1):
-    blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), blur)
-    noisy = blurred + np.random.default_rng(seed).normal(0, noise, image.shape)
-    grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
-    low, high = np.percentile(grey, (5, 95))
-    return PreparedImage(grey, smooth, SMOOTHING_PX, noise, float(high - low))
 
 
 def filled(polygon, shape):

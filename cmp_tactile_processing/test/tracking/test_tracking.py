@@ -11,8 +11,6 @@ import pytest
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.parts import Camera, Pattern, PatternSurface, RefractingLayer
-from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
@@ -196,39 +194,6 @@ def test_a_pattern_too_fine_to_be_seen_is_refused(sensor, pitch):
 def test_an_image_of_another_size_or_type_is_refused(trackers, image, message):
     with pytest.raises(FrameError, match=message):
         trackers["left"].track(image)
-
-
-CHECKERS_OF_6_PX = Pattern(40, 60, 0.0145 / 61, "dark", 2, PatternSurface("sphere_cap", 0.027))
-CYLINDER = Pattern(12, 17, 0.0145 / 18, "dark", 6, PatternSurface("cylinder", 0.015, "y"))
-OTHER_RIGS = {
-    "equidistant lens, cylinder": {
-        "camera": Camera("equidistant", 720.0, 720.0, 515.0, 380.0, (0.02, -0.01, 0.0, 0.0)),
-        "pattern": CYLINDER,
-    },
-    "plumb_bob lens": {
-        "camera": Camera("pinhole", 733.0, 733.0, 511.5, 383.5, (-0.25, 0.08, 1e-3, -1e-3, 0.0)),
-    },
-    "plate and gel refract": {
-        "layers": (RefractingLayer(-0.014, 1.49), RefractingLayer(-0.0057, 1.41)),
-    },
-    "checkers of 6 px": {"pattern": CHECKERS_OF_6_PX},
-    "no virtual markers": {"pattern": replace(CYLINDER, points_per_segment=0)},
-}
-
-
-@pytest.mark.parametrize("change", OTHER_RIGS.values(), ids=OTHER_RIGS)
-def test_other_rigs(sensor, render_rest, change):
-    change = dict(change)
-    optics = replace(sensor.optics, layers=change.pop("layers", ()))
-    rig = replace(sensor, optics=optics, **change)
-    grids = [GridTracker(rig, view).track(render_rest(rig, view)) for view in VIEWS]
-    markers = StereoRig(rig).triangulate(*grids)
-    # At 5 px a side, in the far corner of the finest pattern, outlines end: 1.2 % are missing.
-    assert np.mean(markers.status == Status.MEASURED) > 0.98
-    error = np.abs(markers.position - rig.pattern.corners())
-    # 1 um for checkers of 17 px, 2 um for those of 6 px; a wrong number would be 240 um and more.
-    assert np.nanmean(error) < 3e-6
-    assert np.nanmax(error) < 60e-6
 
 
 def test_a_view_that_the_sensor_lacks_is_named(sensor):

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
 
+from .conftest import prepared
+
 SHAPE = GridShape(5, 6, 6)
 SIDE_PX = 17.0
-SMOOTHING_PX = 1.2
 CORNER_STD_PX = 0.006
 # Limits of RMS distances across the gridline, px.
 RMSE_CLEAN_PX, RMSE_BUMP_PX, RMSE_BLURRED_PX = 0.012, 0.015, 0.03
@@ -83,14 +83,6 @@ class Scene:
             for step in ([5e-5, 0], [0, 5e-5])
         ]
         return off * 1e-4 / np.hypot(*slopes)
-
-
-def prepared(image, noise=1.0, seed=0):
-    """The image with noise, rounded to grey levels, ready to be measured."""
-    noisy = image + np.random.default_rng(seed).normal(0, noise, image.shape)
-    grey = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
-    smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
-    return PreparedImage(grey, smooth, SMOOTHING_PX, noise, 130.0)
 
 
 def located(scene, image, method="fused", corner_error=CORNER_STD_PX, **doubtful):

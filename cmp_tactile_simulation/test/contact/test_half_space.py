@@ -1,4 +1,4 @@
-"""Contact on an elastic half space, where Hertz, Mindlin and Boussinesq have the answer."""
+"""Contact on an elastic half space, where Hertz, Cattaneo and Mindlin have the answer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError, LoadError
-from cmp_tactile_simulation.indenter_shapes import Cuboid, FlatProbe, Ring, Sphere, SphereGroup
+from cmp_tactile_simulation.indenter_shapes import Cuboid, Ring, Sphere, SphereGroup
 
 YOUNG, POISSON = 1e6, 0.5
 MODULUS = YOUNG / (1 - POISSON**2)
@@ -25,8 +25,6 @@ FRICTION = 0.4
 FORCE_TOLERANCE = 0.01
 RADIUS_TOLERANCE = 0.04
 CONE_TOLERANCE = 1e-9
-# The solver's 1e-10 m in forces, of the largest.
-SOLVER_TOLERANCE = 1e-5
 
 
 class HalfSpace:
@@ -183,24 +181,6 @@ def test_force_does_not_depend_on_where_the_nodes_lie(gel, coarse_gel, offset):
     assert forces[1] == pytest.approx(forces[0], rel=0.003)
 
 
-def test_pressure_under_a_sphere_is_hertz(gel):
-    _, state = pressed(gel, 0.0)
-    radius = np.linalg.norm(gel.node_position[:, :2], axis=1)
-    inside = radius < 0.7 * CONTACT_RADIUS
-    peak = 2 * MODULUS / np.pi * np.sqrt(DEPTH / RADIUS)
-    expected = peak * np.sqrt(1 - (radius[inside] / CONTACT_RADIUS) ** 2)
-    found = -state.force[inside, 2] / gel.node_area[inside]
-    assert np.abs(found - expected).max() < 0.02 * peak
-
-
-def test_flat_probe_is_boussinesq():
-    gel = HalfSpace(24, 5e-5, YOUNG, POISSON)
-    simulation = ContactSimulation(gel, FlatProbe(diameter=6e-4, edge_radius=5e-6), 0.0)
-    state = simulation.move(simulation.rest(place(0, 0, 1e-9)), place(0, 0, -2e-5))
-    # The contact's edge lies within half a node's distance, 4 % of the diameter.
-    assert -state.resultant[2] == pytest.approx(MODULUS * 6e-4 * 2e-5, rel=0.05)
-
-
 def test_partial_slip_is_cattaneo_and_mindlin(gel):
     """Fails where nodes slide or stick the wrong way, or slip is measured from the wrong place."""
     simulation, state = pressed(gel, FRICTION)
@@ -236,35 +216,6 @@ def test_spinning_sphere_has_the_torque_of_full_slip(gel):
     assert np.abs(load.tangential).max() < 1e-6 * load.normal
 
 
-def test_friction_returns_when_the_motion_turns_round(gel):
-    """A sphere dragged forth and back by the same way ends with the drag reversed."""
-    simulation, state = pressed(gel, FRICTION)
-    forth = simulation.move(state, by(state, 1e-4, 0, 0))
-    turned = simulation.move(forth, by(forth, -3e-6, 0, 0))
-    assert turned.slipping.sum() < turned.contact.sum()
-    back = simulation.move(forth, by(forth, -2e-4, 0, 0))
-    assert back.resultant[0] == pytest.approx(-forth.resultant[0], rel=0.01)
-
-
-@pytest.mark.parametrize("friction", [0.0, FRICTION])
-def test_work_of_the_indenter_is_stored_or_spent_in_friction(gel, friction):
-    simulation, state = pressed(gel, friction, depth=1e-5)
-    stored = [np.sum(state.force * state.displacement) / 2]
-    work, slip_begins = stored[0], 20
-    for step in range(40):
-        move = (0, 0, -5e-6) if step < slip_begins else (5e-6, 0, 0)
-        after = simulation.move(state, by(state, *move))
-        work += (state.resultant + after.resultant) / 2 @ np.array(move)
-        state = after
-        stored.append(np.sum(state.force * state.displacement) / 2)
-    assert min(np.diff(stored[: slip_begins + 1])) > 0
-    if friction == 0:
-        # What is left is the trapezium rule on the force.
-        assert work == pytest.approx(stored[-1], rel=2e-3)
-    else:
-        assert work > 1.05 * stored[-1]
-
-
 SHAPES = {
     "sphere group": (SphereGroup([[0, 0, 0], [1e-3, 5e-4, 0], [-8e-4, 7e-4, 1e-5]], 5e-4), (0, 0)),
     "ring": (Ring(1e-3, 3e-4), (3, -2)),
@@ -293,23 +244,6 @@ def test_laws_hold_for_any_shape_and_motion(gel, name, friction):
     gone = simulation.move(state, by(state, 0, 0, 1e-3))
     assert not gone.force.any()
     assert not gone.displacement.any()
-
-
-def test_scene_turned_by_90_degrees_gives_the_turned_result(gel):
-    count = gel.nodes.rows
-    indenter = Cuboid((1.6e-3, 1e-3, 1e-3))
-    results = []
-    for turn in (0, 90):
-        rotation = Rotation.from_euler("z", turn, degrees=True)
-        tilt = rotation.as_matrix() @ Rotation.from_euler("x", 20, degrees=True).as_matrix()
-        simulation = ContactSimulation(gel, indenter, FRICTION)
-        state = simulation.rest(simulation.touch(Pose(rotation.apply([3e-4, 1e-4, 0]), tilt)))
-        for motion in ((0, 0, -6e-5), (8e-5, 2e-5, 0)):
-            state = simulation.move(state, by(state, *rotation.apply(motion)))
-        results.append(rotation.inv().apply(state.force).reshape(count, count, 3))
-    # Turned by 90 degrees, node (i, j) comes to (j, -1 - i).
-    unturned = results[1].transpose(1, 0, 2)[::-1]
-    assert np.abs(unturned - results[0]).max() < SOLVER_TOLERANCE * np.abs(results[0]).max()
 
 
 def test_load_is_reached_in_all_its_parts(gel):

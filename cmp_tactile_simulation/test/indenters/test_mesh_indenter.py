@@ -151,24 +151,16 @@ def test_turned_mesh_shows_the_side_that_faces_the_gel(write):
     assert normal[0] == pytest.approx(np.array([2, 0, 3]) / np.sqrt(13), abs=1e-4)
 
 
-def cube_scene(write, small_scene, start, **phase):
-    indenter = {
-        "type": "mesh",
-        "file": str(write(trimesh.creation.box((6.0, 6.0, 6.0)))),
-        "scale": 1e-3,
-    }
-    return small_scene(
-        indenter=indenter,
-        start={"touch": {"at": [0, 0]}, "rotation_deg": list(start)},
-        motion=[{"name": "press", "frames": 1, **phase}],
-    )
-
-
 @pytest.mark.parametrize("start", [(90, 0, 0), (180, 0, 0), (0, -90, 0)])
 def test_cube_presses_the_same_with_each_of_its_sides(write, small_scene, start):
+    file = str(write(trimesh.creation.box((6.0, 6.0, 6.0))))
     wrenches = []
     for rotation_deg in ((0, 0, 0), start):
-        scene = cube_scene(write, small_scene, rotation_deg, by={"position": [0, 0, -2e-4]})
+        scene = small_scene(
+            indenter={"type": "mesh", "file": file, "scale": 1e-3},
+            start={"touch": {"at": [0, 0]}, "rotation_deg": list(rotation_deg)},
+            motion=[{"name": "press", "frames": 1, "by": {"position": [0, 0, -2e-4]}}],
+        )
         (state,) = Simulation(scene).states()
         wrenches.append(state.contact.force.sum(axis=0))
     assert wrenches[0][2] < -0.1

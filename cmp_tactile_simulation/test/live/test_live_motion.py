@@ -9,11 +9,7 @@ import pytest
 
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.errors import ContactError
-from cmp_tactile_simulation.live.mechanics import (
-    LiveSettings,
-    ScenePlayer,
-    step_towards,
-)
+from cmp_tactile_simulation.live.mechanics import LiveSettings, ScenePlayer, step_towards
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 

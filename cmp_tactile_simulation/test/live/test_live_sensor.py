@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +33,7 @@ from cmp_tactile_simulation.scenes.description import Start
 from cmp_tactile_simulation.scenes.file import load_scene
 
 SCENE = Path(__file__).parents[1] / "data" / "live_press.yaml"
-QUICK = LiveSettings(autoplay=False, max_speed=0.1, max_load_rate=100.0)
+QUICK = LiveSettings(max_speed=0.1, max_load_rate=100.0)
 RATE_HZ = 50.0
 ALL = TruthWanted(force=True, optics=True)
 RADIUS_M = 0.006
@@ -40,16 +41,18 @@ RADIUS_M = 0.006
 ATOL_PX = 0.03
 
 
-@pytest.fixture(params=[LiveSensor])
-def sensor(request):
-    live = request.param(load_scene(str(SCENE)), QUICK, RATE_HZ)
-    yield live
-    live.close()
+@pytest.fixture
+def start():
+    """Starts live sensors of a scene, which are closed after the test."""
+    with ExitStack() as stack:
 
+        def started(kind=LiveSensor, autoplay=False, **changes):
+            scene = replace(load_scene(str(SCENE)), **changes)
+            live = kind(scene, replace(QUICK, autoplay=autoplay), RATE_HZ)
+            stack.callback(live.close)
+            return live
 
-in_both = pytest.mark.parametrize(
-    "sensor", [LiveSensor, LiveProcess], ids=["thread", "process"], indirect=True
-)
+        yield started
 
 
 def wait(sensor, condition, wanted=ALL):
@@ -88,8 +91,9 @@ def held(frame):
     return frame.status.mode is LiveMode.HOLDING and normal_force(frame) > 0
 
 
-@in_both
-def test_a_target_is_reached_and_felt_and_seen(sensor):
+@pytest.mark.parametrize("kind", [LiveSensor, LiveProcess], ids=["thread", "process"])
+def test_a_target_is_reached_and_felt_and_seen(start, kind):
+    sensor = start(kind)
     sensor.command(at_height(-0.4e-3))
     frame = wait(sensor, held)
     np.testing.assert_allclose(frame.pose.position, [0, 0, RADIUS_M - 0.4e-3])
@@ -100,47 +104,37 @@ def test_a_target_is_reached_and_felt_and_seen(sensor):
     assert frame.status.steps > 1
 
 
-def test_the_gel_is_at_rest_before_the_first_state():
+def test_the_gel_is_at_rest_before_the_first_state(start):
     """Its model takes longer than the first pictures."""
-    finer = replace(load_scene(str(SCENE)), contact_nodes=16)
-    live = LiveSensor(finer, QUICK, RATE_HZ)
-    try:
-        frame = live.picture(ALL)
-        assert frame.image.shape == (768, 1024)
-        assert np.nanmax(np.abs(frame.surface.displacement)) == 0
-        assert_shows_what_is_true(frame)
-    finally:
-        live.close()
+    frame = start(contact_nodes=16).picture(ALL)
+    assert frame.image.shape == (768, 1024)
+    assert np.nanmax(np.abs(frame.surface.displacement)) == 0
+    assert_shows_what_is_true(frame)
 
 
-def test_the_scene_plays_until_a_target_comes_and_again_after_a_reset():
-    live = LiveSensor(load_scene(str(SCENE)), replace(QUICK, autoplay=True), RATE_HZ)
-    try:
-        assert wait(live, lambda f: normal_force(f) > 0).status.mode is LiveMode.PLAYING
-        live.command(at_height(0.0))
-        wait(live, lambda f: f.status.mode is LiveMode.HOLDING)
-        live.command(Reset())
-        wait(live, lambda f: f.status.mode is LiveMode.PLAYING and normal_force(f) == 0)
-        wait(live, lambda f: normal_force(f) > 0)
-    finally:
-        live.close()
+def test_the_scene_plays_until_a_target_comes_and_again_after_a_reset(start):
+    live = start(autoplay=True)
+    assert wait(live, lambda f: normal_force(f) > 0).status.mode is LiveMode.PLAYING
+    live.command(at_height(0.0))
+    wait(live, lambda f: f.status.mode is LiveMode.HOLDING)
+    live.command(Reset())
+    wait(live, lambda f: f.status.mode is LiveMode.PLAYING and normal_force(f) == 0)
+    wait(live, lambda f: normal_force(f) > 0)
 
 
-def test_the_gel_rests_long_enough_for_a_reference_however_slow_pictures_are():
+def test_the_gel_rests_long_enough_for_a_reference_however_slow_pictures_are(start):
     """The scene begins to press in its first frame, which is due after 20 ms."""
-    live = LiveSensor(load_scene(str(SCENE)), replace(QUICK, autoplay=True), RATE_HZ)
+    live = start(autoplay=True)
     at_rest = 0
-    try:
-        while (state := live.picture()).pose is None or state.status.steps == 0:
-            at_rest += state.pose is not None
-            time.sleep(0.1)
-    finally:
-        live.close()
+    while (state := live.picture()).pose is None or state.status.steps == 0:
+        at_rest += state.pose is not None
+        time.sleep(0.05)
     assert at_rest >= 2 * RestParameters().rest_frames, "counting may begin at any of them"
 
 
-def test_what_cannot_be_solved_leaves_the_last_state_and_says_so(sensor):
+def test_what_cannot_be_solved_leaves_the_last_state_and_says_so(start):
     """At the rim of the block the contact would go on outside the contact patch."""
+    sensor = start()
     sensor.command(at_height(0.0))
     wait(sensor, held)
     limit = load_sensor("sample_rig").elastomer.size[0] / 2
@@ -153,14 +147,10 @@ def test_what_cannot_be_solved_leaves_the_last_state_and_says_so(sensor):
     assert frame.status.steps > 1
 
 
-def test_a_scene_that_starts_in_the_gel_fails_with_its_reason():
-    scene = replace(load_scene(str(SCENE)), start=Start((0.0, 0.0, 0.005)))
-    live = LiveProcess(scene, QUICK, RATE_HZ)
-    try:
-        with pytest.raises(FrameSourceError, match=r"scene live_press: .*inside the gel"):
-            wait(live, lambda _: False)
-    finally:
-        live.close()
+def test_a_scene_that_starts_in_the_gel_fails_with_its_reason(start):
+    live = start(LiveProcess, start=Start((0.0, 0.0, 0.005)))
+    with pytest.raises(FrameSourceError, match=r"scene live_press: .*inside the gel"):
+        wait(live, lambda _: False)
 
 
 @pytest.mark.parametrize(
@@ -178,19 +168,16 @@ def test_a_command_that_is_none_is_refused(command, message):
         check_command(command, load_sensor("sample_rig"))
 
 
-def test_a_process_that_is_killed_is_reported_and_can_be_closed():
-    live = LiveProcess(load_scene(str(SCENE)), QUICK, RATE_HZ)
-    try:
+def test_a_process_that_is_killed_is_reported_and_can_be_closed(start):
+    live = start(LiveProcess)
+    live.picture()
+    with pytest.raises(CommandError, match=r"position\.x"):
+        live.command(Pose(np.array([1.0, 0, 0])))
+    os.kill(live._process.pid, signal.SIGKILL)
+    live._process.wait()
+    live.command(Reset())
+    with pytest.raises(FrameSourceError, match="its process ended with code -9"):
         live.picture()
-        with pytest.raises(CommandError, match=r"position\.x"):
-            live.command(Pose(np.array([1.0, 0, 0])))
-        os.kill(live._process.pid, signal.SIGKILL)
-        live._process.wait()
-        live.command(Reset())
-        with pytest.raises(FrameSourceError, match="its process ended with code -9"):
-            live.picture()
-    finally:
-        live.close()
 
 
 ORPHAN = """

@@ -143,7 +143,8 @@ def test_a_scene_that_fails_leaves_its_good_frames(small_scene, tmp_path):
         {"name": "press", "frames": 2, "load": {"normal": 0.5}},
         {"name": "tear", "frames": 1, "load": {"normal": 0.5, "tangential": [5, 0]}},
     ]
-    with pytest.raises(LoadError):
+    expected = r"phase 'tear', frame 2: .*expected normal 0\.5 N, tangential \(5, 0\) N"
+    with pytest.raises(LoadError, match=expected):
         run_scene(small_scene(motion=motion), tmp_path / "out")
     assert len(list(BagReader(tmp_path / "out").frames())) == 2
 

@@ -1,10 +1,9 @@
-"""Rigs of every kind, deformed gels, and frames of an independent renderer."""
+"""Rigs of every kind, and deformed gels."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,25 +25,7 @@ from cmp_tactile_processing.sensor.parts import (
 )
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
-DATA = Path(__file__).parent.parent / "data"
 Field = Callable[[NDArray[np.float64], NDArray[np.float64]], list[NDArray[np.float64]]]
-
-
-@pytest.fixture(scope="session")
-def data() -> Path:
-    """Folder of the frames of an independent renderer and their truth."""
-    return DATA
-
-
-@pytest.fixture(scope="session")
-def truth() -> Callable[[str], dict[str, NDArray[np.float64]]]:
-    """Truth arrays of a sample frame: rest or slide."""
-
-    def load(name: str) -> dict[str, NDArray[np.float64]]:
-        with np.load(DATA / f"{name}.npz", allow_pickle=False) as arrays:
-            return {key: arrays[key].astype(np.float64) for key in arrays.files}
-
-    return load
 
 
 @pytest.fixture(scope="session")

@@ -60,22 +60,11 @@ def test_cubic_displacements_are_kept_exactly():
     np.testing.assert_allclose(moved - rest, np.stack(field(x, y), axis=-1), atol=1e-15)
 
 
-def test_grid_points_are_met_and_the_spline_converges_with_fourth_order():
-    x, y = np.random.default_rng(1).uniform(-0.006, 0.006, (2, 2000))
-    exact = np.stack(_waves(x, y), axis=-1)
-    errors = []
-    for count in (13, 25, 49):
-        surface = _on_grid(count, count, _waves)
-        grid = surface.grid
-        at_grid = surface.at_material(grid.points).reshape(surface.displacement.shape)
-        rest = DeformedSurface.rest(surface.pattern)
-        rest_grid = rest.at_material(grid.points).reshape(at_grid.shape)
-        np.testing.assert_allclose(at_grid - rest_grid, surface.displacement, atol=1e-16)
-        xy = np.stack([x, y], axis=-1)
-        off = surface.at_material(xy) - rest.at_material(xy) - exact
-        errors.append(np.sqrt((off**2).mean()))
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert (orders > 3.7).all(), f"observed orders {orders}"
+def test_grid_points_are_met():
+    surface = _on_grid(13, 11, _waves)
+    points, rest = surface.grid.points, DeformedSurface.rest(surface.pattern)
+    moved = surface.at_material(points) - rest.at_material(points)
+    np.testing.assert_allclose(moved, surface.displacement.reshape(-1, 3), atol=1e-16)
 
 
 def test_derivatives_agree_with_differences_inside_and_beyond_the_grid():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured import Status
 from cmp_tactile_simulation.rendering.ink import (
     DARK_GREY,
     HOUSING_GREY,
@@ -14,7 +17,7 @@ from cmp_tactile_simulation.rendering.ink import (
     Checkerboard,
     PrintDefects,
 )
-from cmp_tactile_simulation.rendering.renderer import Renderer
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, Renderer, true_grids
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 CONTRAST = LIGHT_GREY - DARK_GREY
@@ -83,60 +86,6 @@ def test_every_kind_of_rig_shows_what_its_rays_meet(rigs, deformed, dent, name):
         assert np.abs(off).max() < CONTRAST / 40
         assert np.sqrt((off**2).mean()) < CONTRAST / 100
         assert (np.ptp(shown) > 0.95 * CONTRAST).all(), "the pattern is in view"
-
-
-@pytest.mark.parametrize("samples", [2, 4])
-def test_edges_lie_where_the_projection_says_to_a_two_hundredth_of_a_pixel(
-    sensor, deformed, dent, samples
-):
-    """The integral over a column of pixels across a gridline shows where the line passes."""
-    surface = deformed(sensor, dent)
-    frame = Renderer(sensor, Checkerboard(sensor.pattern), samples).render(surface).pixels
-    for name, view in build_views(sensor).items():
-        image = split_frame(frame, view.placement)
-        off = np.concatenate(
-            [
-                _edge_errors(image, view, surface.at),
-                _edge_errors(image, view, lambda i, j: surface.at(j, i)),
-            ]
-        )
-        assert len(off) > 500, f"{name}: found {len(off)} edges"
-        assert np.sqrt((off**2).mean()) < 0.005
-        assert abs(off.mean()) < 0.001
-
-
-def _edge_errors(image, view, at):
-    """Where gridlines pass a line of pixels, px, against where `at(i, j)` projects to.
-
-    The line runs along the pixel axis that the gridline is more across.
-    """
-    errors = []
-    share = np.linspace(0.2, 0.8, 61)
-    for i in range(20):
-        for j in range(19):
-            q = view.project(at(np.full(61, float(i)), j + share))
-            side = np.linalg.norm(
-                view.project(at(np.array([i + 1.0]), np.array([j + 0.5]))) - q[30]
-            )
-            steep = abs(q[-1, 1] - q[0, 1]) > abs(q[-1, 0] - q[0, 0])
-            picture, q = (image.T, q[:, ::-1]) if steep else (image, q)
-            q = q[np.argsort(q[:, 0])]
-            col, middle = round(q[30, 0]), round(q[30, 1])
-            reach = int(0.35 * side)
-            if not 0 < q[30, 1] - reach - 1 < picture.shape[0] - 2 * reach - 3 or reach < 3:
-                continue
-            column = picture[middle - reach : middle + reach + 1, col].astype(float)
-            # The line crosses the whole width of the column, and nothing else does.
-            if (
-                q[0, 0] > col - 0.5
-                or q[-1, 0] < col + 0.5
-                or abs(column[0] - column[-1]) < CONTRAST
-            ):
-                continue
-            seen = (column - column[-1]).sum() / (column[0] - column[-1]) + middle - reach - 0.5
-            along = np.linspace(col - 0.5, col + 0.5, 41)
-            errors.append(seen - np.interp(along, q[:, 0], q[:, 1]).mean())
-    return np.array(errors)
 
 
 def test_a_ridge_hides_what_lies_behind_it(rigs, deformed):
@@ -219,3 +168,60 @@ def test_defects_stick_to_the_skin(rigs, deformed, dent):
             q = view.project(surface.at_material(blob))
             # 0.4 mm times 1.5 for the size and 1.27 for the shape, at 8 px/mm.
             assert np.hypot(u - q[0], v - q[1]).max() < 7
+
+
+@pytest.mark.parametrize("name", ["mirror_stereo", "two_view", "distorted", "layers"])
+def test_grids_are_the_projection_of_the_surface(rigs, deformed, dent, name):
+    sensor = rigs[name]
+    surface = deformed(sensor, dent)
+    truth, grids = OpticalTruth(sensor).surface(surface), true_grids(sensor, surface)
+    for side, view in build_views(sensor).items():
+        grid = grids[side]
+        assert grid.shape == sensor.pattern.shape
+        assert grid.placement == view.placement
+        assert (grid.corner_status == Status.MEASURED).all()
+        assert grid.found_fraction == 1.0
+        assert not grid.reason
+        for found, points in (
+            (grid.corners, truth.position),
+            (grid.row_lines, truth.row_position),
+            (grid.col_lines, truth.col_position),
+        ):
+            np.testing.assert_allclose(found, view.project(points), atol=1e-9)
+
+
+def test_markers_outside_the_view_are_missing(rigs):
+    sensor = rigs["distorted"]
+    left = sensor.views["left"]
+    cut = replace(sensor, views={"left": replace(left, roi=replace(left.roi, width=150))})
+    surface = DeformedSurface.rest(sensor.pattern)
+    whole, part = (true_grids(item, surface)["left"] for item in (sensor, cut))
+    outside = whole.corners[..., 0] > 149.5
+    assert 0 < np.count_nonzero(outside) < outside.size
+    np.testing.assert_array_equal(np.isnan(part.corners[..., 0]), outside)
+    np.testing.assert_array_equal(part.corner_status == Status.MISSING, outside)
+    np.testing.assert_array_equal(np.isnan(part.row_lines[..., 0]), part.row_line_status == 0)
+    np.testing.assert_allclose(part.corners[~outside], whole.corners[~outside], atol=1e-9)
+    assert part.reason == f"{np.count_nonzero(outside)} corners hidden or outside the view"
+
+
+def test_markers_that_the_surface_hides_are_missing(rigs, deformed):
+    """A steep bulge: each marker against a march along its own ray."""
+    sensor = rigs["aslant"]
+
+    def field(x, y):
+        return [0 * x, 0 * x, -4e-3 * np.exp(-(x**2 + y**2) / (2 * 1e-3**2))]
+
+    surface = deformed(sensor, field)
+    grids = true_grids(sensor, surface)
+    corners, hidden_in_all = surface.corners(), 0
+    for side, view in build_views(sensor).items():
+        origin = view.centre
+        share = np.linspace(0.5, 1 - 1e-4, 4000)
+        p = origin + share[:, None, None, None] * (corners - origin)
+        height = p[..., 2] - surface.at_material(p[..., :2])[..., 2]
+        hidden = (height > 2e-6).any(axis=0)
+        np.testing.assert_array_equal(grids[side].corner_status == Status.MISSING, hidden)
+        assert np.isnan(grids[side].corners[hidden]).all()
+        hidden_in_all += np.count_nonzero(hidden)
+    assert hidden_in_all > 0

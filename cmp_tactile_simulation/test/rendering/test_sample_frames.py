@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_
 from cmp_tactile_simulation.rendering.renderer import Renderer, true_grids
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
+DATA = Path(__file__).parents[1] / "data"
 # Noise of sigma 1 and the rounding of two frames to whole greys.
 NOISE = np.sqrt(1 + 2 / 12)
 # The sample frame was blurred by sigma 0.7 px and darkened by 0.15 in its corners.
@@ -21,8 +24,15 @@ QUIET = CameraSettings(blur=0.7, vignette=0.15, read_noise=0.0)
 
 
 @pytest.fixture(scope="module")
-def theirs(data):
-    return cv2.imread(str(data / "rest.png"), cv2.IMREAD_GRAYSCALE)
+def theirs():
+    return cv2.imread(str(DATA / "rest.png"), cv2.IMREAD_GRAYSCALE)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Arrays of the truth of their frame at rest."""
+    with np.load(DATA / "rest.npz", allow_pickle=False) as arrays:
+        return dict(arrays)
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +43,12 @@ def rendered(sensor):
 
 
 def test_true_grids_agree_with_their_truth(sensor, truth):
-    arrays = truth("rest")
     grids = true_grids(sensor, DeformedSurface.rest(sensor.pattern))
     number = np.arange(19)[:, None] * 7 + np.arange(1, 7)
     for side, grid in grids.items():
-        np.testing.assert_allclose(grid.corners_frame, arrays[f"corners_{side}_px"], atol=1e-6)
+        np.testing.assert_allclose(grid.corners_frame, truth[f"corners_{side}_px"], atol=1e-6)
     left = grids["left"]
-    rows, cols = arrays["row_lines_left_px"], arrays["col_lines_left_px"]
+    rows, cols = truth["row_lines_left_px"], truth["col_lines_left_px"]
     # Their virtual markers are single precision.
     np.testing.assert_allclose(left.row_lines_frame, rows[:, number], atol=1e-4)
     np.testing.assert_allclose(
@@ -73,14 +82,13 @@ def _regions(grey):
 
 
 def test_the_detector_finds_our_corners_as_well_as_theirs(sensor, truth, theirs, rendered):
-    arrays = truth("rest")
     noisy = expose(rendered, CameraSettings(), np.random.default_rng(7))
     for side, view in build_views(sensor).items():
         tracker, place = GridTracker(sensor, side), view.placement
         errors = {}
         for name, frame in {"theirs": theirs, "ours": noisy}.items():
             grid = tracker.track(split_frame(frame, place))
-            off = grid.corners_frame - arrays[f"corners_{side}_px"]
+            off = grid.corners_frame - truth[f"corners_{side}_px"]
             assert grid.found_fraction == 1.0, f"{name}, {side}"
             errors[name] = np.sqrt((off**2).sum(axis=-1).mean())
         # 400 corners show an RMSE to 2.5 %; the same noise is never drawn twice.

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import islice
-
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import SlipState
-from cmp_tactile_simulation.errors import LoadError
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
 # solver.LOAD_TOLERANCE times the normal force.
@@ -86,16 +83,3 @@ def test_dots_are_seen_instead_of_checkers(small_scene, frames):
     corner = np.round(dots.grids["left"].corners_frame[2, 2]).astype(int)
     patch = (slice(corner[1] - 1, corner[1] + 2), slice(corner[0] - 1, corner[0] + 2))
     assert dots.image[patch].mean() < frames[0].image[patch].mean() - 20
-
-
-def test_a_load_that_cannot_be_carried_is_reported_after_the_frames_before_it(small_scene):
-    motion = [
-        {"name": "press", "frames": 2, "load": {"normal": 0.5}},
-        {"name": "tear", "frames": 1, "load": {"normal": 0.5, "tangential": [5, 0]}},
-    ]
-    frames = Simulation(small_scene(motion=motion)).frames()
-    assert [frame.phase for frame in islice(frames, 2)] == ["press", "press"]
-    with pytest.raises(
-        LoadError, match=r"phase 'tear', frame 2: .*expected normal 0\.5 N, tangential \(5, 0\) N"
-    ):
-        next(frames)

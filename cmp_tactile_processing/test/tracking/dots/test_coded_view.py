@@ -10,10 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, GridFault, NumberingKind
 from cmp_tactile_processing.sensor.dot_code import dot_map
-from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # The drawing smooths the checkers' edges to a quarter of a pixel: what its corners are off.
@@ -31,19 +29,8 @@ def coded(sensor):
 
 
 @pytest.fixture(scope="module")
-def nominal(coded):
-    return NominalGrid.of_view(coded.pattern, build_views(coded)["left"])
-
-
-@pytest.fixture(scope="module")
 def kept_tracker(coded):
     return GridTracker(coded, "left")
-
-
-@pytest.fixture
-def tracker(kept_tracker):
-    kept_tracker.reset()
-    return kept_tracker
 
 
 @pytest.fixture

@@ -7,11 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.sensor.dot_code import dot_map
-from cmp_tactile_processing.tracking.dots import (
-    MISREAD,
-    Decoding,
-    DotDecoder,
-)
+from cmp_tactile_processing.tracking.dots import MISREAD, Decoding, DotDecoder
 
 # Checkers that touch 5 x 6 corners.
 PIECE = (6, 7)

@@ -11,10 +11,7 @@ pytest.importorskip("rclpy")
 from rclpy.parameter import Parameter
 
 from cmp_tactile_processing.errors import ParameterError
-from cmp_tactile_processing.ros.parameters import (
-    StageParameters,
-    declare_parameters,
-)
+from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 pytestmark = pytest.mark.ros

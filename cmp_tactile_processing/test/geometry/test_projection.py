@@ -1,4 +1,4 @@
-"""The analytic Jacobian of the projection, against differences of the projection itself."""
+"""The way from a point to its pixel and back, at grazing angles too, and its analytic Jacobian."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.optics import view_geometry
+from cmp_tactile_processing.geometry.refraction import (
+    apparent_points,
+    apparent_points_with_jacobian,
+    refract_rays,
+)
 from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 
@@ -31,6 +36,8 @@ PLACEMENT = ViewPlacement(0, 0, 512, 768, True)
 # 3 mm; rounding: 1e-12 px over 10 um, 1e-7 px/m of some 1000 px/m.
 STEP_M = 1e-5
 RTOL = 1e-9
+# What a ray may miss its point by: roundings of the ways, up to 0.7 m at 89 degrees.
+ATOL_MISS_M = 1e-12
 
 
 def _view(lens, layers, centre, forward, right):
@@ -58,6 +65,9 @@ def _check(view, points):
     assert np.isfinite(J).all()
     error = np.abs(J - _differences(view, points)).max(axis=(-1, -2))
     assert (error <= RTOL * np.abs(J).max(axis=(-1, -2))).all()
+    origins, directions = view.rays(q)
+    miss = np.linalg.norm(np.cross(points - origins, directions), axis=-1)
+    assert miss.max() < ATOL_MISS_M
 
 
 @pytest.mark.parametrize("layers", STACKS)
@@ -84,3 +94,31 @@ def test_grazing(lens, layers):
         air = into_plate.rays(view.project(points))[0] - view.centre
         assert np.degrees(np.arctan2(np.hypot(*air[:, :2].T), air[:, 2])).max() > 89
     _check(view, points)
+
+
+def test_totally_reflected_rays_are_nan():
+    """From index 1.5 into air the angle of total reflection is 41.8 degrees."""
+    angles = np.radians([0.0, 41.0, 43.0, 80.0])
+    within = np.stack([np.sin(angles), np.zeros(4), np.cos(angles)], axis=1)
+    layers = (RefractingLayer(0.1, 1 / 1.5),)
+    origins, directions = refract_rays(np.zeros((4, 3)), within, layers)
+    lost = [False, False, True, True]
+    np.testing.assert_array_equal(np.isnan(origins).all(axis=1), lost)
+    np.testing.assert_array_equal(np.isnan(directions).all(axis=1), lost)
+    assert np.isfinite(directions[:2]).all()
+    assert directions[1, 0] == pytest.approx(1.5 * np.sin(angles[1]))
+
+
+@pytest.mark.filterwarnings("error")
+def test_nan_stays_nan_without_a_warning():
+    centre = np.array([0.002, -0.001, -0.03])
+    layers = STACKS[2]
+    points = np.array([[np.nan] * 3, [0.01, np.nan, 0.0], [0.01, 0.0, np.nan], [0.01, 0.0, 0.0]])
+    bad = [True, True, True, False]
+    apparent, J = apparent_points_with_jacobian(centre, points, layers)
+    np.testing.assert_array_equal(np.isnan(apparent).any(axis=1), bad)
+    np.testing.assert_array_equal(np.isnan(J).any(axis=(1, 2)), bad)
+    assert apparent_points(centre, np.zeros((0, 3)), layers).shape == (0, 3)
+    directions = np.array([[np.nan] * 3, [0.0, 0.6, 0.8]])
+    for array in refract_rays(np.tile(centre, (2, 1)), directions, layers):
+        np.testing.assert_array_equal(np.isnan(array).all(axis=1), [True, False])

@@ -9,11 +9,7 @@ import pytest
 
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
-from cmp_tactile_processing.printing.sheet import (
-    PAPERS,
-    print_sheet,
-    printed_copy,
-)
+from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import load_sensor
 
 

@@ -13,19 +13,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from made_forces import made_field
 
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
-from cmp_tactile_processing.measured import (
-    ForceFlag,
-    Grid,
-    GridFault,
-    GridShape,
-    Status,
-)
-from cmp_tactile_processing.nodes.health import (
-    FAULT_LEVELS,
-    WARNED_OF,
-    ForceHealth,
-    GridHealth,
-)
+from cmp_tactile_processing.measured import ForceFlag, Grid, GridFault, GridShape, Status
+from cmp_tactile_processing.nodes.health import FAULT_LEVELS, WARNED_OF, ForceHealth, GridHealth
 
 pytestmark = pytest.mark.ros
 
