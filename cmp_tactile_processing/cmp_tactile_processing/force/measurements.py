@@ -13,8 +13,9 @@ from cmp_tactile_processing.errors import GeometryError
 from cmp_tactile_processing.measured import Status, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-# A marker whose deviation is so many times the median's shows next to nothing.
-MUCH_NOISIER = 5.0
+# A marker whose deviation is so many times the median's, and more than such a share of how far it
+# has moved, shows less than its neighbours say of it.
+MUCH_NOISIER, MUCH_OF_MOTION = 5.0, 0.1
 MISSING = int(Status.MISSING)
 
 Array = NDArray[np.float64]
@@ -128,14 +129,18 @@ def _in_noise(
 ) -> tuple[Array, int]:
     """Data (3 n,) in units of the noise, 0 where not known, and how many markers are known.
 
-    Markers of a larger variance than `most` are struck from the known (n, 3).
+    Markers of a larger variance than `most`, and than that of a share of their motion, are struck
+    from the known (n, 3).
     """
     data: Array = np.zeros(known.size)
     count = 0
     for n in range(len(known)):
-        some = False
+        some, motion = False, 0.0
         for c in range(3):
-            known[n, c] &= not variance[n] > most
+            motion += moved[n, c] ** 2 if known[n, c] else 0.0
+        least = max(most, MUCH_OF_MOTION**2 * motion)
+        for c in range(3):
+            known[n, c] &= not variance[n] > least
             some |= known[n, c]
             if known[n, c]:
                 data[3 * n + c] = moved[n, c] / noise[3 * n + c]

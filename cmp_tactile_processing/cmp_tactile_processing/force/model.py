@@ -365,7 +365,8 @@ class ForceModel:
         """Force on the gel from the displacement of the markers.
 
         displacement (rows, cols, 3) m, gel frame; status (rows, cols); covariance (rows, cols, 3,
-        3) m^2 of the displacement: markers that are much less certain than most are left out.
+        3) m^2 of the displacement: markers that are much less certain than most are left out,
+        unless they have moved ten times as far.
         A marker with status 0, one that moved farther than the gel is large, and any component
         that is not finite count as not measured.  Too few markers give a field of NaN, and so does
         what no gel can show.  contacts: without them the contacts, their area and flags, and the

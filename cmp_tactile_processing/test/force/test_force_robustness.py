@@ -189,6 +189,20 @@ def test_covariances_that_say_nothing_change_little(stage, seen, truth, spoil):
     assert np.isfinite(field.wrench_covariance).all()
 
 
+def test_a_marker_known_badly_counts_if_it_has_moved_much_farther(stage, seen, truth):
+    """Without it the peak of a small contact would be what its neighbours say of it."""
+    surface = seen(SCALE * truth["shear"].displacement)
+    motion = np.linalg.norm(surface.displacement, axis=-1)
+    peak = motion >= np.sort(motion, axis=None)[-9]
+    whole, without = alone(stage, surface), alone(stage, hidden(surface, peak))
+    for share, expected in ((0.08, whole), (0.12, without)):
+        bad = (share * motion[peak]) ** 2 / 3
+        covariance = surface.covariance.copy()
+        covariance[peak] = bad[:, None, None] * np.eye(3)
+        found = alone(stage, replace(surface, covariance=covariance))
+        np.testing.assert_allclose(found.force, expected.force, atol=1e-12)
+
+
 def test_another_reference_begins_again(sensor, seen, truth):
     """What the gel remembers counts from the old reference."""
     soft = replace(sensor.elastomer, relaxation=GelRelaxation(share=0.3, time=2.0))

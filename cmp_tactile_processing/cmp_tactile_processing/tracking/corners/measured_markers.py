@@ -42,8 +42,9 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 # through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
 # A spot takes from the rings around a corner; where they are so strong, against those around, the
-# gel bends.  What is fitted does not bend as sharply, and errs by some share of what it is off.
-WHOLE_RING, BENT_SHARE = 0.96, 0.12
+# gel bends.  What is fitted does not bend as sharply: it errs by about so many px for each side
+# that the corner is off.
+WHOLE_RING, BENT_PX = 0.96, 2.0
 # Where no crossing is better, a corner off by more than this is no measurement; nor is a corner
 # beside missing ones that is off the displacement of the others by so much; in sides.
 FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
@@ -158,8 +159,7 @@ class MeasuredMarkers:
         bent = ~corners.predicted & (off > PULLED)
         if bent.any():
             corners = corners.copy()
-            least = BENT_SHARE * off[bent] * self._nominal.side_px
-            corners.std[bent] = np.maximum(corners.std[bent], least)
+            corners.std[bent] = np.maximum(corners.std[bent], BENT_PX * off[bent])
         return corners
 
     def _repaired_at(
