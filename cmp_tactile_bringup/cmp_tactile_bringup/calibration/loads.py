@@ -23,6 +23,7 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BAD_MESSAGE
 from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
@@ -208,7 +209,7 @@ def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, fl
 
     Raises DescriptionError naming file, key, what was found and what is expected.
     """
-    path = path.expanduser()
+    path = expanded_path(path)
     section = read_yaml(path)
     gravity = STANDARD_GRAVITY
     if "gravity" in section:
@@ -240,7 +241,7 @@ def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
     recording = None
     if "recording" in section:
         text = section.text("recording")
-        beside = folder / Path(text).expanduser()
+        beside = folder / expanded_path(text)
         recording = beside if beside.exists() else Path(text)
     load = KnownLoad(
         name=section.text("name") if "name" in section else name,

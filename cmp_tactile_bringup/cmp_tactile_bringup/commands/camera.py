@@ -26,6 +26,7 @@ from cmp_tactile_bringup.commands.options import (
     misuse,
     option,
 )
+from cmp_tactile_processing.cache.files import expanded_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -115,7 +116,7 @@ class Looking(Command):
         elif is_packaged(Path(name)):
             images = _of_scene(name)
         else:
-            recording = open_recording(Path(name).expanduser())
+            recording = open_recording(expanded_path(name))
             images = (frame.image for frame in recording.frames())
         with closing(images):
             for image in images:
@@ -323,7 +324,7 @@ class Init(Looking):
         from cmp_tactile_processing.sensor.description import sensor_description_of
         from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
-        output = self.output.expanduser()
+        output = expanded_path(self.output)
         if output.exists():
             msg = f"{output}: found a file, expected a new name; give another one with --output"
             raise OutputError(msg)

@@ -14,6 +14,7 @@ from cmp_tactile_bringup.commands.options import (
     misuse,
     option,
 )
+from cmp_tactile_processing.cache.files import expanded_path
 
 ASSIGNMENTS = (
     "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
@@ -145,5 +146,5 @@ class Replay(_Graph):
                 msg = f"{source}: found {os.pathsep!r} in the path, expected a path without it"
                 raise RecordingError(msg)
         sensor = required_sensor(sources[0], self.sensor, *sources[1:])
-        inputs = os.pathsep.join(str(source.expanduser()) for source in sources)
+        inputs = os.pathsep.join(str(expanded_path(source)) for source in sources)
         return self._start("replay", f"input:={inputs}", f"sensor:={sensor}", "--watch")

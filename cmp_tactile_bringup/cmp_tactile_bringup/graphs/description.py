@@ -19,6 +19,7 @@ from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
 from cmp_tactile_driver.bags.recording import open_recording, split_inputs
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean, read_yaml
@@ -312,7 +313,7 @@ class GraphFunction:
             msg = f"{self.label}found {wrong}, expected components with different names"
             raise GraphError(msg)
         if values["params_file"]:
-            file = Path(values["params_file"]).expanduser()
+            file = expanded_path(values["params_file"])
             found = found.with_parameters(parameters_of_nodes(file, names))
         return replace(found, viewer=_viewer(found, values)) if values["view"] else found
 
@@ -407,7 +408,7 @@ def check_recordings(graph: Graph) -> None:
     """
     for component in graph.components:
         output = component.parameters.get("output") if component.plugin == RECORDER else None
-        if output and Path(str(output)).expanduser().exists():
+        if output and expanded_path(str(output)).exists():
             msg = f"{component.full_name} ({RECORDER}): {output}: found an existing folder or file"
             raise ComponentLoadError(f"{msg}, expected a new name")
         try:

@@ -11,7 +11,6 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
@@ -31,6 +30,7 @@ from cmp_tactile_driver.sources.parameters import (
     RecorderParameters,
     ReplayParameters,
 )
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import (
     find_sensor_description,
@@ -326,7 +326,7 @@ def _recorder(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Comp
             settings,
             "cmp_tactile_driver::Recorder",
             "recorder",
-            output=str(Path(settings["record"]).expanduser().resolve()),
+            output=str(expanded_path(settings["record"]).resolve()),
             topics=settings["record_topics"],
             compression=settings["record_compression"],
         )
@@ -367,5 +367,5 @@ def _source(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Compon
 
 def _absolute(path: str) -> str:
     """A path for a container that was started elsewhere; the name of a packaged scene stays."""
-    place = Path(path).expanduser()
+    place = expanded_path(path)
     return str(place.resolve()) if place.exists() else path

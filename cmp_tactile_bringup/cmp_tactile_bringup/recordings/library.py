@@ -11,7 +11,7 @@ from pathlib import Path
 from cmp_tactile_driver.bags.recording import is_bag
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES
-from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest
+from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest, expanded_path
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
@@ -44,7 +44,7 @@ def is_packaged(source: Path) -> bool:
 def recorded_source(source: Path, progress: MakingProgress | None = None) -> Path:
     """The path; for a packaged scene, its recording, which is made where there is none yet."""
     if not is_packaged(source):
-        return source.expanduser()
+        return expanded_path(source)
     # The simulator's own libraries take a second to load.
     from cmp_tactile_simulation.recording.run import recording_of
 
@@ -53,7 +53,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
 
 def check_source(source: Path, kinds: str = SOURCES) -> None:
     """Raise RecordingError without such a path or scene; kinds: what may be there."""
-    if not source.expanduser().exists() and not is_packaged(source):
+    if not expanded_path(source).exists() and not is_packaged(source):
         from cmp_tactile_simulation.scenes.file import packaged_scenes
 
         scenes = ", ".join(packaged_scenes())
@@ -72,7 +72,7 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
     sensor = given or sensor_of_recordings([source, *more])
     if sensor:
         return sensor
-    _check_folder(source.expanduser())
+    _check_folder(expanded_path(source))
     packaged = ", ".join(packaged_sensors())
     msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
     raise RecordingError(msg)
@@ -118,7 +118,7 @@ def sensor_of_recording(source: str) -> str:
     """
     if is_packaged(Path(source)):
         return sensor_of_scene(source)
-    path = Path(source).expanduser()
+    path = expanded_path(source)
     places = [(path.parent if path.is_file() else path) / SENSOR_FILE]
     if path.suffix == ".mcap":
         places.insert(0, path.with_suffix(".yaml"))

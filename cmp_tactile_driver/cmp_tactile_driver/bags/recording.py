@@ -16,6 +16,7 @@ from cmp_tactile_driver.bags.storage import (
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -61,7 +62,7 @@ Recording = BagReader | ImageRecording
 
 def split_inputs(text: str) -> list[Path]:
     """The recordings that a text names, separated as the folders of PATH are."""
-    return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
+    return [expanded_path(part) for part in text.split(os.pathsep) if part.strip()]
 
 
 def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
@@ -181,6 +182,6 @@ def recorded_source(options: frames.SourceOptions) -> RecordedSource:
 
     Raises FrameSourceError for what is none, or is of another camera.
     """
-    path = Path(options.input).expanduser()
+    path = expanded_path(options.input)
     recording = open_recording(path, expected_size=options.frame_size)
     return RecordedSource(recording, options)

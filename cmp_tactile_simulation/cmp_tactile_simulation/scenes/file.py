@@ -12,7 +12,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cmp_tactile_processing.cache.files import atomic_path
+from cmp_tactile_processing.cache.files import atomic_path, expanded_path
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
@@ -362,13 +362,13 @@ class SceneName(NamedTuple):
         packaged = packaged_scenes()
         if text in packaged:
             return cls(packaged[text])
-        whole = Path(text).expanduser()
+        whole = expanded_path(text)
         if whole.is_file():
             return cls(whole)
         base, _, variant = text.rpartition(VARIANT_MARK)
         if base in packaged:
             return cls(packaged[base], variant)
-        path = Path(base).expanduser()
+        path = expanded_path(base)
         if base and path.is_file():
             return cls(path, variant)
         msg = f"{text}: found no such scene, expected a file or one of {', '.join(packaged)}"
