@@ -28,7 +28,7 @@ from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError, GeometryError
-from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
+from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.image.encodings import (
     COMPRESSED,
     BitDepth,
@@ -336,8 +336,9 @@ def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:
 def calibration_mismatch(origin: str, found: ViewCameraInfo, sensor: SensorDescription) -> str:
     """The first difference in one line: origin, field, found, expected; empty where they agree.
 
-    Size, K and D are compared: sizes that are set, which are not 0; K and D only where the camera
-    is calibrated, with K other than 0, and the sensor has one camera for the whole frame.
+    Size, lens model, K and D are compared: sizes that are set, which are not 0; the others only
+    where the camera is calibrated, with K other than 0, and the sensor has one camera for the whole
+    frame.  Models of a pinhole differ by their coefficients alone.
     """
     difference = _size_difference(found, sensor) or _lens_difference(found, sensor)
     if not difference:
@@ -357,7 +358,9 @@ def _lens_difference(found: ViewCameraInfo, sensor: SensorDescription) -> str:
     camera = sensor.camera
     if camera is None or not found.K.any():
         return ""
-    K = whole_frame_info(sensor).K
+    model, K = ROS_MODEL[camera.model], whole_frame_info(sensor).K
+    if found.model != model and ROS_MODEL["equidistant"] in (found.model, model):
+        return f"distortion_model: found {found.model or 'nothing'}, expected {model}"
     if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
         return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
     expected = np.array(camera.distortion)
