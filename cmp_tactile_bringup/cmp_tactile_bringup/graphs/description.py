@@ -63,6 +63,10 @@ class Argument:
         label: stands before errors.  Raises GraphError for any other value.
         """
         kind, value = type(self.default), given
+        # Names of files may be in another encoding, which messages of ROS cannot contain.
+        if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
+            msg = f"{label}argument {self.name}: found {given!r}, expected text in UTF-8"
+            raise GraphError(msg)
         if isinstance(value, str) and kind is not str:
             value = _value_of(value)
         if kind is float and type(value) is int:

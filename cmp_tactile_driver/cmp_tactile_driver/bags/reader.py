@@ -292,7 +292,7 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: 
     images = sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
     if surfaces and (topics.get(wanted) == SURFACE or not images):
         return _surface_topic(path, topics, wanted)
-    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+    found = _listed(topics) or "none"
     if wanted:
         if wanted in images:
             return wanted
@@ -320,10 +320,14 @@ def _surface_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
     names = [name for name in named if not name.endswith("/reference")] or named
     if wanted in named or (len(names) == 1 and not wanted):
         return wanted or names[0]
-    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+    found = f"the topics {_listed(topics)}" if topics else "no topics"
     one = f"one of: {', '.join(names)}" if names else f"images or {SURFACE}"
-    msg = f"{path}: found the topics {found}; expected {wanted or one}"
+    msg = f"{path}: found {found}; expected {wanted or one}"
     raise BagError(msg)
+
+
+def _listed(topics: dict[str, str]) -> str:
+    return ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items()))
 
 
 def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:

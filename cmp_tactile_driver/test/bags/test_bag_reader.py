@@ -250,7 +250,7 @@ def test_a_folder_without_bag_is_a_folder_of_images(image_folder, frames, tmp_pa
     with pytest.raises(FrameSourceError, match="found no such file or folder"):
         open_recording(image_folder, **options)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FrameSourceError, match="found no image among 0 entries"):
+    with pytest.raises(FrameSourceError, match="found nothing, expected the files of a bag"):
         open_recording(tmp_path / "empty", **options)
 
 
