@@ -142,7 +142,7 @@ def read_sensor_description(path: Path) -> SensorDescription:
 
 def sensor_description_of(top: YamlSection) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
-    top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
+    top.check_version(FORMAT_VERSION, "a sensor description")
     optics = _read_optics(top.section("optics"))
     image, camera, views = parts.NO_IMAGE, None, dict[str, parts.ViewDescription]()
     if optics.type != parts.NO_OPTICS:

@@ -10,7 +10,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cmp_tactile_processing.errors import DescriptionError, ParameterError, found_text, printable
+from cmp_tactile_processing.errors import (
+    DescriptionError,
+    ParameterError,
+    found_text,
+    printable,
+    shortened,
+)
 from cmp_tactile_processing.sensor.yaml_text import Comment, yaml_comments, yaml_content
 
 MAX_FILE_BYTES = 1_000_000
@@ -123,6 +129,14 @@ class YamlSection:
                 expected = f"no such key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
                 raise self.error(key, self._content[key], expected)
 
+    def check_version(self, version: int, kind: str) -> None:
+        """Raise DescriptionError for a file of another kind, or of another version of this one."""
+        if "version" not in self._content:
+            keys = shortened(", ".join(map(str, self._content)) or "nothing")
+            msg = f"{self._path}: found {keys}, expected {kind} with version: {version}"
+            raise DescriptionError(printable(msg))
+        self.integer("version", version, version)
+
     def raw(self, key: str, expected: str = "a value") -> Any:
         """The value as YAML gave it."""
         self._read.add(key)
@@ -210,7 +224,7 @@ class YamlSection:
 
     def integer(self, key: str, low: int, high: int) -> int:
         """A whole number, low <= number <= high."""
-        expected = "a whole number" + _range_text(low, high)
+        expected = str(low) if low == high else "a whole number" + _range_text(low, high)
         value = self.raw(key, expected)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self.error(key, value, expected)

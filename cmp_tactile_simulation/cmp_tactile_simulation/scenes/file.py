@@ -71,7 +71,7 @@ def read_scene(path: Path, variant: str = "") -> description.Scene:
 
 
 def _read(top: YamlSection, path: Path) -> description.Scene:
-    top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
+    top.check_version(FORMAT_VERSION, "a scene")
     values = field_values(top, description.Scene)
     values.setdefault("title", values["name"])
     sensor, mapping = _read_sensor(top, path)
