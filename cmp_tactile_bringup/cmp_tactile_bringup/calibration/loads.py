@@ -234,7 +234,7 @@ def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
         raise section.error("", f"{found} of mass and force", "one of them")
     if "mass" in section:
         force, std = _read_weight(section, gravity)
-        name = _mass_text(section.positive("mass", MOST_KG))
+        name = _mass_text(section.positive("mass", MOST_KG, "kg"))
     else:
         force, std = _read_force(section)
         name = f"{np.linalg.norm(force):.3g} N"
@@ -257,8 +257,8 @@ def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
 def _read_weight(
     section: YamlSection, gravity: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    mass = section.positive("mass", MOST_KG)
-    std = section.positive("std", mass) if "std" in section else None
+    mass = section.positive("mass", MOST_KG, "kg")
+    std = section.positive("std", mass, "kg") if "std" in section else None
     direction: tuple[float, ...] = STRAIGHT_IN
     if "direction" in section:
         direction = section.numbers("direction", 3)
@@ -273,7 +273,7 @@ def _read_force(section: YamlSection) -> tuple[NDArray[np.float64], NDArray[np.f
     size = math.hypot(*force)
     if not 0 < size <= MOST_N:
         raise section.error("force", force.tolist(), f"a force above 0, at most {MOST_N:g} N")
-    std = section.positive("std", MOST_N) if "std" in section else FORCE_STD * size
+    std = section.positive("std", MOST_N, "N") if "std" in section else FORCE_STD * size
     return force, np.full(3, std)
 
 

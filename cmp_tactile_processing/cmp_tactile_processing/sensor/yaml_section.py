@@ -214,9 +214,10 @@ class YamlSection:
                 raise self.error(f"{key}[{number}]", self._content[key][number], expected + hint)
         return values
 
-    def positive(self, key: str, high: float = math.inf) -> float:
+    def positive(self, key: str, high: float = math.inf, unit: str = "") -> float:
         """A finite number, 0 < number <= high."""
-        expected = "a number above 0" + ("" if math.isinf(high) else f", at most {high:g}")
+        limit = "" if math.isinf(high) else f", at most {high:g} {unit}".rstrip()
+        expected = f"a number above 0{limit}"
         value = self.raw(key, expected)
         if not _is_number(value) or not 0 < value <= high:
             raise self.error(key, value, expected)
@@ -327,9 +328,9 @@ def number(low: float = -math.inf, high: float = math.inf, unit: str = "", **mor
     return read_by(lambda section, key: section.number(key, low, high), **more)
 
 
-def positive(high: float = math.inf, **more: Any) -> Metadata:
+def positive(high: float = math.inf, unit: str = "", **more: Any) -> Metadata:
     """A finite number, 0 < number <= high."""
-    return read_by(lambda section, key: section.positive(key, high), **more)
+    return read_by(lambda section, key: section.positive(key, high, unit), **more)
 
 
 def quantities(count: int, limits: tuple[float, float], unit: str, **more: Any) -> Metadata:

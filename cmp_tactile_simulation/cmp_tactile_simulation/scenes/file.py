@@ -227,7 +227,7 @@ def _read_frames(section: YamlSection, rate: float) -> int:
         raise section.error("", both, "either `frames` or `duration`")
     if "frames" in section:
         return section.integer("frames", 1, MAX_FRAMES)
-    frames = round(section.positive("duration", MAX_PHASE_S) * rate)
+    frames = round(section.positive("duration", MAX_PHASE_S, "s") * rate)
     if not 0 < frames <= MAX_FRAMES:
         expected = f"1 to {MAX_FRAMES} frames at {rate:g} Hz"
         raise section.error("duration", f"{frames} frames", expected)
