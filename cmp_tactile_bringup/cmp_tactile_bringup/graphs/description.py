@@ -17,9 +17,9 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
-from cmp_tactile_driver.bags.recording import open_recording, split_inputs
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.cache.files import expanded_path, split_paths
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean, read_yaml
@@ -428,4 +428,4 @@ def _inputs(component: Component) -> list[Path]:
     """What a replay component plays; empty for any other component."""
     if component.plugin != REPLAY:
         return []
-    return split_inputs(str(component.parameters.get("input", "")))
+    return split_paths(str(component.parameters.get("input", "")))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -60,11 +59,6 @@ class ImageRecording:
 
 
 Recording = BagReader | ImageRecording
-
-
-def split_inputs(text: str) -> list[Path]:
-    """The recordings that a text names, separated as the folders of PATH are."""
-    return [expanded_path(part) for part in text.split(os.pathsep) if part.strip()]
 
 
 def open_recording(  # noqa: PLR0913  what files do not say, and what is expected

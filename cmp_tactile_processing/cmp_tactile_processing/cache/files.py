@@ -64,6 +64,22 @@ def expanded_path(path: str | Path) -> Path:
         return Path(path)
 
 
+def split_paths(text: str) -> list[Path]:
+    """Paths and packaged names, separated as the folders of PATH are.
+
+    A colon may also belong to the name of a file, as in a time of day: then the file is there.
+    """
+    found = []
+    parts = [part for part in text.split(os.pathsep) if part.strip()]
+    while parts:
+        joined = [os.pathsep.join(parts[: count + 1]) for count in range(len(parts))]
+        there = (count for count, path in enumerate(joined, 1) if expanded_path(path).exists())
+        count = next(there, 1)
+        found.append(expanded_path(joined[count - 1]))
+        parts = parts[count:]
+    return found
+
+
 @functools.cache
 def folder_without_home() -> Path:
     """A folder of this user's among temporary files, where others may have made one of its name."""

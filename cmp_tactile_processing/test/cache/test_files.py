@@ -19,6 +19,7 @@ from cmp_tactile_processing.cache.files import (
     folder_without_home,
     locked,
     own_contents,
+    split_paths,
 )
 from cmp_tactile_processing.errors import DescriptionError
 
@@ -144,6 +145,15 @@ def test_a_tilde_stands_for_a_home_folder_that_is_there(monkeypatch, tmp_path):
     monkeypatch.setattr("os.getuid", lambda: 543210)
     with pytest.raises(DescriptionError, match="~/bag: found no home folder"):
         expanded_path("~/bag")
+
+
+def test_a_colon_separates_paths_or_belongs_to_one_that_is_there(monkeypatch, tmp_path):
+    """Reports: EricBerendsen/dvbinspector 58, gitbutlerapp/gitbutler 9204; tried: refused."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("run 10:30:00", "bag"):
+        Path(name).touch()
+    for paths in (["run 10:30:00"], ["bag", "run 10:30:00", "grasp", "bag"], ["none", "bag"], []):
+        assert split_paths(":".join(paths)) == [Path(path) for path in paths]
 
 
 def test_importing_writes_nothing(tmp_path):
