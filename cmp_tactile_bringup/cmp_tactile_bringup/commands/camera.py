@@ -109,12 +109,18 @@ class Looking(Command):
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
         from cmp_tactile_driver.bags.recording import open_recording
+        from cmp_tactile_driver.errors import FrameSourceError
         from cmp_tactile_processing.geometry.split import to_grey
 
         if name.startswith(DEVICES):
             images: Images = self._of_camera(name)
         elif is_packaged(Path(name)):
             images = _of_scene(name)
+        elif name.isdecimal() and not Path(name).exists():
+            # As OpenCV and many other programs number cameras.
+            expected = f"a camera, as /dev/video{name}, a recording or a scene"
+            msg = f"{name}: found a number, expected {expected}"
+            raise FrameSourceError(msg)
         else:
             recording = open_recording(expanded_path(name))
             images = (frame.image for frame in recording.frames())
