@@ -27,6 +27,7 @@ from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_driver.sources.frames import ImageSize
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 from cmp_tactile_processing.geometry.split import to_grey
 
@@ -81,7 +82,7 @@ def read_frames(
 
 def read_images(files: Sequence[Path]) -> list[Frame]:
     """Grey images (H, W) of files; FrameError for one that cannot be read."""
-    return [to_grey(decode_file(file.expanduser())) for file in files]
+    return [to_grey(decode_file(expanded_path(file))) for file in files]
 
 
 def pairs_by_number(

@@ -23,6 +23,7 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BAD_MESSAGE
 from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
@@ -208,7 +209,7 @@ def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, fl
 
     Raises DescriptionError naming file, key, what was found and what is expected.
     """
-    path = path.expanduser()
+    path = expanded_path(path)
     section = read_yaml(path)
     gravity = STANDARD_GRAVITY
     if "gravity" in section:
@@ -233,14 +234,14 @@ def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
         raise section.error("", f"{found} of mass and force", "one of them")
     if "mass" in section:
         force, std = _read_weight(section, gravity)
-        name = _mass_text(section.positive("mass", MOST_KG))
+        name = _mass_text(section.positive("mass", MOST_KG, "kg"))
     else:
         force, std = _read_force(section)
         name = f"{np.linalg.norm(force):.3g} N"
     recording = None
     if "recording" in section:
         text = section.text("recording")
-        beside = folder / Path(text).expanduser()
+        beside = folder / expanded_path(text)
         recording = beside if beside.exists() else Path(text)
     load = KnownLoad(
         name=section.text("name") if "name" in section else name,
@@ -256,8 +257,8 @@ def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
 def _read_weight(
     section: YamlSection, gravity: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    mass = section.positive("mass", MOST_KG)
-    std = section.positive("std", mass) if "std" in section else None
+    mass = section.positive("mass", MOST_KG, "kg")
+    std = section.positive("std", mass, "kg") if "std" in section else None
     direction: tuple[float, ...] = STRAIGHT_IN
     if "direction" in section:
         direction = section.numbers("direction", 3)
@@ -272,7 +273,7 @@ def _read_force(section: YamlSection) -> tuple[NDArray[np.float64], NDArray[np.f
     size = math.hypot(*force)
     if not 0 < size <= MOST_N:
         raise section.error("force", force.tolist(), f"a force above 0, at most {MOST_N:g} N")
-    std = section.positive("std", MOST_N) if "std" in section else FORCE_STD * size
+    std = section.positive("std", MOST_N, "N") if "std" in section else FORCE_STD * size
     return force, np.full(3, std)
 
 

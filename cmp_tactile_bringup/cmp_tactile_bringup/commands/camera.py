@@ -26,6 +26,7 @@ from cmp_tactile_bringup.commands.options import (
     misuse,
     option,
 )
+from cmp_tactile_processing.cache.files import expanded_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -108,14 +109,20 @@ class Looking(Command):
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
         from cmp_tactile_driver.bags.recording import open_recording
+        from cmp_tactile_driver.errors import FrameSourceError
         from cmp_tactile_processing.geometry.split import to_grey
 
         if name.startswith(DEVICES):
             images: Images = self._of_camera(name)
         elif is_packaged(Path(name)):
             images = _of_scene(name)
+        elif name.isdecimal() and not Path(name).exists():
+            # As OpenCV and many other programs number cameras.
+            expected = f"a camera, as /dev/video{name}, a recording or a scene"
+            msg = f"{name}: found a number, expected {expected}"
+            raise FrameSourceError(msg)
         else:
-            recording = open_recording(Path(name).expanduser())
+            recording = open_recording(expanded_path(name))
             images = (frame.image for frame in recording.frames())
         with closing(images):
             for image in images:
@@ -323,7 +330,7 @@ class Init(Looking):
         from cmp_tactile_processing.sensor.description import sensor_description_of
         from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
-        output = self.output.expanduser()
+        output = expanded_path(self.output)
         if output.exists():
             msg = f"{output}: found a file, expected a new name; give another one with --output"
             raise OutputError(msg)

@@ -14,6 +14,7 @@ from cmp_tactile_bringup.commands.options import (
     misuse,
     option,
 )
+from cmp_tactile_processing.cache.files import expanded_path, split_paths
 
 ASSIGNMENTS = (
     "NAME:=VALUE sets an argument of the launch file, such as record:=my_bag; see --show-args"
@@ -141,9 +142,10 @@ class Replay(_Graph):
             misuse("INPUT: found nothing, expected a recording")
         for source in sources:
             check_source(source)
-            if os.pathsep in str(source):
-                msg = f"{source}: found {os.pathsep!r} in the path, expected a path without it"
-                raise RecordingError(msg)
         sensor = required_sensor(sources[0], self.sensor, *sources[1:])
-        inputs = os.pathsep.join(str(source.expanduser()) for source in sources)
+        paths = [expanded_path(source) for source in sources]
+        inputs = os.pathsep.join(map(str, paths))
+        if split_paths(inputs) != paths:
+            msg = f"{inputs}: found {os.pathsep!r} in a path, expected paths without it"
+            raise RecordingError(msg)
         return self._start("replay", f"input:={inputs}", f"sensor:={sensor}", "--watch")

@@ -22,6 +22,7 @@ from cmp_tactile_bringup.commands.options import (
     misuse,
     option,
 )
+from cmp_tactile_processing.cache.files import expanded_path
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -235,7 +236,7 @@ class _Import(Command):
         from cmp_tactile_bringup.offline.outputs import check_free
         from cmp_tactile_bringup.terminal import output_console, print_line
 
-        console, output = output_console(), self.output.expanduser()
+        console, output = output_console(), expanded_path(self.output)
         for recording, _ in imports:
             if not self.overwrite:
                 check_free(output, recording.name, SUFFIXES)
@@ -276,7 +277,7 @@ class Tac3d(_Import):
         from cmp_tactile_processing.sensor.description import load_sensor
 
         sensor = load_sensor(self.sensor)
-        recordings = [read_tac3d(folder) for folder in tac3d_folders(self.folder.expanduser())]
+        recordings = [read_tac3d(folder) for folder in tac3d_folders(expanded_path(self.folder))]
         return self.write([(recording, recording.described(sensor)) for recording in recordings])
 
 
@@ -320,7 +321,7 @@ class Markers(_Import):
         from cmp_tactile_driver.sources.markers import read_markers
         from cmp_tactile_processing.sensor.description import load_sensor
 
-        sensor, path = load_sensor(self.sensor), self.file.expanduser()
+        sensor, path = load_sensor(self.sensor), expanded_path(self.file)
         recording = read_markers(path, sensor.pattern, self.unit, self.frame_rate, self.rest_frames)
         return self.write([(recording, sensor)])
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.options import Choice, Command, Number, argument, misuse, option
+from cmp_tactile_processing.cache.files import expanded_path
 
 if TYPE_CHECKING:
     from cmp_tactile_simulation.scenes.description import Scene
@@ -65,7 +66,7 @@ class Simulate(Command):
         if self.seed is not None:
             scene = replace(scene, seed=self.seed)
         output = self.output or Path(scene.name)
-        frames = _simulate(scene, output.expanduser(), self)
+        frames = _simulate(scene, expanded_path(output), self)
         print(printable(f"{frames} frames -> {output}"))
         return 0
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.options import Command, Number, argument, option
+from cmp_tactile_processing.cache.files import expanded_path
 
 if TYPE_CHECKING:
     from cmp_tactile_viewer.page.page import Page
@@ -77,7 +78,7 @@ class View(Command):
 
         check_source(self.source)
         sensor = load_sensor(required_sensor(self.source, self.sensor))
-        path = self.source.expanduser()
+        path = expanded_path(self.source)
         if is_packaged(self.source):
             with shown_stages() as on_stage:
                 path = recorded_source(self.source, on_stage)

@@ -17,8 +17,9 @@ from typing import Any
 
 from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
-from cmp_tactile_driver.bags.recording import open_recording, split_inputs
+from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.cache.files import expanded_path, split_paths
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean, read_yaml
@@ -62,6 +63,10 @@ class Argument:
         label: stands before errors.  Raises GraphError for any other value.
         """
         kind, value = type(self.default), given
+        # Names of files may be in another encoding, which messages of ROS cannot contain.
+        if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
+            msg = f"{label}argument {self.name}: found {given!r}, expected text in UTF-8"
+            raise GraphError(msg)
         if isinstance(value, str) and kind is not str:
             value = _value_of(value)
         if kind is float and type(value) is int:
@@ -312,7 +317,7 @@ class GraphFunction:
             msg = f"{self.label}found {wrong}, expected components with different names"
             raise GraphError(msg)
         if values["params_file"]:
-            file = Path(values["params_file"]).expanduser()
+            file = expanded_path(values["params_file"])
             found = found.with_parameters(parameters_of_nodes(file, names))
         return replace(found, viewer=_viewer(found, values)) if values["view"] else found
 
@@ -407,7 +412,7 @@ def check_recordings(graph: Graph) -> None:
     """
     for component in graph.components:
         output = component.parameters.get("output") if component.plugin == RECORDER else None
-        if output and Path(str(output)).expanduser().exists():
+        if output and expanded_path(str(output)).exists():
             msg = f"{component.full_name} ({RECORDER}): {output}: found an existing folder or file"
             raise ComponentLoadError(f"{msg}, expected a new name")
         try:
@@ -423,4 +428,4 @@ def _inputs(component: Component) -> list[Path]:
     """What a replay component plays; empty for any other component."""
     if component.plugin != REPLAY:
         return []
-    return split_inputs(str(component.parameters.get("input", "")))
+    return split_paths(str(component.parameters.get("input", "")))

@@ -11,7 +11,6 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
@@ -24,13 +23,13 @@ from cmp_tactile_bringup.graphs.description import (
     as_text,
 )
 from cmp_tactile_bringup.recordings import library
-from cmp_tactile_driver.bags.recording import split_inputs
 from cmp_tactile_driver.sources.parameters import (
     CameraDriverParameters,
     CameraParameters,
     RecorderParameters,
     ReplayParameters,
 )
+from cmp_tactile_processing.cache.files import expanded_path, split_paths
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import (
     find_sensor_description,
@@ -251,7 +250,7 @@ def _sensor_of_source(settings: Mapping[str, Any]) -> str:
     """The sensor description of what is to be played, where none is given."""
     if settings["source"] == SIMULATED:
         return library.sensor_of_scene(settings["scene"])
-    inputs = split_inputs(settings["input"]) if settings["source"] == REPLAY else []
+    inputs = split_paths(settings["input"]) if settings["source"] == REPLAY else []
     try:
         for item in inputs:
             library.check_source(item)
@@ -326,7 +325,7 @@ def _recorder(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Comp
             settings,
             "cmp_tactile_driver::Recorder",
             "recorder",
-            output=str(Path(settings["record"]).expanduser().resolve()),
+            output=str(expanded_path(settings["record"]).resolve()),
             topics=settings["record_topics"],
             compression=settings["record_compression"],
         )
@@ -357,7 +356,7 @@ def _source(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Compon
             sensor, settings, "cmp_tactile_driver::CameraDriver", "camera_driver", **given
         )
         return
-    given["input"] = os.pathsep.join(_absolute(str(p)) for p in split_inputs(settings["input"]))
+    given["input"] = os.pathsep.join(_absolute(str(p)) for p in split_paths(settings["input"]))
     # The view splitter, and a recorder of its frames.
     given["wait_for_subscribers"] = 1 + _records_frames(sensor, settings)
     if settings["frame_rate"]:
@@ -367,5 +366,5 @@ def _source(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Compon
 
 def _absolute(path: str) -> str:
     """A path for a container that was started elsewhere; the name of a packaged scene stays."""
-    place = Path(path).expanduser()
+    place = expanded_path(path)
     return str(place.resolve()) if place.exists() else path

@@ -34,6 +34,7 @@ from cmp_tactile_bringup.graphs.one_sensor import (
     sensor_arguments,
     sensor_components,
 )
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section
 
 MARKER = "<!-- made by cmp_tactile_bringup.graphs.packaged from here on -->"
@@ -142,7 +143,7 @@ def find_graph(name_or_path: str) -> GraphFunction:
     """
     if name_or_path in GRAPHS:
         return GRAPHS[name_or_path]
-    path = Path(name_or_path).expanduser()
+    path = expanded_path(name_or_path)
     if not path.is_file():
         names = ", ".join(sorted(GRAPHS))
         msg = f"{name_or_path}: found no such file, expected a path or one of {names}"

@@ -12,6 +12,7 @@ from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
@@ -115,14 +116,14 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
     jobs: dict[str, Job] = {}
     for source in sources:
         name = _name_of(source)
-        place = source if is_packaged(source) else source.expanduser().absolute()
+        place = source if is_packaged(source) else expanded_path(source).absolute()
         if name in jobs:
             if Path(jobs[name].source).resolve() == place.resolve():
                 continue
             expected = "different names, or a separate run with another --output"
             msg = f"{source}: found the same name as {jobs[name].label}, expected {expected}"
             raise OutputError(msg)
-        home = folder.expanduser().absolute()
+        home = expanded_path(folder).absolute()
         job = Job(str(source), str(place), str(home), name)
         if place.resolve() in (home.resolve(), job.path(".mcap").resolve()):
             msg = f"{source}: found --output {folder}, expected a folder outside the recording"
@@ -146,7 +147,7 @@ def _name_of(source: Path) -> str:
         from cmp_tactile_simulation.scenes.file import VARIANT_MARK
 
         return str(source).replace(VARIANT_MARK, "_")
-    place = source.expanduser().resolve()
+    place = expanded_path(source).resolve()
     known = place.is_file() and place.suffix.lower() in RECORDING_SUFFIXES
     # What else looks like a suffix may be a number: press_0.5N.
     return place.stem if known else place.name

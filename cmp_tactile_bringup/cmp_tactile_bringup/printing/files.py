@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_processing.cache.files import write_whole
+from cmp_tactile_processing.cache.files import expanded_path, write_whole
 from cmp_tactile_processing.printing.sheet import LAYERS, LINE_WIDTH, Label, Line, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 
@@ -260,7 +260,7 @@ class PatternFiles:
 
         Raises OutputError for a folder: a name in it is needed.
         """
-        output = output.expanduser()
+        output = expanded_path(output)
         if output.is_dir():
             msg = f"{output}: found a folder, expected a name, as {output / 'my_pattern'}"
             raise OutputError(msg)

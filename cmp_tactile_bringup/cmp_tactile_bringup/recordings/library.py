@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cmp_tactile_driver.bags.recording import is_bag
+from cmp_tactile_driver.bags.recording import check_folder
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
-from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES
-from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest
+from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest, expanded_path
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
@@ -21,8 +20,6 @@ DEFAULT_SCENE = "grasp"
 
 SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
 """What is replayed and processed, beside packaged scenes."""
-
-SHOWN_NAMES = 6
 
 MakingProgress = Callable[[str, float], None]
 """Called with what is done and its share, 0 to 1, while a recording is made."""
@@ -44,7 +41,7 @@ def is_packaged(source: Path) -> bool:
 def recorded_source(source: Path, progress: MakingProgress | None = None) -> Path:
     """The path; for a packaged scene, its recording, which is made where there is none yet."""
     if not is_packaged(source):
-        return source.expanduser()
+        return expanded_path(source)
     # The simulator's own libraries take a second to load.
     from cmp_tactile_simulation.recording.run import recording_of
 
@@ -53,7 +50,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
 
 def check_source(source: Path, kinds: str = SOURCES) -> None:
     """Raise RecordingError without such a path or scene; kinds: what may be there."""
-    if not source.expanduser().exists() and not is_packaged(source):
+    if not expanded_path(source).exists() and not is_packaged(source):
         from cmp_tactile_simulation.scenes.file import packaged_scenes
 
         scenes = ", ".join(packaged_scenes())
@@ -67,29 +64,15 @@ def check_source(source: Path, kinds: str = SOURCES) -> None:
 def required_sensor(source: Path, given: str | None, *more: Path) -> str:
     """The sensor that was given, or the recordings' own.
 
-    Raises RecordingError where there is neither, and where theirs differ.
+    Raises RecordingError where there is neither, and where theirs differ; FrameSourceError for a
+    folder without a recording.
     """
     sensor = given or sensor_of_recordings([source, *more])
     if sensor:
         return sensor
-    _check_folder(source.expanduser())
+    check_folder(expanded_path(source))
     packaged = ", ".join(packaged_sensors())
     msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
-    raise RecordingError(msg)
-
-
-def _check_folder(source: Path) -> None:
-    """Raise RecordingError for a folder without a recording, which says what is there instead."""
-    if not source.is_dir() or is_bag(source):
-        return
-    there = [item for item in source.iterdir() if not item.name.startswith(".")]
-    names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in there)
-    if any(Path(name).suffix.lower() in IMAGE_SUFFIXES for name in names):
-        return
-    bags = [name for name in names if name.endswith("/") and is_bag(source / name)]
-    found = ", ".join([*names[:SHOWN_NAMES], *(["..."] if len(names) > SHOWN_NAMES else [])])
-    hint = f"; the folder contains bags, such as {source / bags[0]}" if bags else ""
-    msg = f"{source}: found {found or 'nothing'}, expected the files of a bag, or images{hint}"
     raise RecordingError(msg)
 
 
@@ -118,7 +101,7 @@ def sensor_of_recording(source: str) -> str:
     """
     if is_packaged(Path(source)):
         return sensor_of_scene(source)
-    path = Path(source).expanduser()
+    path = expanded_path(source)
     places = [(path.parent if path.is_file() else path) / SENSOR_FILE]
     if path.suffix == ".mcap":
         places.insert(0, path.with_suffix(".yaml"))

@@ -128,6 +128,7 @@ def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
     ("text", "complaint"),
     [
         ("loads: []", r"loads: found \[\], expected a list of known loads"),
+        ("loads:\n  - {mass: 200}", r"loads\[0\].mass: found 200, expected .* at most 100 kg"),
         ("loads:\n  - {mas: 1}", r"loads\[0\]: found 'neither of mass and force'"),
         ("loads:\n  - {mass: 1, tim: [0, 1]}", r"loads\[0\].tim: found .* no such key; allowed"),
         ("loads:\n  - {mass: 1, time: [2, 1]}", r"loads\[0\].time: .*from below to"),

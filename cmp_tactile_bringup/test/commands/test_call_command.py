@@ -198,6 +198,15 @@ def test_a_wrong_name_or_value_is_one_line_with_what_there_is(
 
 
 @pytest.mark.usefixtures("asking")
+def test_no_parameter_is_set_where_one_is_refused(ros, run, grasp_bag):
+    """Reports: ros2/rclcpp 1952, ros2/ros2cli 721; tried: those before it were set."""
+    replay = ros.start(Replay, input=str(grasp_bag), paused=True)
+    with pytest.raises(ServiceError, match=r"refused: .*start"):
+        run("call", "replay", "rate:=4", "start:=-1")
+    assert replay.get_parameter("rate").value == 1.0
+
+
+@pytest.mark.usefixtures("asking")
 def test_a_name_that_several_have_is_asked_about_and_one_that_comes_late_is_found(ros, run):
     """Report of the kind, tried here: ros2/ros2cli 37 (a call before the service is there never
     comes through): it is waited for."""

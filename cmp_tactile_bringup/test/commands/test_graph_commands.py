@@ -62,9 +62,13 @@ def test_several_recordings_and_a_part_of_them_are_replayed(started, grasp_bag, 
     assert main(["replay", *both, "name:=f"]) == 0
     expected = {f"input:={':'.join(both)}", "name:=f"}
     assert expected | {f"sensor:={grasp_bag}/sensor.yaml"} <= set(started[0])
-    # Files of a folder cannot be distinguished from two folders.
-    (tmp_path / "a:b").mkdir()
-    assert main(["replay", str(tmp_path / "a:b")]) == 1
+    at_noon = tmp_path / "run 12:00"
+    at_noon.symlink_to(grasp_bag)
+    assert main(["replay", str(at_noon), str(grasp_bag)]) == 0
+    assert f"input:={at_noon}:{grasp_bag}" in started[1]
+    # Cannot be distinguished from two recordings.
+    (tmp_path / "run 12").touch()
+    assert main(["replay", str(at_noon)]) == 1
     with pytest.raises(SystemExit, match="2"):
         main(["replay", "name:=f"])
 

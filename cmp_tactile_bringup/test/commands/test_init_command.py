@@ -60,12 +60,18 @@ def test_a_file_that_is_there_is_kept(picture, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "found"), [("nowhere.png", "found no such file"), ("text.png", "none of 1 images")]
+    ("name", "found"),
+    [
+        ("nowhere.png", "found no such file"),
+        ("text.png", "none of 1 images"),
+        ("0", "found a number, expected a camera, as /dev/video0"),
+    ],
 )
-def test_what_is_no_picture_is_named(name, found, tmp_path, capsys):
+def test_what_is_no_picture_is_named(name, found, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "text.png").write_text("no picture")
     output = tmp_path / "mine.yaml"
-    words = ["init", str(tmp_path / name), "--pitch", "1", "-o", str(output)]
+    words = ["init", name, "--pitch", "1", "-o", str(output)]
     assert main(words) == 1
     error = capsys.readouterr().err
     assert name in error

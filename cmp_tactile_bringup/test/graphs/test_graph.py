@@ -57,6 +57,8 @@ def test_arguments_and_their_types(path):
         ({"speed": "fast"}, "argument speed: found 'fast', expected a number"),
         ({"count": "1.5"}, "argument count: found '1.5', expected a integer"),
         ({"on": "1"}, "argument on: found '1', expected a boolean"),
+        # Report: cloud-gov/pages-build-container 98; tried: a traceback of UnicodeEncodeError.
+        ({"side": "b\udcff"}, "argument side: found 'b.udcff', expected text in UTF-8"),
         ({"side": "up"}, "argument side: found 'up', expected one of left, right"),
         ({"params_file": "none.yaml"}, r"none\.yaml: cannot be read"),
     ],

@@ -112,13 +112,14 @@ def test_a_lost_marker_that_stays_at_nought_is_warned_of(tmp_path, sensor, posit
 COLUMNS = "frame,row,col,x,y"
 
 
-def _table(position, separator=",", point=".", quote=""):
+def _table(position, separator=",", point=".", quote="", label=""):
     rows = [
         (str(k), str(i), str(j), *(repr(float(v)).replace(".", point) for v in position[k, i, j]))
         for k, i, j in np.ndindex(position.shape[:3])
     ]
-    lines = (separator.join(f"{quote}{cell}{quote}" for cell in row) for row in rows)
-    return "\n".join([COLUMNS.replace(",", separator), *lines, ""])
+    lines = (label + separator.join(f"{quote}{cell}{quote}" for cell in row) for row in rows)
+    header = f"label,{COLUMNS}" if label else COLUMNS
+    return "\n".join([header.replace(",", separator), *lines, "# end", ""])
 
 
 @pytest.mark.parametrize(
@@ -130,6 +131,8 @@ def _table(position, separator=",", point=".", quote=""):
         ("", {"separator": "\t"}),
         ("", {"quote": '"'}),
         ("# frame rate 30\n\n", {}),
+        # Tried: rows that begin with # were markers that were not seen (numpy/numpy 13088).
+        ("", {"label": '"#1, ""first""",'}),
     ],
 )
 def test_tables_that_spreadsheets_write_are_read(tmp_path, sensor, position, before, signs):
@@ -151,10 +154,13 @@ def test_tables_that_spreadsheets_write_are_read(tmp_path, sensor, position, bef
     ("change", "found"),
     [
         (lambda text: text + "1,2,3,0.0,0.0\n", "frame 1, row 2, col 3 in 2 lines"),
-        (lambda text: text.replace("\n0,0,1,", "\n0,0\n0,0,1,"), r"Line #3 \(got 2 columns"),
+        (lambda text: text.replace("\n0,0,1,", "\n0,0\n0,0,1,"), "2 columns in line 3, expected 5"),
         (lambda _: "", "no table .it is empty"),
         # Tried: a marker that was not seen.  As in numpy/numpy 24900.
-        (lambda text: text.replace("\n0,0,1,", "\n0,0,1,4 mm;"), "Cannot convert string '4 mm;"),
+        (
+            lambda text: text.replace("\n0,0,1,", "\n0,0,1,4 mm;"),
+            "x '4 mm;.*' in line 3, expected a n",
+        ),
     ],
 )
 def test_what_is_wrong_in_a_table_is_named(tmp_path, sensor, position, change, found):
@@ -212,7 +218,7 @@ def test_tables_of_trackers_are_read(tmp_path, sensor, position):
         (lambda p: {"position": p[0]}, r"shape \(7, 9, 3\), expected"),
         (lambda p: {"position": p[:0]}, r"shape \(0, 7, 9, 3\), expected"),
         (lambda p: {"position": np.nan * p}, r"0 of 63 markers at rest, expected at least half"),
-        (lambda p: {"position": p.astype(object)}, "no arrays .*allow_pickle"),
+        (lambda p: {"position": p.astype(object)}, "no arrays .*objects"),
         (lambda p: {"position": p.astype(str)}, "position with values that are not numbers"),
         (lambda p: {"displacement": p}, "displacement, expected an array position"),
         (lambda p: {"position": p, "reference": p}, r"reference of shape \(6, 7, 9, 3\)"),

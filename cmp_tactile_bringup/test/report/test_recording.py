@@ -14,7 +14,7 @@ from cmp_tactile_bringup.recordings.library import (
     sensor_of_scene,
 )
 from cmp_tactile_bringup.report.results import find_recording
-from cmp_tactile_driver.errors import BagError
+from cmp_tactile_driver.errors import BagError, FrameSourceError
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor, packaged_sensors
 from cmp_tactile_simulation.errors import OutputError, SceneError
@@ -69,12 +69,12 @@ def test_the_sensor_beside_a_file_is_that_of_its_folder(tmp_path, name):
 
 def test_a_folder_without_a_recording_is_said_to_hold_what_it_holds(grasp_bag, tmp_path):
     """Before a sensor is asked for, which would not help."""
-    with pytest.raises(RecordingError, match="found nothing, expected the files of a bag, or imag"):
+    with pytest.raises(FrameSourceError, match="found nothing, expected the files of a bag"):
         required_sensor(tmp_path, None)
     (tmp_path / "notes.txt").touch()
     (tmp_path / "first").symlink_to(grasp_bag)
     found = r"found first/, notes.txt, expected .*; the folder contains bags, such as .*/first/?$"
-    with pytest.raises(RecordingError, match=found):
+    with pytest.raises(FrameSourceError, match=found):
         required_sensor(tmp_path, None)
     (tmp_path / "0.png").touch()
     with pytest.raises(RecordingError, match="found no --sensor"):

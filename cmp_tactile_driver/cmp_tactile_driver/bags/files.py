@@ -85,8 +85,9 @@ def head_stamp_ns(head: bytes) -> int:
 
 def full_kind(name: str, encoding: str = "cdr") -> str:
     """A message type as ROS 2 writes it, marked where its messages are not in CDR."""
-    package, _, short = name.replace("::", "/").partition("/")
-    kind = f"{package}/msg/{short}" if short and "/" not in short else f"{package}/{short}"
+    kind = name.replace("::", "/") or "unknown type"
+    if kind.count("/") == 1:
+        kind = kind.replace("/", "/msg/")
     return kind if encoding == "cdr" else f"{kind} in {encoding or 'unknown encoding'}"
 
 

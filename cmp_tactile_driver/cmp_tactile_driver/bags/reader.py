@@ -28,7 +28,7 @@ from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError, GeometryError
-from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
+from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.image.encodings import (
     COMPRESSED,
     BitDepth,
@@ -292,7 +292,7 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: 
     images = sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
     if surfaces and (topics.get(wanted) == SURFACE or not images):
         return _surface_topic(path, topics, wanted)
-    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+    found = _listed(topics) or "none"
     if wanted:
         if wanted in images:
             return wanted
@@ -320,10 +320,14 @@ def _surface_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
     names = [name for name in named if not name.endswith("/reference")] or named
     if wanted in named or (len(names) == 1 and not wanted):
         return wanted or names[0]
-    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items())) or "none"
+    found = f"the topics {_listed(topics)}" if topics else "no topics"
     one = f"one of: {', '.join(names)}" if names else f"images or {SURFACE}"
-    msg = f"{path}: found the topics {found}; expected {wanted or one}"
+    msg = f"{path}: found {found}; expected {wanted or one}"
     raise BagError(msg)
+
+
+def _listed(topics: dict[str, str]) -> str:
+    return ", ".join(f"{name} ({kind})" for name, kind in sorted(topics.items()))
 
 
 def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:
@@ -336,8 +340,9 @@ def _info_topic(topics: dict[str, str], image_topic: str) -> str | None:
 def calibration_mismatch(origin: str, found: ViewCameraInfo, sensor: SensorDescription) -> str:
     """The first difference in one line: origin, field, found, expected; empty where they agree.
 
-    Size, K and D are compared: sizes that are set, which are not 0; K and D only where the camera
-    is calibrated, with K other than 0, and the sensor has one camera for the whole frame.
+    Size, lens model, K and D are compared: sizes that are set, which are not 0; the others only
+    where the camera is calibrated, with K other than 0, and the sensor has one camera for the whole
+    frame.  Models of a pinhole differ by their coefficients alone.
     """
     difference = _size_difference(found, sensor) or _lens_difference(found, sensor)
     if not difference:
@@ -357,7 +362,9 @@ def _lens_difference(found: ViewCameraInfo, sensor: SensorDescription) -> str:
     camera = sensor.camera
     if camera is None or not found.K.any():
         return ""
-    K = whole_frame_info(sensor).K
+    model, K = ROS_MODEL[camera.model], whole_frame_info(sensor).K
+    if found.model != model and ROS_MODEL["equidistant"] in (found.model, model):
+        return f"distortion_model: found {found.model or 'nothing'}, expected {model}"
     if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
         return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
     expected = np.array(camera.distortion)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,8 +15,11 @@ from cmp_tactile_driver.bags.storage import (
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.sensor.description import SensorDescription
+
+SHOWN_NAMES = 6
 
 
 class ImageRecording:
@@ -59,11 +61,6 @@ class ImageRecording:
 Recording = BagReader | ImageRecording
 
 
-def split_inputs(text: str) -> list[Path]:
-    """The recordings that a text names, separated as the folders of PATH are."""
-    return [Path(part).expanduser() for part in text.split(os.pathsep) if part.strip()]
-
-
 def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
     path: Path,
     *,
@@ -84,6 +81,7 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
         kinds = "a ROS 2 bag, a folder of images, an image or a video"
         msg = f"{path}: found no such file or folder, expected {kinds}"
         raise FrameSourceError(msg)
+    check_folder(path)
     is_image = path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES
     if is_image or (path.is_dir() and not is_bag(path)):
         images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
@@ -129,6 +127,21 @@ def open_recording_of(
         expected_size=sensor.frame_size if sensor.views else None,
         shape=sensor.pattern.shape,
     )
+
+
+def check_folder(path: Path) -> None:
+    """Raise FrameSourceError for a folder without a recording, which says what is there instead."""
+    if not path.is_dir() or is_bag(path):
+        return
+    there = [item for item in path.iterdir() if not item.name.startswith(".")]
+    names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in there)
+    if any(Path(name).suffix.lower() in files.IMAGE_SUFFIXES for name in names):
+        return
+    bags = [name for name in names if name.endswith("/") and is_bag(path / name)]
+    found = ", ".join([*names[:SHOWN_NAMES], *(["..."] if len(names) > SHOWN_NAMES else [])])
+    hint = f"; the folder contains bags, such as {path / bags[0]}" if bags else ""
+    msg = f"{path}: found {found or 'nothing'}, expected the files of a bag, or images{hint}"
+    raise FrameSourceError(msg)
 
 
 def is_bag(folder: Path) -> bool:
@@ -181,6 +194,6 @@ def recorded_source(options: frames.SourceOptions) -> RecordedSource:
 
     Raises FrameSourceError for what is none, or is of another camera.
     """
-    path = Path(options.input).expanduser()
+    path = expanded_path(options.input)
     recording = open_recording(path, expected_size=options.frame_size)
     return RecordedSource(recording, options)

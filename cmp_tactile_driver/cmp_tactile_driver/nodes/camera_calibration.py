@@ -16,7 +16,6 @@ from std_msgs.msg import Header
 from cmp_tactile_driver.bags.reader import calibration_mismatch
 from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.rectification import (
-    ROS_MODEL,
     ViewCameraInfo,
     read_camera_info,
     write_camera_info,
@@ -127,14 +126,7 @@ class CameraCalibration:
         return self._difference(origin, info)
 
     def _difference(self, origin: str, info: ViewCameraInfo) -> str:
-        camera = self._sensor.camera
-        if camera is None:
-            return ""
-        difference = ""
-        if info.model != ROS_MODEL[camera.model]:
-            expected = ROS_MODEL[camera.model]
-            difference = f"{origin}: distortion_model: found {info.model}, expected {expected}"
-        difference = difference or calibration_mismatch(origin, info, self._sensor)
+        difference = calibration_mismatch(origin, info, self._sensor)
         return difference and (
             f"{difference} (the processing uses the sensor description; cmp_tactile calibrate "
             "makes a new one)"

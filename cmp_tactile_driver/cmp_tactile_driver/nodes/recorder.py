@@ -40,6 +40,7 @@ from cmp_tactile_driver.bags.writer import (
 from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
@@ -320,7 +321,7 @@ class Recorder(ReportingNode):
         if not output:
             when = datetime.now().strftime("%Y_%m_%d-%H_%M_%S")  # noqa: DTZ005  as rosbag2 does
             output = f"{self._sensor.ros_name}_{when}"
-        first = Path(output).expanduser()
+        first = expanded_path(output)
         if self.bag is None:
             return first
         number = 2

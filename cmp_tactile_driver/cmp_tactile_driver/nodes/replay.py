@@ -25,11 +25,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
-from cmp_tactile_driver.bags.recording import Recording, open_recording, split_inputs
+from cmp_tactile_driver.bags.recording import Recording, open_recording
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.cache.files import split_paths
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import (
@@ -132,7 +133,7 @@ class Replay(ReportingNode):
 
     def _set_up(self) -> None:
         self._settings = declare_parameters(self, ReplayParameters(), dynamic=("rate", "start"))
-        inputs = split_inputs(self._settings.input)
+        inputs = split_paths(self._settings.input)
         if not inputs:
             msg = (
                 f"{self.get_name()}: parameter input: found nothing, expected a bag, folder or file"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ ALIASES = {"frameno": "frame", "cx": "x", "cy": "y"}
 HEADER = re.compile(r"[#\s]*(\w+\s*[,;\t]\s*)*frame(no)?\s*[,;\t]", re.IGNORECASE)
 TABLE = "the columns frame, row, col, x, y; optional: z, time_s, Ox, Oy"
 NEEDED = ("frame", "row", "col", "x", "y")
-NOT_SEEN = "NA,N/A,null,None,-"
+NOT_SEEN = {"", "NA", "N/A", "null", "None", "-"}
 
 _NAMES = (POSITION, REFERENCE, TIME, STAMPS)
 
@@ -96,8 +97,12 @@ def _read_arrays(path: Path) -> Mapping[str, NDArray[Any]]:
         wrong = [name for name, values in arrays.items() if name in _NAMES and _no_number(values)]
     except FileNotFoundError:
         raise _error(path, "no such file", "a file with positions of markers") from None
+    except OSError as error:
+        raise _error(path, f"no file to read ({error.strerror})", "arrays of numpy") from None
     except Exception as error:  # noqa: BLE001  a damaged archive raises what its parts raise
-        raise _error(path, f"no arrays ({error})", "arrays of numpy, or a .csv file") from None
+        # Numpy's advice for what it cannot read is to run it.
+        reason = "objects, or another format" if "pickle" in str(error) else error
+        raise _error(path, f"no arrays ({reason})", "arrays of numpy, or a .csv file") from None
     if wrong or POSITION not in arrays:
         found = (
             f"{wrong[0]} with values that are not numbers"
@@ -112,32 +117,85 @@ def _no_number(values: NDArray[Any]) -> bool:
     return not np.issubdtype(values.dtype, np.number) or np.iscomplexobj(values)
 
 
+@dataclass(frozen=True)
+class _Table:
+    """Cells of a file.
+
+    header: the names of the columns.  rows: a number of a line and its cells.  has_decimal_commas:
+    for points.
+    """
+
+    header: list[str]
+    rows: list[tuple[int, list[str]]]
+    has_decimal_commas: bool
+
+
 def _read_columns(path: Path) -> dict[str, Array]:
     """The columns of a table by name; NaN in empty cells.  Other columns may contain text."""
     try:
-        lines, separator = _table_lines(path)
-        header = [name.strip("# \t").lower() for name in lines[0].split(separator)]
-        header = [ALIASES.get(name, name) for name in header]
-        missing = [name for name in NEEDED if name not in header]
-        if missing:
-            found = f"no column {missing[0]}; columns: {', '.join(header)}"
-            raise _error(path, found, TABLE)
-        if not any(map(str.strip, lines[1:])):
-            raise _error(path, "no row", TABLE)
-        used = [k for k, name in enumerate(header) if name in {*NEEDED, "z", "ox", "oy", TIME}]
-        values = np.genfromtxt(
-            lines,
-            delimiter=separator,
-            skip_header=1,
-            usecols=used,
-            missing_values=NOT_SEEN,
-            autostrip=True,
-            loose=False,
-        )
-    except (OSError, ValueError, TypeError) as error:
-        # The last line of numpy's text names a row.
-        raise _error(path, f"no table ({str(error).splitlines()[-1].strip()})", TABLE) from None
-    return dict(zip([header[k] for k in used], np.atleast_2d(values).T, strict=True))
+        table = _read_cells(path)
+    except (OSError, ValueError, csv.Error) as error:
+        raise _error(path, f"no table ({error})", TABLE) from None
+    missing = [name for name in NEEDED if name not in table.header]
+    if missing:
+        found = f"no column {missing[0]}; columns: {', '.join(table.header)}"
+        raise _error(path, found, TABLE)
+    used = [name for name in table.header if name in {*NEEDED, "z", "ox", "oy", TIME}]
+    rows = _rows_of_markers(path, table, used)
+    if not rows:
+        raise _error(path, "no row", TABLE)
+    return {name: _numbers(path, table, rows, name) for name in used}
+
+
+def _read_cells(path: Path) -> _Table:
+    """A table from its header on.
+
+    Spreadsheets begin with a mark of UTF-8 or with "sep=;", and separate columns by semicolons
+    where the decimal sign is a comma.  Raises ValueError where nothing is in it.
+    """
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    headers = (n for n, line in enumerate(lines) if HEADER.match(line.replace('"', "")))
+    first = next(headers, 0)
+    separator = next((sign for sign in ";\t" if sign in "".join(lines[first : first + 1])), ",")
+    reader = csv.reader(lines[first:], delimiter=separator, skipinitialspace=True)
+    rows = [(first + reader.line_num, row) for row in reader if any(map(str.strip, row))]
+    if not rows:
+        msg = "it is empty"
+        raise ValueError(msg)
+    names = [name.strip("# \t").lower() for name in rows[0][1]]
+    return _Table([ALIASES.get(name, name) for name in names], rows[1:], separator != ",")
+
+
+def _rows_of_markers(path: Path, table: _Table, used: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """The rows without comments; FrameSourceError for one that has not as many cells as the header.
+
+    A label may begin with #, too.
+    """
+    begins_with_number = table.header[0] in used
+    rows = []
+    for line, row in table.rows:
+        is_whole = len(row) == len(table.header)
+        if row[0].lstrip().startswith("#") and (begins_with_number or not is_whole):
+            continue
+        if not is_whole:
+            expected = f"{len(table.header)} as in its header"
+            raise _error(path, f"{len(row)} columns in line {line}", expected)
+        rows.append((line, row))
+    return rows
+
+
+def _numbers(path: Path, table: _Table, rows: Sequence[tuple[int, list[str]]], name: str) -> Array:
+    column = table.header.index(name)
+    values = np.full(len(rows), np.nan)
+    for number, (line, row) in enumerate(rows):
+        text = row[column].strip()
+        if text in NOT_SEEN:
+            continue
+        try:
+            values[number] = float(text.replace(",", ".") if table.has_decimal_commas else text)
+        except ValueError:
+            raise _error(path, f"{name} {text!r} in line {line}", "a number") from None
+    return values
 
 
 def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]]:
@@ -170,24 +228,6 @@ def _read_table(path: Path, shape: tuple[int, int]) -> Mapping[str, NDArray[Any]
         arrays[TIME] = np.full(len(frames), np.nan)
         arrays[TIME][frame] = columns[TIME]
     return arrays
-
-
-def _table_lines(path: Path) -> tuple[list[str], str]:
-    """The lines of a table from its header on, without quotes; and what separates its columns.
-
-    Spreadsheets begin with a mark of UTF-8 or with "sep=;", and separate columns by semicolons
-    where the decimal sign is a comma.  Raises ValueError where nothing is in it.
-    """
-    lines = path.read_text(encoding="utf-8-sig").replace('"', "").splitlines()
-    headers = (number for number, line in enumerate(lines) if HEADER.match(line))
-    lines = lines[next(headers, 0) :]
-    if not any(map(str.strip, lines)):
-        msg = "it is empty"
-        raise ValueError(msg)
-    separator = next((sign for sign in ";\t" if sign in lines[0]), ",")
-    if separator != ",":
-        lines = [line.replace(",", ".") for line in lines]
-    return lines, separator
 
 
 def _on_grid(path: Path, name: str, values: NDArray[Any], shape: tuple[int, int]) -> Array:

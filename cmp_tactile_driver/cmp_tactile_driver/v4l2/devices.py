@@ -11,6 +11,7 @@ from pathlib import Path
 from linuxpy.video.device import V4L2Error
 
 from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
+from cmp_tactile_processing.cache.files import expanded_path
 
 GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 FORBIDDEN = (errno.EACCES, errno.EPERM)
@@ -122,7 +123,7 @@ def find_device(chosen: str, serial: str = "") -> VideoDevice:
 
 
 def _by_path(chosen: str, devices: Sequence[VideoDevice]) -> VideoDevice | None:
-    path = Path(chosen).expanduser()
+    path = expanded_path(chosen)
     places = [path] if path.is_absolute() else [DEV / chosen, DEV / "v4l" / chosen]
     if len(path.parts) == 1:
         places += [DEV / folder / chosen for folder in LINKS]

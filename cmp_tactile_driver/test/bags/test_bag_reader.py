@@ -250,7 +250,7 @@ def test_a_folder_without_bag_is_a_folder_of_images(image_folder, frames, tmp_pa
     with pytest.raises(FrameSourceError, match="found no such file or folder"):
         open_recording(image_folder, **options)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FrameSourceError, match="found no image among 0 entries"):
+    with pytest.raises(FrameSourceError, match="found nothing, expected the files of a bag"):
         open_recording(tmp_path / "empty", **options)
 
 
@@ -266,10 +266,11 @@ OWN = ViewCameraInfo(1024, 768, "plumb_bob", np.zeros(5), K, np.eye(3), np.eye(3
         OWN,
         replace(OWN, D=np.zeros(0)),
         replace(OWN, D=np.zeros(8)),
+        replace(OWN, model="rational_polynomial", D=np.zeros(14)),
         replace(OWN, K=np.zeros((3, 3)), D=np.ones(5)),
         replace(OWN, width=0, height=0, K=np.zeros((3, 3)), D=np.zeros(0)),
     ],
-    ids=["rounded", "D left out", "D of another length", "not calibrated", "unset"],
+    ids=["rounded", "D left out", "D of another length", "rational", "not calibrated", "unset"],
 )
 def test_what_does_not_contradict_the_description_is_taken(found):
     """Reports: ros-drivers/usb_cam 26, ros-drivers/gscam 103 (0 x 0), luxonis/depthai-ros 598
@@ -288,6 +289,7 @@ def test_what_does_not_contradict_the_description_is_taken(found):
             "K: found [660.047, 0, 511.5, 0, 733.386, 383.5, 0, 0, 1], expected [733.386, 0,",
         ),
         ({"D": np.array([0.0, 0.0, 0.2])}, "D: found [0, 0, 0.2], expected [0, 0, 0, 0, 0]"),
+        ({"model": "equidistant"}, "distortion_model: found equidistant, expected plumb_bob"),
     ],
 )
 def test_a_difference_names_topic_field_found_and_expected(change, expected):

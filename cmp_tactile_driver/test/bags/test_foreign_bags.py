@@ -364,14 +364,27 @@ def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path,
     assert [item.time_s for item in reader.messages()][:3] == pytest.approx([0, 0, 0.05])
 
 
-def test_messages_in_another_encoding_are_named(tmp_path):
-    with (tmp_path / "bag.mcap").open("wb") as file:
+@pytest.mark.parametrize(
+    ("name", "encoding", "kind"),
+    [
+        ("sensor_msgs/Image", "ros1", f"{IMAGE} in ros1"),
+        # Report: ros2/rosbag2 1245.
+        ("foxglove.CompressedImage", "protobuf", "foxglove.CompressedImage in protobuf"),
+    ],
+)
+def test_messages_in_another_encoding_are_named(tmp_path, name, encoding, kind):
+    path = tmp_path / "run" / "bag.mcap"
+    path.parent.mkdir()
+    with path.open("wb") as file:
         writer = Writer(file)
-        writer.start("ros1", "other")
-        schema = writer.register_schema("sensor_msgs/Image", "ros1msg", b"")
-        writer.register_channel(TOPIC, "ros1", schema)
+        writer.start("", "other")
+        schema = writer.register_schema(name, encoding, b"")
+        writer.register_channel(TOPIC, encoding, schema)
         writer.finish()
-    assert open_storage(tmp_path / "bag.mcap").topics == {TOPIC: f"{IMAGE} in ros1"}
+    assert open_storage(path).topics == {TOPIC: kind}
+    # Report: ros2/rosbag2 1511; tried: "found no image among 1 entries".
+    with pytest.raises(FrameSourceError, match=r"found run/, .*contains bags, such as .*/run/?$"):
+        open_recording(tmp_path)
 
 
 def test_a_part_that_begins_at_a_frame_has_that_frame():

@@ -49,6 +49,37 @@ def _own_folder(variable: str, in_home: str) -> Path:
     return base / "cmp_tactile"
 
 
+def expanded_path(path: str | Path) -> Path:
+    """A path with `~` and `~user` replaced by the home folder.
+
+    Office programs name their lock files `~$NAME`: as in a shell, `~` stands for itself before what
+    is no user.  Raises DescriptionError for `~` alone where there is no home folder.
+    """
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        if Path(path).parts[0] == "~":
+            msg = f"{path}: found no home folder for ~, expected HOME to be set"
+            raise DescriptionError(msg) from None
+        return Path(path)
+
+
+def split_paths(text: str) -> list[Path]:
+    """Paths and packaged names, separated as the folders of PATH are.
+
+    A colon may also belong to the name of a file, as in a time of day: then the file is there.
+    """
+    found = []
+    parts = [part for part in text.split(os.pathsep) if part.strip()]
+    while parts:
+        joined = [os.pathsep.join(parts[: count + 1]) for count in range(len(parts))]
+        there = (count for count, path in enumerate(joined, 1) if expanded_path(path).exists())
+        count = next(there, 1)
+        found.append(expanded_path(joined[count - 1]))
+        parts = parts[count:]
+    return found
+
+
 @functools.cache
 def folder_without_home() -> Path:
     """A folder of this user's among temporary files, where others may have made one of its name."""
@@ -97,7 +128,9 @@ def write_whole(path: Path, content: str | bytes) -> None:
         with atomic_path(path) as beside:
             beside.write_bytes(content.encode() if isinstance(content, str) else content)
     except (OSError, UnicodeEncodeError) as error:
-        msg = f"{path}: cannot be written: {error}"
+        # Without the name of the file beside it.
+        reason = (isinstance(error, OSError) and error.strerror) or error
+        msg = f"{path}: cannot be written: {reason}"
         raise DescriptionError(msg) from None
 
 

@@ -36,8 +36,11 @@ MAP_STRIDE = 4
 # Lines of the grid of points that the stock lens model of a view with layers is fitted to.
 FITTED_LINES = 12
 MAX_IMAGE_SIDE = 16384
-# Coefficients of the distortion models of sensor_msgs.
-DISTORTION_LENGTH = {"plumb_bob": 5, "equidistant": 4, "rational_polynomial": 8}
+# Coefficients of the distortion models of sensor_msgs.  OpenCV's rational model may go on with
+# those of a thin prism (12) and a tilted sensor (14).
+DISTORTION_LENGTHS = {"plumb_bob": (5,), "equidistant": (4,), "rational_polynomial": (8, 12, 14)}
+# So many may be in a file.
+DISTORTION_COLS = {"plumb_bob": (4, 14), "equidistant": (4, 4), "rational_polynomial": (8, 14)}
 # Files of other tools hold rotations of 6 digits or more.
 ROTATION_TOLERANCE = 1e-5
 
@@ -371,8 +374,8 @@ def read_camera_info(path: str | Path) -> tuple[str, ViewCameraInfo]:
     """Name and model of the camera of a file.
 
     As camera_calibration_parsers does: a file without `camera_name` is of the camera "unknown",
-    one without `distortion_model` is plumb_bob, of which k3 may be left out, and keys that belong
-    to other tools are let be.
+    one without `distortion_model` is plumb_bob, of which k3 may be left out and zeros may follow,
+    and keys that belong to other tools are let be.
     Raises DescriptionError naming file, key, what was found and what is expected.
     """
     return _camera_info_of(read_yaml(Path(path)))
@@ -400,8 +403,8 @@ def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
     name = top.text("camera_name") if "camera_name" in top else "unknown"
     model = "plumb_bob"
     if "distortion_model" in top:
-        model = top.choice("distortion_model", tuple(DISTORTION_LENGTH))
-    elif "camera_model" in top and top.text("camera_model") in DISTORTION_LENGTH:
+        model = top.choice("distortion_model", tuple(DISTORTION_LENGTHS))
+    elif "camera_model" in top and top.text("camera_model") in DISTORTION_LENGTHS:
         # As camera_calibration of Melodic wrote it; another tool's may be the projection.
         model = top.text("camera_model")
     info = ViewCameraInfo(
@@ -428,11 +431,16 @@ def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
 
 
 def _read_distortion(top: YamlSection, model: str) -> NDArray[np.float64]:
-    section, most = top.section("distortion_coefficients"), DISTORTION_LENGTH[model]
+    section, lengths = top.section("distortion_coefficients"), DISTORTION_LENGTHS[model]
     section.integer("rows", 1, 1)
-    # Kalibr and others have no k3, the last of plumb_bob.
-    count = section.integer("cols", 4 if model == "plumb_bob" else most, most)
-    return np.pad(section.numbers("data", count), (0, most - count))
+    # Kalibr and others have no k3, the last of plumb_bob; Orbbec's drivers have k4 to k6, too.
+    count = section.integer("cols", *DISTORTION_COLS[model])
+    values = np.array(section.numbers("data", count))
+    length = next((length for length in lengths if length >= count), lengths[-1])
+    if values[length:].any():
+        expected = f"0 after the {length} coefficients of {model}"
+        raise section.error("data", values.tolist(), expected)
+    return np.pad(values[:length], (0, max(length - count, 0)))
 
 
 def _read_matrix(top: YamlSection, key: str, rows: int, cols: int) -> NDArray[np.float64]:

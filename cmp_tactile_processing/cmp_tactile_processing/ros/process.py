@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 import sys
@@ -26,7 +27,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from cmp_tactile_processing.cache.files import folder_without_home
+from cmp_tactile_processing.cache.files import expanded_path, folder_without_home
 from cmp_tactile_processing.errors import CmpTactileError, printable
 from cmp_tactile_processing.processes import Interruption
 
@@ -46,11 +47,8 @@ def joining_ros() -> Iterator[None]:
 
     What rcl says has several lines, and places in its source.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID", "")
-    # rcl takes -1 for 0 and 5.5 for 5; Fast DDS ends the process above the highest.
-    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
-        msg = f"ROS_DOMAIN_ID: found {domain}, expected a whole number from 0 to {HIGHEST_DOMAIN}"
-        raise JoinError(msg)
+    _check_domain()
+    _check_keystore()
     _provide_log_folder()
     try:
         with warnings.catch_warnings():
@@ -63,13 +61,34 @@ def joining_ros() -> Iterator[None]:
         raise JoinError(msg) from None
 
 
+def _check_domain() -> None:
+    """Raise JoinError: rcl takes -1 for 0 and 5.5 for 5; Fast DDS ends the process above 232."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
+        msg = f"ROS_DOMAIN_ID: found {domain}, expected a whole number from 0 to {HIGHEST_DOMAIN}"
+        raise JoinError(msg)
+
+
+def _check_keystore() -> None:
+    """Raise JoinError where security is enforced without a keystore: rcl says "error not set"."""
+    enforced = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    is_enforced = all(os.environ.get(name) == value for name, value in enforced.items())
+    if is_enforced and not os.environ.get("ROS_SECURITY_KEYSTORE"):
+        reason = " and ".join(f"{name}={value}" for name, value in enforced.items())
+        msg = f"ROS_SECURITY_KEYSTORE: found nothing, expected a keystore because of {reason}"
+        raise JoinError(msg)
+
+
 def _provide_log_folder() -> None:
     """Log among temporary files where ~/.ros/log cannot be written; ROS itself would not start.
 
     As without HOME (a systemd service), or with HOME=/ (`docker run --user 2000`).
+    Raises JoinError for a folder that the user has set.
     """
-    if os.environ.get("ROS_LOG_DIR") or os.environ.get("ROS_HOME"):
-        return
+    for variable in ("ROS_LOG_DIR", "ROS_HOME"):
+        if given := os.environ.get(variable):
+            _check_log_folder(variable, given)
+            return
     if home := os.environ.get("HOME"):
         folder = Path(home, ".ros", "log")
         with suppress(OSError):
@@ -77,6 +96,25 @@ def _provide_log_folder() -> None:
         if os.access(folder, os.W_OK):
             return
     os.environ["ROS_LOG_DIR"] = str(folder_without_home() / "log")
+
+
+def _check_log_folder(variable: str, given: str) -> None:
+    """Raise JoinError where ROS, which reports a number of an error, could not log there."""
+    folder = expanded_path(given)
+    if variable == "ROS_HOME":
+        folder /= "log"
+    reason = ""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+    if not reason and not os.access(folder, os.W_OK | os.X_OK):
+        reason = os.strerror(errno.EACCES)
+    if reason:
+        msg = (
+            f"{variable}: found {given} ({reason}), expected a folder for logs that can be written"
+        )
+        raise JoinError(msg)
 
 
 def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import yaml
 from rcl_interfaces.msg import Parameter, ParameterType
-from rcl_interfaces.srv import GetParameterTypes, ListParameters, SetParameters
+from rcl_interfaces.srv import GetParameterTypes, ListParameters, SetParametersAtomically
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import get_parameter_value
 
@@ -184,7 +184,7 @@ def _set_field(request: Any, field: str, text: str) -> None:
 
 
 def _set_parameters(node: Node, owner: str, values: Mapping[str, str]) -> Any:
-    """The result for the first that was refused, or for the last."""
+    """The result; none is set where one is refused."""
     asked = ListParameters.Request()
     listed = answer_of(node, ListParameters, f"{owner}/list_parameters", asked, service_s=SEARCH_S)
     known = sorted(name for name in listed.result.names if not name.startswith(LEFT_OUT))
@@ -198,10 +198,9 @@ def _set_parameters(node: Node, owner: str, values: Mapping[str, str]) -> Any:
         Parameter(name=name, value=_parameter_value(text, kind))
         for (name, text), kind in zip(values.items(), kinds, strict=True)
     ]
-    results = answer_of(
-        node, SetParameters, owner + SET_PARAMETERS, SetParameters.Request(parameters=given)
-    ).results
-    return next((item for item in results if not item.successful), results[-1])
+    change = SetParametersAtomically.Request(parameters=given)
+    service = f"{owner}/set_parameters_atomically"
+    return answer_of(node, SetParametersAtomically, service, change).result
 
 
 def _parameter_value(text: str, kind: int) -> Any:

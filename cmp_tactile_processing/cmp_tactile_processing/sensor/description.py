@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cmp_tactile_processing.cache.files import write_whole
+from cmp_tactile_processing.cache.files import expanded_path, write_whole
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor import parameters, parts
 from cmp_tactile_processing.sensor.yaml_section import (
@@ -142,7 +142,7 @@ def read_sensor_description(path: Path) -> SensorDescription:
 
 def sensor_description_of(top: YamlSection) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
-    top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
+    top.check_version(FORMAT_VERSION, "a sensor description")
     optics = _read_optics(top.section("optics"))
     image, camera, views = parts.NO_IMAGE, None, dict[str, parts.ViewDescription]()
     if optics.type != parts.NO_OPTICS:
@@ -403,7 +403,7 @@ def find_sensor_description(name_or_path: str) -> Path:
     packaged = packaged_sensors()
     if name_or_path in packaged:
         return packaged[name_or_path]
-    path = Path(name_or_path).expanduser()
+    path = expanded_path(name_or_path)
     if path.is_file():
         return path
     msg = f"{name_or_path}: found no such file, expected a path or one of {', '.join(packaged)}"

@@ -89,8 +89,8 @@ class Camera:
     """
 
     model: str = field(metadata=choice(*DISTORTION_LENGTH))
-    fx: float = field(metadata=positive(MAX_FOCAL_PX))
-    fy: float = field(metadata=positive(MAX_FOCAL_PX))
+    fx: float = field(metadata=positive(MAX_FOCAL_PX, "px"))
+    fy: float = field(metadata=positive(MAX_FOCAL_PX, "px"))
     cx: float = field(metadata=number(*MIDDLE_PX))
     cy: float = field(metadata=number(*MIDDLE_PX))
     distortion: tuple[float, ...] = field(metadata=read_by(_read_distortion))
@@ -359,7 +359,7 @@ class GelRelaxation:
     """
 
     share: float = field(metadata=number(0.0, 0.99))
-    time: float = field(metadata=positive(MAX_RELAXATION_S))
+    time: float = field(metadata=positive(MAX_RELAXATION_S, "s"))
 
 
 def _read_date(section: YamlSection, key: str) -> str:

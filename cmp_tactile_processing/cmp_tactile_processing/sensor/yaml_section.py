@@ -10,7 +10,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cmp_tactile_processing.errors import DescriptionError, ParameterError, found_text, printable
+from cmp_tactile_processing.errors import (
+    DescriptionError,
+    ParameterError,
+    found_text,
+    printable,
+    shortened,
+)
 from cmp_tactile_processing.sensor.yaml_text import Comment, yaml_comments, yaml_content
 
 MAX_FILE_BYTES = 1_000_000
@@ -123,6 +129,14 @@ class YamlSection:
                 expected = f"no such key; allowed: {', '.join(allowed)}{did_you_mean(key, allowed)}"
                 raise self.error(key, self._content[key], expected)
 
+    def check_version(self, version: int, kind: str) -> None:
+        """Raise DescriptionError for a file of another kind, or of another version of this one."""
+        if "version" not in self._content:
+            keys = shortened(", ".join(map(str, self._content)) or "nothing")
+            msg = f"{self._path}: found {keys}, expected {kind} with version: {version}"
+            raise DescriptionError(printable(msg))
+        self.integer("version", version, version)
+
     def raw(self, key: str, expected: str = "a value") -> Any:
         """The value as YAML gave it."""
         self._read.add(key)
@@ -200,9 +214,10 @@ class YamlSection:
                 raise self.error(f"{key}[{number}]", self._content[key][number], expected + hint)
         return values
 
-    def positive(self, key: str, high: float = math.inf) -> float:
+    def positive(self, key: str, high: float = math.inf, unit: str = "") -> float:
         """A finite number, 0 < number <= high."""
-        expected = "a number above 0" + ("" if math.isinf(high) else f", at most {high:g}")
+        limit = "" if math.isinf(high) else f", at most {high:g} {unit}".rstrip()
+        expected = f"a number above 0{limit}"
         value = self.raw(key, expected)
         if not _is_number(value) or not 0 < value <= high:
             raise self.error(key, value, expected)
@@ -210,7 +225,7 @@ class YamlSection:
 
     def integer(self, key: str, low: int, high: int) -> int:
         """A whole number, low <= number <= high."""
-        expected = "a whole number" + _range_text(low, high)
+        expected = str(low) if low == high else "a whole number" + _range_text(low, high)
         value = self.raw(key, expected)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self.error(key, value, expected)
@@ -313,9 +328,9 @@ def number(low: float = -math.inf, high: float = math.inf, unit: str = "", **mor
     return read_by(lambda section, key: section.number(key, low, high), **more)
 
 
-def positive(high: float = math.inf, **more: Any) -> Metadata:
+def positive(high: float = math.inf, unit: str = "", **more: Any) -> Metadata:
     """A finite number, 0 < number <= high."""
-    return read_by(lambda section, key: section.positive(key, high), **more)
+    return read_by(lambda section, key: section.positive(key, high, unit), **more)
 
 
 def quantities(count: int, limits: tuple[float, float], unit: str, **more: Any) -> Metadata:

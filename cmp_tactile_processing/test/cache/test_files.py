@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from command_output import output_of
@@ -14,10 +15,13 @@ from command_output import output_of
 from cmp_tactile_processing.cache.files import (
     atomic_path,
     default_cache_dir,
+    expanded_path,
     folder_without_home,
     locked,
     own_contents,
+    split_paths,
 )
+from cmp_tactile_processing.errors import DescriptionError
 
 
 def test_a_file_is_replaced_whole_and_keeps_its_permissions(tmp_path):
@@ -129,6 +133,27 @@ def test_a_user_without_a_home_has_a_cache_folder_too(monkeypatch, tmp_path):
         assert not folder.parent.is_symlink()
         assert folder.parent.stat().st_mode & 0o777 == 0o700
     folder_without_home.cache_clear()
+
+
+def test_a_tilde_stands_for_a_home_folder_that_is_there(monkeypatch, tmp_path):
+    """Report of the kind: Aider-AI/aider 4078; tried: RuntimeError of a file `~$x.mcap`."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert expanded_path("~/bag") == tmp_path / "bag"
+    assert expanded_path("a/~b") == Path("a/~b")
+    assert expanded_path("~$x.mcap") == Path("~$x.mcap")
+    monkeypatch.delenv("HOME")
+    monkeypatch.setattr("os.getuid", lambda: 543210)
+    with pytest.raises(DescriptionError, match="~/bag: found no home folder"):
+        expanded_path("~/bag")
+
+
+def test_a_colon_separates_paths_or_belongs_to_one_that_is_there(monkeypatch, tmp_path):
+    """Reports: EricBerendsen/dvbinspector 58, gitbutlerapp/gitbutler 9204; tried: refused."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("run 10:30:00", "bag"):
+        Path(name).touch()
+    for paths in (["run 10:30:00"], ["bag", "run 10:30:00", "grasp", "bag"], ["none", "bag"], []):
+        assert split_paths(":".join(paths)) == [Path(path) for path in paths]
 
 
 def test_importing_writes_nothing(tmp_path):

@@ -127,11 +127,25 @@ def test_a_callback_that_raises_does_not_end_the_others():
         assert answer.done()
 
 
-@pytest.mark.parametrize("domain", ["abc", "-1", "5.5", "9999"])
-def test_why_ros_cannot_be_joined_is_one_line(monkeypatch, domain):
-    """Reports: ros2/rmw_fastrtps 261, ros2/rmw_cyclonedds 61, eProsima/Fast-DDS 6472."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
-    with pytest.raises(JoinError, match="ROS_DOMAIN_ID") as raised:
+SECURITY = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+
+
+@pytest.mark.parametrize(
+    ("variable", "value", "others"),
+    [
+        *(("ROS_DOMAIN_ID", domain, {}) for domain in ("abc", "-1", "5.5", "9999")),
+        ("ROS_LOG_DIR", "/dev/null", {}),
+        ("ROS_HOME", "/dev/null", {"ROS_LOG_DIR": ""}),
+        ("ROS_SECURITY_KEYSTORE", "", SECURITY),
+    ],
+)
+def test_why_ros_cannot_be_joined_is_one_line(monkeypatch, variable, value, others):
+    """Reports: ros2/rmw_fastrtps 261, ros2/rmw_cyclonedds 61, eProsima/Fast-DDS 6472 (domains);
+    osrf/car_demo 59, ros/ros_comm 1063 (log folder); ros2/sros2 116 (no keystore).
+    """
+    for name, text in {variable: value, **others}.items():
+        monkeypatch.setenv(name, text)
+    with pytest.raises(JoinError, match=f"^{variable}: found .*{value}.*, expected") as raised:
         Listener("somebody").__enter__()
     assert "\n" not in str(raised.value)
 

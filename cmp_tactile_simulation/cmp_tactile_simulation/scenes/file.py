@@ -12,7 +12,7 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from cmp_tactile_processing.cache.files import atomic_path
+from cmp_tactile_processing.cache.files import atomic_path, expanded_path
 from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
@@ -71,7 +71,7 @@ def read_scene(path: Path, variant: str = "") -> description.Scene:
 
 
 def _read(top: YamlSection, path: Path) -> description.Scene:
-    top.integer("version", FORMAT_VERSION, FORMAT_VERSION)
+    top.check_version(FORMAT_VERSION, "a scene")
     values = field_values(top, description.Scene)
     values.setdefault("title", values["name"])
     sensor, mapping = _read_sensor(top, path)
@@ -227,7 +227,7 @@ def _read_frames(section: YamlSection, rate: float) -> int:
         raise section.error("", both, "either `frames` or `duration`")
     if "frames" in section:
         return section.integer("frames", 1, MAX_FRAMES)
-    frames = round(section.positive("duration", MAX_PHASE_S) * rate)
+    frames = round(section.positive("duration", MAX_PHASE_S, "s") * rate)
     if not 0 < frames <= MAX_FRAMES:
         expected = f"1 to {MAX_FRAMES} frames at {rate:g} Hz"
         raise section.error("duration", f"{frames} frames", expected)
@@ -362,13 +362,13 @@ class SceneName(NamedTuple):
         packaged = packaged_scenes()
         if text in packaged:
             return cls(packaged[text])
-        whole = Path(text).expanduser()
+        whole = expanded_path(text)
         if whole.is_file():
             return cls(whole)
         base, _, variant = text.rpartition(VARIANT_MARK)
         if base in packaged:
             return cls(packaged[base], variant)
-        path = Path(base).expanduser()
+        path = expanded_path(base)
         if base and path.is_file():
             return cls(path, variant)
         msg = f"{text}: found no such scene, expected a file or one of {', '.join(packaged)}"

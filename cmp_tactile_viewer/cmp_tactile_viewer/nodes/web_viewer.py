@@ -12,6 +12,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.cache.files import split_paths
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.parameters import declare_parameters
@@ -110,7 +111,7 @@ class WebViewer(ReportingNode):
 def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningSensor]:
     """The sensors that the parameters name; ParameterError where their numbers differ."""
     spaces = given.sensors.split() or [namespace.rstrip("/")]
-    files = [item for item in given.sensor_descriptions.split(os.pathsep) if item]
+    files = [str(path) for path in split_paths(given.sensor_descriptions)]
     names = given.sensor_names.split() or [""] * len(spaces)
     mounts = [_pose(item) for item in given.mounts.split(",") if item.strip()]
     mounts = mounts or [(0.0,) * 6] * len(spaces)

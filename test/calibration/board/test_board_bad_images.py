@@ -81,6 +81,10 @@ def test_a_board_of_another_size(frames, described, said):
     text = said(outcome, ERROR)
     assert "chessboard of 7 x 4 inner corners, expected 6 x 3." in text
     assert "use 7x4" in text
+    assert "the whole board" not in text
+    # Reports: opencv/opencv 15712, dkogan/mrcal 32; tried: a part of a board was a wrong count.
+    outcome = calibrate_mirror_rig(frames[:3], BoardTarget("chessboard", 9, 4, 1.6e-3), described)
+    assert "must show the whole board" in said(outcome, ERROR)
 
 
 def test_no_board_at_all(frames, charuco, chessboard, described, said):

@@ -16,6 +16,7 @@ from cmp_tactile_bringup.commands.calibrate.sources import (
     Output,
 )
 from cmp_tactile_bringup.commands.options import Command, Number, Pair, argument, misuse, option
+from cmp_tactile_processing.cache.files import expanded_path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -348,7 +349,7 @@ class Check(FrameInput):
                 accepted=False,
             )
         if self.report is not None:
-            _write_figures(report, frames.images[0], errors, self.report.expanduser())
+            _write_figures(report, frames.images[0], errors, expanded_path(self.report))
         return int(not report.accepted or (errors is not None and not errors.kept))
 
 
@@ -426,7 +427,7 @@ class Practice(Command):
 
         seed = secrets.randbelow(MAX_SEED) if self.seed is None else self.seed
         practice = PracticeSet(load_sensor(self.sensor), seed, self.images)
-        folder = self.output.expanduser()
+        folder = expanded_path(self.output)
         with shown_stages() as on_stage:
             make_practice_set(practice, folder, on_stage, overwrite=self.overwrite)
         target = practice.target

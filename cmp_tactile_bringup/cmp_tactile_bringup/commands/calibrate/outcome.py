@@ -14,6 +14,7 @@ from rich.table import Table
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.report.calibration import HEADINGS, estimate_rows, write_calibration_report
 from cmp_tactile_bringup.terminal import cell, output_console, print_line, titled_table
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
 from cmp_tactile_processing.calibration.outcome import (
@@ -55,7 +56,7 @@ class CalibrationFiles:
 
         Raises OutputError for a name that does not end in .yaml.
         """
-        output = output.expanduser()
+        output = expanded_path(output)
         if output.suffix not in SUFFIXES:
             msg = f"{output}: found the suffix {output.suffix!r}, expected .yaml"
             raise OutputError(msg)
@@ -65,7 +66,7 @@ class CalibrationFiles:
     @classmethod
     def of_cameras(cls, folder: Path, views: tuple[str, ...]) -> CalibrationFiles:
         """left.yaml, right.yaml and the folder calibration in `folder`; OutputError for a file."""
-        folder = folder.expanduser()
+        folder = expanded_path(folder)
         if folder.exists() and not folder.is_dir():
             msg = f"{folder}: found a file, expected a folder for the files of two cameras"
             raise OutputError(msg)

@@ -173,6 +173,9 @@ def _of_missing(images: BoardImages) -> list[Finding]:
         advice = (
             f"Count the inner corners, not the squares. If the board is right, use {cols}x{rows}."
         )
+        expected = sorted((images.target.cols, images.target.rows))
+        if all(found <= whole for found, whole in zip(sorted((cols, rows)), expected, strict=True)):
+            advice = f"The image must show the whole board, with a white margin. {advice}"
         return [Finding(Severity.ERROR, text, advice)]
     for view, sightings in images.sightings.items():
         missing = [number + 1 for number, item in enumerate(sightings) if item is None]
