@@ -27,7 +27,7 @@ from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from tables import keep
+from tables import add_json_option, keep
 from tracking.detectors import Ours, Peer, children_time, peers
 
 from cmp_tactile_processing.force.stage import ForceStage
@@ -255,9 +255,7 @@ def main() -> None:
     parser.add_argument(
         "--compile", action="store_true", help="also measure the time to compile all kernels"
     )
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures into this file"
-    )
+    add_json_option(parser)
     arguments = parser.parse_args()
     console, inputs = Console(), chosen(arguments)
     for given in inputs:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -60,6 +61,13 @@ class LimitRun:
 def missed(limits: Iterable[Limit]) -> int:
     """How many are not met."""
     return sum(limit.met is False for limit in limits)
+
+
+def add_json_option(parser: argparse.ArgumentParser) -> None:
+    """The option --json."""
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures into this file"
+    )
 
 
 def keep(path: Path, figures: Mapping[str, Any]) -> None:

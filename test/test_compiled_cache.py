@@ -16,7 +16,12 @@ from cmp_tactile_processing.cache.compiled import (
 )
 
 # Says "compiled" where the function has to be compiled for a value of this type.
-KERNEL = "from numba import njit\n\none = njit(cache=True)(lambda x: x + 1)\n"
+KERNEL = """
+from numba import njit
+
+two = njit(cache=True)(lambda x: x + 1)
+one = njit(cache=True)(lambda x: two(x))
+"""
 CALL = """
 import sys
 import cmp_tactile_processing
@@ -128,20 +133,3 @@ def test_what_was_compiled_from_other_sources_is_removed_before(tmp_path, monkey
     with installing(tmp_path):
         pass
     assert not (tmp_path / INSTALLED / DIGEST_FILE).exists()
-
-
-def test_compiling_is_reported_once_and_only_where_something_is_compiled(tmp_path):
-    (tmp_path / "kernels.py").write_text(
-        "from numba import njit\n"
-        "one = njit('f8(f8)', cache=True)(lambda x: x + 1)\n"
-        "two = njit('f8(f8)', cache=True)(lambda x: x + 2)\n"
-    )
-    code = (
-        "from cmp_tactile_processing.cache.compiled import when_compiling\n"
-        "with when_compiling(lambda: print('compiling')):\n"
-        "    import kernels\n"
-    )
-    path = os.pathsep.join([str(tmp_path), *sys.path])
-    cache = str(tmp_path / "cache")
-    printed = [output_of("-c", code, NUMBA_CACHE_DIR=cache, PYTHONPATH=path) for _ in range(2)]
-    assert printed == ["compiling\n", ""]

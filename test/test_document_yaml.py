@@ -9,8 +9,6 @@ manankharwar/fusioncore 134 (a key that fits no node is ignored in silence): eve
 and every parameter is one that docs/nodes.md lists.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable, Iterator

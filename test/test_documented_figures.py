@@ -7,8 +7,6 @@ AkashGoenka/coldstart 109 (pasted output goes stale, nothing tests it): the firs
 and forces, too, in test_examples.py.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

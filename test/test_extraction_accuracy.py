@@ -16,11 +16,7 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from hard_frames.covers import Cover
 from hard_frames.deformation import deformation_of
-from hard_frames.grid_score import (
-    displacement_errors,
-    join_scores,
-    score_grid,
-)
+from hard_frames.grid_score import displacement_errors, join_scores, score_grid
 from hard_frames.library import cases_of, flawed_pairs
 from hard_frames.studio import PatternCase, PatternStudio, bent, pattern_rig
 

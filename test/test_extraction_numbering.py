@@ -12,7 +12,7 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 from hard_frames.deformation import deformation_of, jump
 from hard_frames.grid_score import score_grid
 from hard_frames.library import bad_views, cases_of, sequence_of
-from hard_frames.studio import PatternCase, PatternStudio
+from hard_frames.studio import PatternCase, PatternStudio, disc, streak
 
 # Whole checkers along x and y: the shifted lattice looks like the one before.
 SHIFTS = [(1, 0), (-2, 0), (0, 2), (0, -1), (1, 1), (-1, 1), (2, -2), (-2, -2)]
@@ -65,10 +65,7 @@ def views_of(frame):
 def scores(trackers, frame):
     return [
         score_grid(
-            trackers[view].track(image),
-            frame.truth[view],
-            frame.visible[view],
-            frame.far[view],
+            trackers[view].track(image), frame.truth[view], frame.visible[view], frame.far[view]
         )
         for view, image in views_of(frame)
     ]
@@ -125,38 +122,20 @@ def test_bad_images_between_good_ones_are_named_and_forgotten(trackers, rest):
         assert np.isfinite(trackers[view].track(good).corners).all()
 
 
-def disc(radius):
-    """The image of a point that far out of focus, px."""
-    reach = int(radius) + 2
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    kernel = (radius + 0.5 - np.hypot(x, y)).clip(0, 1)
-    return kernel / kernel.sum()
-
-
-def streak(length, angle):
-    """The image of a point that moves so far during the exposure, px and rad."""
-    reach = int(length / 2) + 2
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    along = (length / 2 + 0.5 - abs(x * np.cos(angle) + y * np.sin(angle))).clip(0, 1)
-    kernel = along * (1 - abs(y * np.cos(angle) - x * np.sin(angle))).clip(0, 1)
-    return kernel / kernel.sum()
+def blurred(image, kernel):
+    return cv2.filter2D(image, -1, kernel / kernel.sum())
 
 
 # The checkers' transfer function is negative for a disc of 0.86 to 1.6 sides, and for a streak of
 # 2 to 4 sides along a gridline; sides are 13 to 22 px.
 @pytest.mark.parametrize("detector", ["saddle_lattice", "contour_stitching"])
 @pytest.mark.parametrize(
-    ("kind", "kernel"),
-    [
-        ("twist", disc(20.6)),
-        ("slide", disc(19.9)),
-        ("rest", streak(47.0, 2.87)),
-    ],
+    ("kind", "kernel"), [("twist", disc(20.6)), ("slide", disc(19.9)), ("rest", streak(47.0, 2.87))]
 )
 def test_blur_that_exchanges_light_and_dark_is_named(sensor, deformed, detector, kind, kernel):
     rig = replace(sensor, tracking=replace(sensor.tracking, detector=detector))
     for view, image in views_of(deformed[kind]):
-        grid = GridTracker(rig, view).track(cv2.filter2D(image, -1, kernel))
+        grid = GridTracker(rig, view).track(blurred(image, kernel))
         assert not grid.corner_status.any()
         assert grid.fault in {GridFault.NO_CONTRAST, GridFault.NO_PATTERN, GridFault.AMBIGUOUS}
 
@@ -167,7 +146,7 @@ def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(trackers, d
     _, image = views_of(frame)[0]
     truth, visible = frame.truth["left"], frame.visible["left"]
     for radius in 24.0 - np.abs(np.linspace(-24.0, 24.0, 17)):
-        grid = trackers["left"].track(cv2.filter2D(image, -1, disc(radius)))
+        grid = trackers["left"].track(blurred(image, disc(radius)))
         assert score_grid(grid, truth, visible, visible).wrong == 0
     assert score_grid(grid, truth, visible, visible).complete == 1
 

@@ -1,7 +1,5 @@
 """Faults through the whole chain, from frame to wrench: one container, and somebody outside."""
 
-from __future__ import annotations
-
 import itertools
 import pickle
 from collections import Counter
@@ -177,9 +175,7 @@ def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
 
 
 @pytest.mark.parametrize(
-    "names",
-    [("view_splitter",), ("stereo_triangulator", "right_tracker")],
-    ids=" and ".join,
+    "names", [("view_splitter",), ("stereo_triangulator", "right_tracker")], ids=" and ".join
 )
 def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):
     grids, surfaces = (

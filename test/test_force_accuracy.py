@@ -4,8 +4,6 @@ The truth is written by `benchmarks/force/test_data.py`; `benchmarks/force/force
 same for more contacts, loads and noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

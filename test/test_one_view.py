@@ -1,7 +1,5 @@
 """Sensors with one view, and with two cameras, from frame to force, as a library and as a graph."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +10,7 @@ import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.description import (
-    load_sensor,
-    write_sensor_description,
-)
+from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_processing.sensor.parts import (
     Camera,
     ImageSize,
@@ -151,9 +146,7 @@ def _sheet(rig):
 
 
 @pytest.mark.parametrize(
-    "rig",
-    [one_view_rig(PatternSurface()), two_camera_rig()],
-    ids=["one view", "two cameras"],
+    "rig", [one_view_rig(PatternSurface()), two_camera_rig()], ids=["one view", "two cameras"]
 )
 def test_a_coded_sheet_beyond_the_view_is_measured_after_a_slide_by_checkers(rig, measured):
     """In a first frame: nothing but the dots shows that the gel has moved."""

@@ -1,7 +1,5 @@
 """docs/other_sensors.md: its files, commands and example with the markers of other trackers."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

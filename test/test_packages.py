@@ -56,7 +56,7 @@ WITHOUT_ROSDEP_KEY = {
 # The simulator is used through the driver and through the command of cmp_tactile_bringup.
 WITHOUT_COMMANDS = {"cmp_tactile_simulation"}
 # In test/plugins, for the tests of all packages.
-SHARED_BY_TESTS = {path.stem for path in (ROOT / "test" / "plugins").glob("*.py")}
+SHARED_BY_TESTS = {path.stem for path in (ROOT / "test" / "plugins").iterdir()}
 # Used by name, in launch files and by those who open the RViz configuration.
 NEEDED_WITHOUT_IMPORT = {"ros2launch", "rviz2"}
 

@@ -1,17 +1,9 @@
 """Real pictures of a print that goes on beyond them, without truth but what a person sees."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
-from tracking.photographs import (
-    FOLDER,
-    SIDES_PX,
-    detect,
-    sheet,
-    track,
-)
+from tracking.photographs import FOLDER, SIDES_PX, detect, sheet, track
 
 from cmp_tactile_processing.measured import GridFault, NumberingKind
 from cmp_tactile_processing.tracking.tracker import GridTracker

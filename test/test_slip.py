@@ -1,7 +1,5 @@
 """Slip and friction against simulated contacts with Coulomb friction, from marker displacements."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 

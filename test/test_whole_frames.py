@@ -8,8 +8,6 @@ opencv/opencv 15712 (wrong corners on a slanted board): the rigs here look from 
 by mirrors: every corner within 1 px.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -197,3 +197,19 @@ def _printed(pattern: Pattern, defects: PrintDefects, seed: int) -> NDArray[np.b
     beside = pattern.corners()[:, :, None, :2] + off
     printed = Checkerboard(pattern, blobs, seed).grey(beside)
     return np.asarray((printed == Checkerboard(pattern).grey(beside)).sum(axis=-1) >= 3)
+
+
+def disc(radius: float) -> NDArray[np.float64]:
+    """The image of a point out of focus, (n, n): a disc with a soft rim of one pixel."""
+    reach = int(np.ceil(radius)) + 1
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return np.asarray((radius + 0.5 - np.hypot(x, y)).clip(0.0, 1.0))
+
+
+def streak(length: float, angle: float) -> NDArray[np.float64]:
+    """The image of a point that moves by so many px in that direction, rad; (n, n)."""
+    reach = int(np.ceil(length / 2)) + 1
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    along = np.abs(x * np.cos(angle) + y * np.sin(angle))
+    across = np.abs(y * np.cos(angle) - x * np.sin(angle))
+    return np.asarray((length / 2 + 0.5 - along).clip(0, 1) * (1.0 - across).clip(0, 1))

@@ -203,22 +203,16 @@ class DotTracker:
 class GridOrderTracker(DotTracker):
     """Numbers by the grid that the dots form, each frame by itself."""
 
-    def _numbered(
-        self,
-        points: NDArray[np.float64],
-        image: DotImage,  # noqa: ARG002
-    ) -> NDArray[np.intp]:
+    def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
+        del image
         return self._order.number(points)
 
 
 class NearestTracker(DotTracker):
     """Each dot is the marker with the nearest place in the last frame."""
 
-    def _numbered(
-        self,
-        points: NDArray[np.float64],
-        image: DotImage,  # noqa: ARG002
-    ) -> NDArray[np.intp]:
+    def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
+        del image
         last = self._start() if self._last is None else self._last
         index = self._matched(points, last.reshape(-1, 2), self._order.side.ravel())
         return index.reshape(last.shape[:2])

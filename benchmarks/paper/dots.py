@@ -202,9 +202,7 @@ def centroids(
 
 @njit(cache=True, nogil=True)
 def _edges(
-    darkness: NDArray[np.float32],
-    centre: NDArray[np.float64],
-    rays: NDArray[np.float64],
+    darkness: NDArray[np.float32], centre: NDArray[np.float64], rays: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """How far along each ray (N, K, 2) px the darkness first falls to EDGE; NaN if nowhere."""
     height, width = darkness.shape

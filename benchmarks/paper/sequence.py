@@ -39,10 +39,7 @@ class PrintedGel:
     """
 
     def __init__(
-        self,
-        sensor: SensorDescription,
-        pattern_type: str,
-        dot_diameter: float = DOT_DIAMETER,
+        self, sensor: SensorDescription, pattern_type: str, dot_diameter: float = DOT_DIAMETER
     ) -> None:
         self.sensor = sensor
         ink = (

@@ -37,7 +37,7 @@ from sensor_msgs.msg import CameraInfo
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from inputs import Input, add_options, chosen
 from pipeline_speed import BOTH, PEER, Chain, Times, take_peer
-from tables import keep
+from tables import add_json_option, keep
 from tracking.detectors import peers
 
 from cmp_tactile_driver.bags.writer import BagWriter
@@ -329,9 +329,7 @@ def main() -> None:
     parser.add_argument(
         "--frames", type=int, default=600, help="frames of each sensor (default: %(default)d)"
     )
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures into this file"
-    )
+    add_json_option(parser)
     parser.add_argument(
         "--only", nargs="+", choices=cases(1), metavar="KEY", help="run only these cases"
     )

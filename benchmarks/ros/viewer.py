@@ -52,6 +52,7 @@ from real_time import (
 )
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
+from tables import add_json_option
 
 from cmp_tactile_bringup.report.results import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
@@ -399,9 +400,7 @@ def main() -> None:
         default=5.0,
         help="length of the case `long` (default: %(default)g)",
     )
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures into this file"
-    )
+    add_json_option(parser)
     parser.add_argument("--only", nargs="+", metavar="KEY", help="run only these cases")
     parser.add_argument("--reader", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -19,10 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_processing.calibration.board.calibrate import (
-    calibrate_cameras,
-    fit_cameras,
-)
+from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras, fit_cameras
 from cmp_tactile_processing.calibration.board.start import Corners
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
 

@@ -15,21 +15,19 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from time import thread_time
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import cv2
 import numpy as np
+from detectors import Detection, Ours
 from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
 from tables import head, line
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_processing.tracking.tracker import GridTracker
 from hard_frames.covers import COVERS, Cover, far_from_edge
 from hard_frames.deformation import Deformation, Zone, deformation_of
 from hard_frames.grid_score import WRONG_SHARE
@@ -61,19 +59,18 @@ class Count:
     found_far: int = 0
     seconds: list[float] = field(default_factory=list)
 
-    def add(
-        self, grid: Grid, truth: NDArray[np.float64], far: NDArray[np.bool_], seconds: float
-    ) -> None:
+    def add(self, found: Detection, truth: NDArray[np.float64], far: NDArray[np.bool_]) -> None:
         """Take a view's grid; truth (rows, cols, 2) px, NaN where a corner is not known."""
-        error = np.linalg.norm(grid.corners - truth, axis=-1)
+        corners = found.grid.corners
+        error = np.linalg.norm(corners - truth, axis=-1)
         side = float(np.nanmedian(np.linalg.norm(np.diff(truth, axis=1), axis=-1)))
         right = error < WRONG_SHARE * side
         self.views += 1
-        self.numbered += bool(np.isfinite(grid.corners).any())
+        self.numbered += bool(np.isfinite(corners).any())
         self.wrong += int(np.count_nonzero(np.isfinite(error) & ~right))
         self.far += int(np.count_nonzero(far))
         self.found_far += int(np.count_nonzero(far & right))
-        self.seconds.append(seconds)
+        self.seconds.append(found.seconds)
 
     def row(self, name: str) -> str:
         """A line of the table."""
@@ -94,45 +91,31 @@ def part_of(sensor: SensorDescription, rows: int, cols: int) -> SensorDescriptio
     return replace(sensor, pattern=pattern)
 
 
-class Views:
-    """The views of a sensor, each with a tracker."""
-
-    def __init__(self, sensor: SensorDescription) -> None:
-        self.sensor = sensor
-        self._placements = {name: view.placement for name, view in build_views(sensor).items()}
-        self._trackers = {name: GridTracker(sensor, name) for name in self._placements}
-
-    def reset(self) -> None:
-        """Forget earlier frames."""
-        for tracker in self._trackers.values():
-            tracker.reset()
-
-    def track(self, image: NDArray[np.uint8]) -> Iterator[tuple[str, Grid, float]]:
-        """Name, grid and processor time in s of each view of the next frame."""
-        for name, tracker in self._trackers.items():
-            view = split_frame(image, self._placements[name])
-            began = thread_time()
-            grid = tracker.track(view)
-            yield name, grid, thread_time() - began
+def track(
+    tracker: Ours, sensor: SensorDescription, image: NDArray[np.uint8]
+) -> Iterator[tuple[str, Detection]]:
+    """Name of each view, and what is found in it of the next frame."""
+    for name, view in build_views(sensor).items():
+        yield name, tracker.track(sensor, name, split_frame(image, view.placement))
 
 
 def recorded(given: Input) -> Iterator[tuple[str, Count]]:
     """Parts of a recording's pattern, against the whole of it; what that misses is not judged."""
     images = [image for image, _ in given.frames()]
-    whole = Views(given.sensor)
-    truth = [{name: grid for name, grid, _ in whole.track(image)} for image in images]
-    rows, cols = given.sensor.pattern.rows, given.sensor.pattern.cols
+    tracker, sensor = Ours("cmp_tactile", cold=False), given.sensor
+    truth = [dict(track(tracker, sensor, image)) for image in images]
+    rows, cols = sensor.pattern.rows, sensor.pattern.cols
     for share in NUMBERED:
         beside = [round((1 - share) / 2 * side) for side in (rows, cols)]
         inner = tuple(
             slice(skip, side - skip) for skip, side in zip(beside, (rows, cols), strict=True)
         )
         size = [part.stop - part.start for part in inner]
-        views, count = Views(part_of(given.sensor, *size)), Count()
+        part, count = part_of(sensor, *size), Count()
         for image, known in zip(images, truth, strict=True):
-            for name, grid, seconds in views.track(image):
-                corners = known[name].corners[inner]
-                count.add(grid, corners, np.isfinite(corners[..., 0]), seconds)
+            for name, found in track(tracker, part, image):
+                corners = known[name].grid.corners[inner]
+                count.add(found, corners, np.isfinite(corners[..., 0]))
         yield f"{given.name}, {size[0]} x {size[1]} of {rows} x {cols} numbered", count
 
 
@@ -179,20 +162,20 @@ def cases(sensor: SensorDescription) -> dict[str, list[PatternCase]]:
 
 def rendered(studio: PatternStudio, sensor: SensorDescription) -> Iterator[tuple[str, Count]]:
     """Cases on a sheet, each after a frame at rest."""
-    views = Views(sensor)
+    tracker = Ours("cmp_tactile", cold=False)
     rest = studio.photograph(PatternCase("rest", sensor)).image
     dots = "with" if sensor.pattern.code != "none" else "without"
     for name, several in cases(sensor).items():
         count = Count()
         for case in several:
             frame = studio.photograph(case)
-            views.reset()
-            list(views.track(rest))
-            for view, grid, seconds in views.track(frame.image):
+            tracker.reset()
+            list(track(tracker, sensor, rest))
+            for view, found in track(tracker, sensor, frame.image):
                 truth = frame.truth[view]
                 size = truth.placement.height, truth.placement.width
                 far = frame.far[view] & far_from_edge(truth.corners, size)
-                count.add(grid, truth.corners, far, seconds)
+                count.add(found, truth.corners, far)
         yield f"sheet {dots} dots, {name}", count
 
 

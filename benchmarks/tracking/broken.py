@@ -22,7 +22,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Roi
 from hard_frames.covers import Cover
 from hard_frames.deformation import jump
-from hard_frames.studio import PatternCase, PatternFrame, PatternStudio
+from hard_frames.studio import PatternCase, PatternFrame, PatternStudio, disc, streak
 
 Float = NDArray[np.float64]
 
@@ -328,22 +328,6 @@ def _cover_lines(image: Image, lines: Float, roi: Roi) -> None:
 @cache
 def _studio() -> PatternStudio:
     return PatternStudio(samples=2)
-
-
-def disc(radius: float) -> Float:
-    """The image of a point out of focus, (n, n): a disc with a soft rim of one pixel."""
-    reach = int(np.ceil(radius)) + 1
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    return np.asarray((radius + 0.5 - np.hypot(x, y)).clip(0.0, 1.0))
-
-
-def streak(length: float, angle: float) -> Float:
-    """The image of a point that moves by so many px in that direction, rad; (n, n)."""
-    reach = int(np.ceil(length / 2)) + 1
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-    along = np.abs(x * np.cos(angle) + y * np.sin(angle))
-    across = np.abs(y * np.cos(angle) - x * np.sin(angle))
-    return np.asarray((length / 2 + 0.5 - along).clip(0, 1) * (1.0 - across).clip(0, 1))
 
 
 BROKEN_KINDS: dict[str, Spoil] = {

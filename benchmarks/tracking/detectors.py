@@ -72,12 +72,21 @@ class Ours:
 
     def detect(self, sensor: SensorDescription, view: str, image: Image, truth: Grid) -> Detection:  # noqa: ARG002
         """Track one view; the truth is not used."""
+        return self.track(sensor, view, image)
+
+    def track(self, sensor: SensorDescription, view: str, image: Image) -> Detection:
+        """Track one view."""
         tracker = self.tracker(sensor, view)
         if self._cold:
             tracker.reset()
         began = thread_time()
         grid = tracker.track(image)
         return Detection(grid, thread_time() - began)
+
+    def reset(self) -> None:
+        """Forget earlier frames."""
+        for _, tracker in self._trackers.values():
+            tracker.reset()
 
     def tracker(self, sensor: SensorDescription, view: str) -> GridTracker:
         """The tracker of that sensor's view, compiled."""
@@ -236,8 +245,7 @@ def run_frames(detector: Detector, frames: Sequence[PatternFrame]) -> Result:
 
 def run_sequence(detector: Ours, frames: Sequence[PatternFrame]) -> list[Result]:
     """Frames in their order, followed from the first one on; a result for each frame."""
-    for view in frames[0].truth:
-        detector.tracker(frames[0].sensor, view).reset()
+    detector.reset()
     return [run_frames(detector, [frame]) for frame in frames]
 
 

@@ -1,7 +1,5 @@
 """Results of the pipeline for some frames of a simulated grasp; a set to calibrate from."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A grasp that was processed once, pages that it is shown on, and a browser."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Arrows and ellipsoids of known meshes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from made_forces import made_contact, made_field

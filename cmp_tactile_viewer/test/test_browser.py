@@ -1,7 +1,5 @@
 """The page in a real browser: what is drawn is read back from the scene, not from a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

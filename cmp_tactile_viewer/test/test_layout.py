@@ -3,8 +3,6 @@
 SCREENSHOTS=FOLDER keeps a picture of each window.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

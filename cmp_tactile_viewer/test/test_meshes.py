@@ -1,7 +1,5 @@
 """The surface as triangles by colour: each once, through the virtual markers, in its step."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A recording on the page: played, paused, stepped through, sought; frames and stored results."""
 
-from __future__ import annotations
-
 import itertools
 from contextlib import closing
 from typing import Any

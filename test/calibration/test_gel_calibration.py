@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_rigs import gel_frames, gel_grids, one_view_rig, two_view_rig
 
 from cmp_tactile_bringup.calibration.practice import changed_rig
 from cmp_tactile_processing.calibration.gel.calibrate import (
@@ -53,7 +54,7 @@ def mean_errors(described, found, grids, zones):
     return before, after, float(np.linalg.norm(truth, axis=-1).max())
 
 
-def test_displacement_is_right_again(gel_rig, gel_frames):
+def test_displacement_is_right_again(gel_rig):
     """Off by 1 degree, 0.5 mm and 1 %, images with noise: before, it is wrong by 100 um and more.
 
     The corners are numbered with the wrong description, two checkers away.
@@ -70,7 +71,7 @@ def test_displacement_is_right_again(gel_rig, gel_frames):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_displacement_is_right_behind_a_plate(gel_rig, gel_grids, seed):
+def test_displacement_is_right_behind_a_plate(gel_rig, seed):
     """Distortion and layers are held; gel, mirrors and focal length are found through them."""
     described = distorted_and_refracting(gel_rig)
     real = changed_rig(described, seed)
@@ -85,7 +86,7 @@ def test_displacement_is_right_behind_a_plate(gel_rig, gel_grids, seed):
 
 
 @pytest.fixture(scope="module")
-def outcome(gel_rig, gel_grids):
+def outcome(gel_rig):
     """Of a mirror rig off by the usual amount."""
     return calibrate_gel_grids(gel_rig, gel_grids(changed_rig(gel_rig, 3)))
 
@@ -130,7 +131,7 @@ def test_estimates_agree_with_their_deviations(gel_rig, outcome):
         assert abs(found.after - getattr(truth, name)) < 5 * found.std
 
 
-def test_two_cameras_and_one_are_calibrated_too(gel_rig, gel_grids, two_view_rig, one_view_rig):
+def test_two_cameras_and_one_are_calibrated_too(gel_rig):
     for described in (two_view_rig(gel_rig), one_view_rig(gel_rig)):
         found = calibrate_gel_grids(described, gel_grids(changed_rig(described, 1)))
         assert found.accepted, found.findings
@@ -141,7 +142,7 @@ def test_two_cameras_and_one_are_calibrated_too(gel_rig, gel_grids, two_view_rig
         assert all(item.determined for item in found.estimates if item.std > 0)
 
 
-def test_a_held_focal_length_stays(gel_rig, gel_grids):
+def test_a_held_focal_length_stays(gel_rig):
     real = changed_rig(gel_rig, 3, focal=0.0)
     options = GelCalibrationParameters(focal=0.0, principal_point=0.0)
     found = calibrate_gel_grids(gel_rig, gel_grids(real), options)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from calibration_rigs import one_view_rig, two_view_rig
 
 from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.optics import build_views
@@ -28,7 +29,7 @@ def test_no_change_is_the_description_itself(gel_rig):
     np.testing.assert_array_equal(pixels(same), pixels(with_layers(gel_rig)))
 
 
-def test_every_optical_value_is_varied_and_moves_the_pattern(gel_rig, two_view_rig, one_view_rig):
+def test_every_optical_value_is_varied_and_moves_the_pattern(gel_rig):
     """A parameter that `sensor` forgets would look as determined as its prior."""
     mirrors, two, one = with_layers(gel_rig), two_view_rig(gel_rig), one_view_rig(gel_rig)
     # Gel 6, two mirrors of 3, camera 4 and distortion 5, two layers of 2; each view 6 + 9.

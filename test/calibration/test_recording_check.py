@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_rigs import gel_frames, gel_grids, one_view_rig, two_view_rig
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.practice import changed_rig
@@ -27,7 +28,7 @@ def figure(report, name):
 
 
 @pytest.mark.parametrize("kind", ["mirrors", "two cameras", "one view"])
-def test_a_good_calibration_holds(gel_rig, gel_grids, two_view_rig, one_view_rig, kind):
+def test_a_good_calibration_holds(gel_rig, kind):
     make = {"mirrors": lambda rig: rig, "two cameras": two_view_rig, "one view": one_view_rig}
     rig = make[kind](gel_rig)
     report = check_grids(rig, recording(gel_grids, rig))
@@ -42,7 +43,7 @@ def test_a_good_calibration_holds(gel_rig, gel_grids, two_view_rig, one_view_rig
     assert all(np.isfinite([item.value, item.limit]).all() for item in report.figures)
 
 
-def test_an_uncalibrated_sensor_is_refused(gel_rig, gel_grids):
+def test_an_uncalibrated_sensor_is_refused(gel_rig):
     report = check_grids(gel_rig, recording(gel_grids, changed_rig(gel_rig, 1)))
     assert not report.accepted
     assert not figure(report, "epipolar error").kept
@@ -50,7 +51,7 @@ def test_an_uncalibrated_sensor_is_refused(gel_rig, gel_grids):
     assert any("calibrate again" in item.advice for item in report.findings)
 
 
-def test_a_gel_that_was_remounted_is_reported(gel_rig, gel_grids):
+def test_a_gel_that_was_remounted_is_reported(gel_rig):
     """The views agree as before; the gel at rest lies turned by 20 mrad and 0.2 mm away."""
     moved = changed_rig(gel_rig, 5, turn=0.02, shift=2e-4).optics
     report = check_grids(gel_rig, recording(gel_grids, replace(gel_rig, optics=moved)))
@@ -63,7 +64,7 @@ def test_a_gel_that_was_remounted_is_reported(gel_rig, gel_grids):
     assert any(item.text.startswith("Shift: found 200 um") for item in report.findings)
 
 
-def test_a_mirror_that_turned_is_reported(gel_rig, gel_grids):
+def test_a_mirror_that_turned_is_reported(gel_rig):
     """By a quarter of a degree."""
     right = gel_rig.views["right"]
     assert right.mirror is not None
@@ -75,7 +76,7 @@ def test_a_mirror_that_turned_is_reported(gel_rig, gel_grids):
     assert any("mirror has moved" in item.advice for item in report.findings)
 
 
-def test_a_worn_gel_is_reported(gel_rig, gel_grids):
+def test_a_worn_gel_is_reported(gel_rig):
     """A dent of 80 um that stays, so that no contact is seen in it."""
     dent = (Zone(2e-3, 1e-3, 2e-3, depth=8e-5),)
     report = check_grids(gel_rig, gel_grids(gel_rig, deformation=dent))
@@ -84,7 +85,7 @@ def test_a_worn_gel_is_reported(gel_rig, gel_grids):
     assert not report.accepted
 
 
-def test_contact_alone_shows_no_drift(gel_rig, gel_grids, one_view_rig):
+def test_contact_alone_shows_no_drift(gel_rig):
     """The views still agree; one view alone has nothing else to be compared with."""
     report = check_grids(gel_rig, gel_grids(gel_rig, deformation=PRESS))
     assert report.accepted
@@ -94,7 +95,7 @@ def test_contact_alone_shows_no_drift(gel_rig, gel_grids, one_view_rig):
     assert not check_grids(rig, gel_grids(rig, deformation=PRESS)).accepted
 
 
-def test_a_hidden_pattern_is_reported(gel_rig, gel_grids):
+def test_a_hidden_pattern_is_reported(gel_rig):
     grids = gel_grids(gel_rig)
     lost = Grid.missing(gel_rig.pattern.shape, "too dark")
     grids["left"] = [*grids["left"][:4], lost, lost, lost, lost]
@@ -106,7 +107,7 @@ def test_a_hidden_pattern_is_reported(gel_rig, gel_grids):
         check_grids(gel_rig, grids)
 
 
-def test_from_images(gel_rig, gel_frames):
+def test_from_images(gel_rig):
     reported = []
     frames = gel_frames(gel_rig, 3)
     report = check_recording(gel_rig, frames, lambda *progress: reported.append(progress))

@@ -1,7 +1,5 @@
 """Frames of a calibration board: geometry, greys, markers, poses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

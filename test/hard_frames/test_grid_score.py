@@ -1,16 +1,12 @@
 """The yardstick itself: what is right scores right, and each kind of error is reported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.measured import Grid, GridShape, Status
-from hard_frames.grid_score import (
-    score_grid,
-)
+from hard_frames.grid_score import score_grid
 
 SIDE_PX = 20.0
 SHAPE = GridShape(6, 9, 3)

@@ -1,7 +1,5 @@
 """Frames of hand-made cases: exact truth, seeded, and what they say is visible."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

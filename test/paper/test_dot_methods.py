@@ -1,7 +1,5 @@
 """The dot methods number and measure what is rendered, and leave out what is hidden."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

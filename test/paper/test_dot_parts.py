@@ -1,7 +1,5 @@
 """Parts of the dot methods against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,15 +1,9 @@
 """What is made of the grasp's and the knocks' measurements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from paper.experiments.grasp import (
-    LIMIT,
-    GraspScore,
-    KnockScore,
-)
+from paper.experiments.grasp import LIMIT, GraspScore, KnockScore
 
 PHASES = np.array(["rest", "rest", "close", "drag", "knock", "hold", "knock back", "open"])
 PEAK = 5.0
@@ -25,12 +19,7 @@ def grasp(**changes):
     for frame, (off, share) in changes.get("bad", {}).items():
         wrench[1, frame, 0] += off
         wrong[1, frame] = share
-    return {
-        "phase": PHASES,
-        "wrench": true,
-        "x_wrench": wrench,
-        "x_wrong": wrong,
-    }
+    return {"phase": PHASES, "wrench": true, "x_wrench": wrench, "x_wrong": wrong}
 
 
 def test_force_error_is_given_in_the_stage_it_comes_in_as_a_share_of_the_peak():

@@ -1,7 +1,5 @@
 """Cases are computed once, as long as their arguments and sources stay; failures are named."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace

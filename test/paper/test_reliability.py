@@ -1,7 +1,5 @@
 """Failures are found where they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -20,9 +20,7 @@ def test_one_maximum_has_no_dip_wherever_it_lies(depth: list[float]) -> None:
 
 
 @pytest.mark.parametrize("depth", [[0.5, np.nan, 0.2, 0.4, 0.5], [-0.1, -0.2, -0.1, -0.3, -0.1]])
-def test_a_line_that_is_not_known_or_not_pressed_in_has_no_dip(
-    depth: list[float],
-) -> None:
+def test_a_line_that_is_not_known_or_not_pressed_in_has_no_dip(depth: list[float]) -> None:
     dip = dip_between(np.array(depth))
     assert np.isnan(dip)
     assert not dip >= 0.0

@@ -1,13 +1,10 @@
 """Photographs of any calibration board, from either side, by rays that meet its plane."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_bringup.calibration.practice import bare_views
 from cmp_tactile_processing.calibration.board.target import BoardTarget
@@ -22,8 +19,6 @@ from cmp_tactile_simulation.rendering.renderer import RenderedFrame, pixel_rays
 SAMPLES, FINENESS = 4, 2
 # Pixels of a square in the board's picture, and squares of white paper around it.
 SQUARE_PX, PAPER = 96, 1
-# Directions are worked out this many px apart; a cubic spline between is right to 1e-6 px.
-RAY_STEP_PX = 8
 
 
 def photograph_board(
@@ -67,29 +62,17 @@ def _seen(
     T_gel_board: NDArray[np.float64],
 ) -> NDArray[np.float32]:
     """Greys of a view, FINENESS x FINENESS for each pixel."""
-    directions, inwards = _directions(view), T_gel_board[:3, 2]
+    origins, directions = pixel_rays(view)
+    inwards = T_gel_board[:3, 2]
     towards = directions @ inwards
     with np.errstate(divide="ignore", invalid="ignore"):
-        distance = ((T_gel_board[:3, 3] - view.centre) @ inwards) / towards
-        p_gel = view.centre + distance[..., None] * directions
+        distance = ((T_gel_board[:3, 3] - origins) @ inwards) / towards
+        p_gel = origins + distance[..., None] * directions
     xy = (p_gel - T_gel_board[:3, 3]) @ T_gel_board[:3, :2]
     # Picture elements: one square of ink and the paper lie before corner (0, 0).
     uv = (xy / square + 1 + PAPER) * SQUARE_PX - 0.5
     uv[~((distance > 0) & (towards > 0))] = -1e4
-    uv = uv.clip(-1e4, 1e5)
-    height, width = uv.shape[0] - 2, uv.shape[1] - 2
-    greys = np.full((height * FINENESS, width * FINENESS), HOUSING_GREY, np.float32)
-    last = np.array(texture.shape[::-1], np.float32) + SQUARE_PX
-    shown = np.asarray(((uv > -SQUARE_PX) & (uv < last)).all(axis=-1))[1:-1, 1:-1]
-    if not shown.any():
-        return greys
-    # Only where the board is, with a pixel more all around to interpolate from.
-    v, u = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
-    rows, cols = slice(v[0], v[-1] + 1), slice(u[0], u[-1] + 1)
-    around = uv[rows.start : rows.stop + 2, cols.start : cols.stop + 2].astype(np.float32)
-    fine_rows, fine_cols = (slice(s.start * FINENESS, s.stop * FINENESS) for s in (rows, cols))
-    greys[fine_rows, fine_cols] = _sampled(texture, around)
-    return greys
+    return _sampled(texture, uv.clip(-1e4, 1e5).astype(np.float32))
 
 
 def _sampled(texture: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -109,25 +92,3 @@ def _sampled(texture: NDArray[np.float32], uv: NDArray[np.float32]) -> NDArray[n
     )
     size = greys.shape[1] * FINENESS // SAMPLES, greys.shape[0] * FINENESS // SAMPLES
     return np.asarray(cv2.resize(greys, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _directions(view: ViewGeometry) -> NDArray[np.float64]:
-    """Directions (height + 2, width + 2, 3), gel frame, of all pixels and one more all around.
-
-    NaN for pixels to which the lens brings no light.
-    """
-    width, height = view.placement.width, view.placement.height
-    y, x = (
-        np.linspace(-1, side, max(side // RAY_STEP_PX, 4) + 1, dtype=np.float64)
-        for side in (height, width)
-    )
-    lattice = np.stack(np.meshgrid(x, y), axis=-1)
-    _, known = view.rays(lattice.reshape(-1, 2))
-    if not np.isfinite(known).all():
-        # A spline would spread what is missing over all pixels.
-        return pixel_rays(view)[1]
-    rows, cols = np.arange(-1.0, height + 1), np.arange(-1.0, width + 1)
-    directions = np.empty((height + 2, width + 2, 3))
-    for axis, values in enumerate(known.reshape(*lattice.shape[:2], 3).transpose(2, 0, 1)):
-        directions[..., axis] = RectBivariateSpline(y, x, values)(rows, cols)
-    return directions

@@ -1,7 +1,5 @@
 """A tab of a real browser that shows a page of the viewer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

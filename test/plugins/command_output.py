@@ -1,6 +1,4 @@
-"""What a command has printed, in the test's own process or in another."""
-
-from __future__ import annotations
+"""Exit codes of commands and what they have printed, in the test's own process or in another."""
 
 import io
 import os
@@ -10,6 +8,16 @@ import sys
 from contextlib import redirect_stdout
 
 import pytest
+
+
+def run(*words: object) -> int:
+    """The exit code of `cmp_tactile` with these words, as a shell sees it, in this process."""
+    from cmp_tactile_bringup.command import main
+
+    try:
+        return main(list(map(str, words)))
+    except SystemExit as ended:
+        return int(ended.code or 0)
 
 
 def printed(capsys: pytest.CaptureFixture[str]) -> str:

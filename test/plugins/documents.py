@@ -1,7 +1,5 @@
 """What a document shows of a command's output, compared with what the command prints."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Whoever needs one that is not done yet waits for it.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Force fields and contacts with what a test does not give left at rest."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

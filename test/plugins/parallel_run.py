@@ -4,8 +4,6 @@ Every worker, with all that its tests start, has a ROS domain of its own. A test
 runs while no other does.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import socket

@@ -1,7 +1,5 @@
 """--require-ros: a test that needs ROS 2 and did not run makes the run a failed one."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import pytest

@@ -1,11 +1,9 @@
 """A ROS graph for a test: nodes under test, and a node of the test."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from waiting import TIMEOUT_S, wait_until
@@ -13,20 +11,31 @@ from waiting import TIMEOUT_S, wait_until
 _numbers = itertools.count()
 
 
-class Reports:
-    """What one node reports in /diagnostics from now on."""
+def header_at(stamp_ns: int, frame_id: str = "camera") -> Any:
+    """A std_msgs/Header."""
+    from std_msgs.msg import Header
 
-    def __init__(self, graph: RosGraph, node: str) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray
+    header = Header(frame_id=frame_id)
+    header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    return header
 
-        self._name = f"{graph.namespace}/{node}".lstrip("/")
-        self._received = graph.listen(DiagnosticArray, "/diagnostics")
+
+def stamps_of(messages: Iterable[Any]) -> list[int]:
+    """Stamps of messages with a header, ns."""
+    stamps = (message.header.stamp for message in messages)
+    return [stamp.sec * 10**9 + stamp.nanosec for stamp in stamps]
+
+
+class Statuses:
+    """What a node says of itself."""
+
+    def __init__(self, find_all: Callable[[], list[Any]]) -> None:
+        self._find_all = find_all
 
     @property
     def all(self) -> list[Any]:
         """Every status of the node, in order."""
-        statuses = (status for report in self._received for status in report.status)
-        return [status for status in statuses if status.name == self._name]
+        return self._find_all()
 
     @property
     def last(self) -> Any:
@@ -40,6 +49,11 @@ class Reports:
     def values(self) -> dict[str, str]:
         """Its figures by key."""
         return {item.key: item.value for item in self.last.values}
+
+    @property
+    def state(self) -> str:
+        """Its figure of that name, empty before the first status."""
+        return self.values.get("state", "")
 
 
 class RosGraph:
@@ -94,9 +108,22 @@ class RosGraph:
         self.node.create_subscription(message_type, topic, received.append, profile)
         return received
 
-    def reports(self, node: str) -> Reports:
-        """What a node of the graph reports."""
-        return Reports(self, node)
+    def reports(self, node: str) -> Statuses:
+        """What a node of the graph reports in /diagnostics from now on."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        name = f"{self.namespace}/{node}".lstrip("/")
+        received = self.listen(DiagnosticArray, "/diagnostics")
+        return Statuses(
+            lambda: [item for report in received for item in report.status if item.name == name]
+        )
+
+    def statuses(self, node: str) -> Statuses:
+        """What a node of the driver publishes as its `~/status`, which is latched."""
+        from diagnostic_msgs.msg import DiagnosticStatus
+
+        received = self.listen(DiagnosticStatus, f"{node}/status", latched=True, depth=1)
+        return Statuses(lambda: received)
 
     def publisher(self, message_type: type, topic: str, subscribers: int = 1) -> Any:
         """A publisher that so many subscribers have found."""
@@ -111,6 +138,20 @@ class RosGraph:
         for publisher in node.publishers:
             if publisher.topic_name in [f"{self.namespace}/{topic}" for topic in topics]:
                 self.wait(publisher.get_subscription_count, f"{publisher.topic_name} subscribed")
+
+    def lifecycle_state(self, node: str) -> str:
+        """The state of a lifecycle node."""
+        from lifecycle_msgs.srv import GetState
+
+        return self.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label
+
+    def change_state(self, node: str, transition: int) -> bool:
+        """Whether a lifecycle node has made a transition."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return self.call(ChangeState, f"{node}/change_state", request).success
 
     def wait(self, condition: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S) -> None:
         """Run the nodes until the condition holds; the test fails where it never does."""

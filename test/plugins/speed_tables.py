@@ -3,8 +3,6 @@
 `python3 test/plugins/speed_tables.py` prints them, to be put into the documents.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,9 +1,9 @@
-"""Waiting for what happens, for as long as a busy machine may take."""
+"""Waiting for what happens, for as long as a busy machine may take; what happens meanwhile."""
 
-from __future__ import annotations
-
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -13,6 +13,25 @@ TIMEOUT_S = 120.0
 
 def _pause() -> None:
     time.sleep(0.01)
+
+
+@contextmanager
+def in_background(steps: Iterable[object], interval_s: float) -> Iterator[None]:
+    """Take steps on a thread of its own, one after another, as long as the block runs."""
+    ended = threading.Event()
+
+    def take() -> None:
+        for _ in steps:
+            if ended.wait(interval_s):
+                return
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def wait_until(

@@ -17,14 +17,7 @@ from cmp_tactile_simulation.scenes.description import Phase, Scene, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
 from paper.lab import Arrays, Lab, Workplace, mechanics_of
 from paper.page import Page, panels
-from paper.readings import (
-    DOTS,
-    READINGS,
-    BothPrints,
-    Contact,
-    name_of,
-    true_displacement,
-)
+from paper.readings import DOTS, READINGS, BothPrints, Contact, name_of, true_displacement
 
 TITLE = "V.C: Response to a probe of 0.6 mm"
 # A polynomial is sought for its deepest place on so many lines either way.

@@ -6,33 +6,9 @@ import pytest
 from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.report.calibration import estimate_rows
-from cmp_tactile_processing.calibration.outcome import (
-    CalibrationOutcome,
-    Estimate,
-)
-from cmp_tactile_processing.geometry.rectification import Rectification, read_camera_info
-from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
+from cmp_tactile_processing.calibration.outcome import Estimate
 
 VIEWS = ("left", "right")
-
-
-@pytest.fixture(scope="module")
-def outcome():
-    sensor = load_sensor("sample_rig")
-    info = Rectification(sensor)
-    cameras = {view: info.info(view) for view in sensor.views}
-    return CalibrationOutcome("gel", sensor, cameras, (), ())
-
-
-def test_an_accepted_calibration_is_written_as_description_and_camera_infos(outcome, tmp_path):
-    files = CalibrationFiles.of_sensor(tmp_path / "new" / "my.yaml", VIEWS)
-    written = files.write(outcome.sensor, outcome.cameras, "my rig")
-    assert [path.name for path in written] == ["my.yaml", "my_left.yaml", "my_right.yaml"]
-    loaded = SensorDescription.load(tmp_path / "new" / "my.yaml")
-    assert loaded.camera == outcome.sensor.camera
-    name, info = read_camera_info(tmp_path / "new" / "my_right.yaml")
-    assert name == "my rig_right"
-    np.testing.assert_array_equal(info.P, outcome.cameras["right"].P)
 
 
 @pytest.mark.parametrize("there", ["my.yaml", "my_left.yaml", "my_right.yaml"])
@@ -44,9 +20,7 @@ def test_any_earlier_file_keeps_the_work_from_being_begun(there, tmp_path):
     files.check_free(overwrite=True)
 
 
-def test_names_that_cannot_be_descriptions_are_refused(tmp_path):
-    with pytest.raises(OutputError, match=r"found the suffix '\.txt', expected \.yaml"):
-        CalibrationFiles.of_sensor(tmp_path / "my.txt", VIEWS)
+def test_a_file_is_no_folder_for_cameras(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="found a file, expected a folder"):
         CalibrationFiles.of_cameras(tmp_path / "file", ("left",))

@@ -1,15 +1,14 @@
 """Calibration from topics, through real DDS."""
 
-from __future__ import annotations
-
 import itertools
-import threading
 from contextlib import contextmanager
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from command_output import run
+from waiting import in_background
 
 pytestmark = pytest.mark.ros
 
@@ -19,7 +18,6 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from cmp_tactile_bringup.calibration.live import LiveFrames
-from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -35,21 +33,9 @@ SMALL = replace(SAMPLE_RIG, image=ImageSize(16, 12))
 def publishing(ros, images, interval_s=0.02):
     """The topic on which the images come, one after another."""
     publisher = ros.node.create_publisher(Image, "camera/image_raw", 2)
-    ended = threading.Event()
-
-    def publish():
-        for image in images:
-            if ended.wait(interval_s):
-                return
-            publisher.publish(image_to_msg(image, "mono8", Header()))
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
+    messages = (image_to_msg(image, "mono8", Header()) for image in images)
+    with in_background(map(publisher.publish, messages), interval_s):
         yield f"{ros.namespace}/camera/image_raw"
-    finally:
-        ended.set()
-        thread.join()
 
 
 @pytest.fixture
@@ -75,20 +61,11 @@ def test_compressed_frames_are_taken_where_there_are_only_these(ros, named):
     png = CompressedImage(format="mono8; png compressed ")
     png.data.frombytes(cv2.imencode(".png", grey)[1].tobytes())
     publisher = ros.node.create_publisher(CompressedImage, "camera/image_raw/compressed", 2)
-    ended = threading.Event()
-
-    def publish():
-        while not ended.wait(0.02):
-            publisher.publish(png)
-
-    thread = threading.Thread(target=publish)
-    thread.start()
-    try:
-        with LiveFrames(f"{ros.namespace}/{named}", SMALL, TIMEOUT_S) as live:
-            np.testing.assert_array_equal(next(iter(live)), grey)
-    finally:
-        ended.set()
-        thread.join()
+    with (
+        in_background(map(publisher.publish, itertools.repeat(png)), 0.02),
+        LiveFrames(f"{ros.namespace}/{named}", SMALL, TIMEOUT_S) as live,
+    ):
+        np.testing.assert_array_equal(next(iter(live)), grey)
 
 
 def test_a_topic_of_another_type_is_named_with_it(ros):
@@ -143,11 +120,9 @@ def test_a_board_is_taken_from_a_topic_where_it_is_held_still(ros, practice_set,
                 yield board
 
     with publishing(ros, held(), 0.1) as topic:
-        code = main(
-            ["calibrate", "board", "--topic", topic, "--timeout", str(TIMEOUT_S)]
-            + ["--sensor", str(practice_set / "sensor.yaml"), "--images", "3"]
-            + ["--board", "9x6", "--square", "0.0011", "--output", str(tmp_path / "new.yaml")]
-        )
+        live = ("--topic", topic, "--timeout", TIMEOUT_S, "--images", 3)
+        board = ("--board", "9x6", "--square", 0.0011, "--sensor", practice_set / "sensor.yaml")
+        code = run("calibrate", "board", *live, *board, "--output", tmp_path / "new.yaml")
     # Three images are too few, and it says so; they are kept for another try.
     assert code == 1
     assert "what to do" in capsys.readouterr().out

@@ -2,12 +2,10 @@
 
 import dataclasses
 import itertools
-from pathlib import Path
 
+import made_bags
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.gel_recording import (
@@ -36,7 +34,6 @@ from cmp_tactile_processing.errors import DescriptionError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.recording.truth import read_truth
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 FRAME_NS = 33_333_333
 NOISE_M = 3e-6
 
@@ -46,20 +43,13 @@ def written(path, text):
     return path
 
 
-def write_wrench_bag(folder, rows, topic="/ft/wrench"):
-    """A bag with WrenchStamped messages; rows: stamp in ns (log time where 0) and six numbers."""
-    types = STORE.types
-    time_type = types["builtin_interfaces/msg/Time"]
-    vector = types["geometry_msgs/msg/Vector3"]
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        kind = "geometry_msgs/msg/WrenchStamped"
-        connection = writer.add_connection(topic, kind, typestore=STORE)
-        for log_ns, stamp_ns, wrench in rows:
-            header = types["std_msgs/msg/Header"](time_type(*divmod(stamp_ns, 10**9)), "ft")
-            force, torque = vector(*map(float, wrench[:3])), vector(*map(float, wrench[3:]))
-            message = types[kind](header, types["geometry_msgs/msg/Wrench"](force, torque))
-            writer.write(connection, log_ns, STORE.serialize_cdr(message, kind))
-    return folder
+def write_wrench_bag(folder, rows):
+    """A bag with WrenchStamped messages; rows: log time and stamp in ns, six numbers."""
+    messages = [
+        ("/ft/wrench", log_ns, made_bags.wrench(stamp_ns, wrench))
+        for log_ns, stamp_ns, wrench in rows
+    ]
+    return made_bags.write_rows(folder, messages)
 
 
 def pressed_motion(depth, seed=3):
@@ -194,10 +184,8 @@ def test_a_wrench_topic_is_read_by_stamps_and_by_log_times_without_them(tmp_path
     np.testing.assert_allclose(series.force, [[1, 0, 0], [2, 0, 0], [0, 0, 0]])
 
 
-def test_a_missing_or_short_wrench_topic_names_those_that_there_are(tmp_path):
+def test_a_wrench_topic_of_too_few_numbers_is_refused(tmp_path):
     bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
-    with pytest.raises(RecordingError, match=r"no geometry_msgs/msg/WrenchStamped on '/f'.*/ft/wr"):
-        read_wrench(bag, "/f")
     with pytest.raises(RecordingError, match="/ft/wrench: found 1 messages, expected two"):
         read_wrench(bag, "/ft/wrench")
     bag = write_wrench_bag(tmp_path / "nan", [(k, k, np.full(6, np.nan)) for k in range(1, 4)])
@@ -206,9 +194,7 @@ def test_a_missing_or_short_wrench_topic_names_those_that_there_are(tmp_path):
 
 
 def test_fixed_transforms_are_followed_from_frame_to_frame_both_ways(tmp_path):
-    types, kind = STORE.types, "tf2_msgs/msg/TFMessage"
-    vector = types["geometry_msgs/msg/Vector3"]
-    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    types = made_bags.STORE.types
     turn = Rotation.from_euler("xyz", (180, 0, 90), degrees=True)
     edges = {("base", "gel"): (0.0, 0.0, 0.1), ("base", "ft"): (0.02, 0.0, 0.0)}
     stamped = types["geometry_msgs/msg/TransformStamped"]
@@ -217,12 +203,10 @@ def test_fixed_transforms_are_followed_from_frame_to_frame_both_ways(tmp_path):
         quaternion = types["geometry_msgs/msg/Quaternion"](
             *(turn.as_quat() if child == "ft" else (0.0, 0.0, 0.0, 1.0))
         )
-        transform = types["geometry_msgs/msg/Transform"](vector(*place), quaternion)
-        items.append(stamped(types["std_msgs/msg/Header"](stamp, parent), child, transform))
-    bag = tmp_path / "bag"
-    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topic = writer.add_connection("/tf_static", kind, typestore=STORE)
-        writer.write(topic, 1, STORE.serialize_cdr(types[kind](items), kind))
+        transform = types["geometry_msgs/msg/Transform"](made_bags.vector(place), quaternion)
+        items.append(stamped(made_bags.header(0, parent), child, transform))
+    message = types["tf2_msgs/msg/TFMessage"](items)
+    bag = made_bags.write(tmp_path / "bag", {"/tf_static": [message]})
     np.testing.assert_allclose(
         fixed_rotation(bag, "gel", "ft").as_matrix(), turn.as_matrix(), atol=1e-12
     )
@@ -248,13 +232,6 @@ def test_the_force_is_that_of_the_frames_by_a_clock_that_is_ahead(ahead_s):
     # Held: straight lines through readings 5 ms apart, which round off the frames of a change.
     np.testing.assert_allclose(force[14:22, 2], -2.0, atol=1e-9)
     np.testing.assert_allclose(force[8:13, 2], -1e4 * DEPTH[8:13], atol=0.03)
-
-
-def test_a_topic_of_another_time_is_reported_with_both_times():
-    motion = pressed_motion(DEPTH)
-    series = force_of(DEPTH, motion, 100.0, np.zeros(3))
-    with pytest.raises(RecordingError, match=r"100\.900 to .*1\.000 to 1\.900 s; .*--time-offset"):
-        at_frames(series, motion.stamp_ns, 0.0)
 
 
 def test_samples_of_a_sensor_are_its_still_loads_counted_from_its_reading_at_rest():
@@ -297,8 +274,6 @@ def test_a_recording_that_cannot_serve_is_reported(weigh_bag, tmp_path):
     bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
     with pytest.raises(BagError, match=r"found the topics /ft/wrench .*; expected images or"):
         read_motion(bag, sensor)
-    with pytest.raises(RecordingError, match="no such file or folder"):
-        read_motion(Path("nowhere"), sensor)
     pattern = dataclasses.replace(sensor.pattern, rows=10)
     other = dataclasses.replace(sensor, pattern=pattern)
     with pytest.raises(BagError, match=r"no frame can be used: .*found 20, 20, "):

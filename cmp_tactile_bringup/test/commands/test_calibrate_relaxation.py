@@ -1,12 +1,14 @@
 """`cmp_tactile calibrate relaxation`: finds how a gel creeps under a weight."""
 
 from dataclasses import replace
+from functools import partial
 
+import made_bags
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from command_output import printed, run
+from rosbags.rosbag2 import Reader
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import SURFACE
 from cmp_tactile_processing.sensor.description import (
@@ -25,8 +27,7 @@ STIFFER = 1.2
 NOISE_M = 2e-6
 
 
-def calibrate(*arguments):
-    return main(["calibrate", "relaxation", *map(str, arguments)])
+calibrate = partial(run, "calibrate", "relaxation")
 
 
 def creep(time_s):
@@ -44,17 +45,16 @@ def creep_bag(weigh_bag, tmp_path_factory):
         surfaces = [store.deserialize_cdr(data, SURFACE) for *_, data in reader.messages([source])]
     pressed = surfaces[int(np.argmin(read_truth(weigh_bag).wrench[:, 2]))]
     shape = np.array(pressed.displacement) / STIFFER
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topic = writer.add_connection("/sample_rig/surface", SURFACE, typestore=store)
-        for frame in range(REST_FRAMES + HELD_FRAMES):
-            # The weight comes down between two frames.
-            held = frame - REST_FRAMES + 0.5
-            size = creep(held * FRAME_NS * 1e-9) if held > 0 else 0.0
-            noise = random.normal(0, NOISE_M, shape.shape)
-            pressed.displacement = (shape * size + noise).astype(np.float32)
-            pressed.header.stamp.sec, pressed.header.stamp.nanosec = divmod(FRAME_NS * frame, 10**9)
-            writer.write(topic, FRAME_NS * frame, store.serialize_cdr(pressed, SURFACE))
-    return folder
+    rows = []
+    for frame in range(REST_FRAMES + HELD_FRAMES):
+        # The weight comes down between two frames.
+        held = frame - REST_FRAMES + 0.5
+        size = creep(held * FRAME_NS * 1e-9) if held > 0 else 0.0
+        moved = shape * size + random.normal(0, NOISE_M, shape.shape)
+        header = made_bags.header(FRAME_NS * frame)
+        surface = replace(pressed, header=header, displacement=moved.astype(np.float32))
+        rows.append(("/sample_rig/surface", FRAME_NS * frame, surface))
+    return made_bags.write_rows(folder, rows, store=store)
 
 
 def test_a_weight_that_is_held_shows_share_time_and_stiffness(creep_bag, tmp_path, capsys):
@@ -79,7 +79,7 @@ def test_a_weight_that_is_held_shows_share_time_and_stiffness(creep_bag, tmp_pat
     assert found.calibration.samples == record.samples
     assert (tmp_path / "new_calibration" / "relaxation.png").stat().st_size > 10_000
     assert calibrate(*given) == 1
-    assert "exists already; --overwrite replaces it" in " ".join(capsys.readouterr().err.split())
+    assert "exists already; --overwrite replaces it" in printed(capsys)
 
 
 def test_without_the_load_the_stiffness_stays(creep_bag, tmp_path, capsys):

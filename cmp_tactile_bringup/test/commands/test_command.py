@@ -11,9 +11,9 @@ import time
 from pathlib import Path
 
 import pytest
-from command_output import one_line_error
+from command_output import one_line_error, run
 
-from cmp_tactile_bringup.command import main
+from cmp_tactile_bringup.terminal import shown_stages
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -43,16 +43,12 @@ def test_the_readme_lists_every_command_and_exit_code():
     ],
 )
 def test_every_command_explains_itself_with_an_example(words, shown, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(words.split())
-    assert ended.value.code == 0
+    assert run(*words.split()) == 0
     assert shown in capsys.readouterr().out.rpartition("example")[2]
 
 
 def test_the_version_is_that_of_the_package(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["--version"])
-    assert ended.value.code == 0
+    assert run("--version") == 0
     assert re.fullmatch(r"cmp_tactile \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
@@ -60,7 +56,7 @@ def test_the_version_is_that_of_the_package(capsys):
 def test_info_shows_geometry_and_versions_and_whole_paths_in_a_pipe(monkeypatch, capsys, columns):
     """Tried with COLUMNS=0: nothing was printed.  As in fish-shell 1613, rapid7/rex-text 71."""
     monkeypatch.setenv("COLUMNS", columns)
-    assert main(["info", "sample_rig"]) == 0
+    assert run("info", "sample_rig") == 0
     out = capsys.readouterr().out
     for text in ("Baseline", "9.83 mm", "20 x 20 inner corners", "numpy", "prototype"):
         assert text in out
@@ -72,11 +68,11 @@ def test_the_sensor_of_images_must_be_named(tmp_path, capsys):
     images = tmp_path / "images"
     images.mkdir()
     (images / "0.png").touch()
-    assert main(["process", str(images), "--output", str(tmp_path / "out")]) == 1
+    assert run("process", images, "--output", tmp_path / "out") == 1
     one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
-    assert main(["replay", str(images)]) == 1
+    assert run("replay", images) == 1
     one_line_error(capsys, "images: found no --sensor, expected", "prototype, sample_rig")
-    assert main(["replay", "nowhere"]) == 1
+    assert run("replay", "nowhere") == 1
     one_line_error(capsys, "nowhere: found no such file or folder", "grasp")
 
 
@@ -84,17 +80,17 @@ def test_markup_and_escape_sequences_in_a_name_are_shown_as_they_are(tmp_path, c
     path = tmp_path / "rig.yaml"
     text = find_sensor_description("sample_rig").read_text()
     path.write_text(text.replace("name: sample_rig", 'name: "[bold]x[/] [/] \\e[31mred"'))
-    assert main(["info", str(path)]) == 0
+    assert run("info", path) == 0
     assert "Sensor [bold]x[/] [/] \\x1b[31mred" in capsys.readouterr().out
     path.write_text(text + '"\\e[31m[/]\\n": 1\n')
-    assert main(["info", str(path)]) == 1
+    assert run("info", path) == 1
     one_line_error(capsys, "rig.yaml: \\x1b[31m[/]\\n: found 1, expected no such key")
 
 
 def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
-    assert main(["info", "nosuch"]) == 1
+    assert run("info", "nosuch") == 1
     one_line_error(capsys, "nosuch", "sample_rig")
-    assert main(["info", "nosuch", "--debug"]) == 1
+    assert run("info", "nosuch", "--debug") == 1
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -218,7 +214,21 @@ def test_a_path_that_the_terminal_cannot_show_is_shown_by_its_numbers(tmp_path):
 
 
 def test_a_misspelt_subcommand_is_asked_about(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["calibrate", "bord"])
-    assert ended.value.code == 2
+    assert run("calibrate", "bord") == 2
     assert "did you mean 'board'?" in capsys.readouterr().err
+
+
+def test_in_a_pipe_each_stage_is_a_line_as_it_begins(capsys):
+    """Reports of the kind, tried here:
+
+    basicmachines-co/basic-memory 579 (74 s of silence where the output is captured, the bar at the
+    end), smart-on-fhir/cumulus-etl 323 (nothing in a log file while it works): a line is there
+    before the stage ends.
+    """
+    with shown_stages() as show:
+        show("simulating", 0.0)
+        assert "simulating ...\n" in capsys.readouterr().err
+        show("simulating", 0.5)
+        assert "simulating ..." not in capsys.readouterr().err
+        show("drawing", 0.0)
+        assert "drawing ...\n" in capsys.readouterr().err

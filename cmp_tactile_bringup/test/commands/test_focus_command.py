@@ -1,20 +1,16 @@
 """`cmp_tactile focus` shows what frames are worth: known blur, noise and contrast are measured."""
 
-from __future__ import annotations
-
-import importlib.util
 import re
-import sys
 import threading
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from command_output import run
+from fake_v4l2 import FakeCamera, FakeKernel
 from waiting import wait_until
 
 from cmp_tactile_bringup import terminal
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import camera as camera_commands
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
@@ -22,7 +18,6 @@ from cmp_tactile_simulation.rendering.ink import Checkerboard
 from cmp_tactile_simulation.rendering.renderer import Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
-FAKE = Path(__file__).parents[3] / "cmp_tactile_driver" / "test" / "fake_v4l2"
 PITCH = ["--pitch", "0.6905"]
 # Shown to two digits; a lens that blurs before the pixels do is measured to this, px.
 BLUR_TOLERANCE_PX, NOISE_TOLERANCE, CONTRAST_TOLERANCE = 0.08, 0.15, 0.05
@@ -61,7 +56,7 @@ def test_blur_noise_and_contrast_of_both_views_are_shown(  # noqa: PLR0917
 ):
     image = taken(rendered, blur=blur, read_noise=noise, dark_level=dark)
     cv2.imwrite(str(tmp_path / "rest.png"), image)
-    assert main(["focus", str(tmp_path / "rest.png"), *PITCH]) == 0
+    assert run("focus", tmp_path / "rest.png", *PITCH) == 0
     shown = capsys.readouterr().out
     assert shown.count("\n") == 1
     for name, truth, tolerance in (
@@ -77,7 +72,7 @@ def test_blur_noise_and_contrast_of_both_views_are_shown(  # noqa: PLR0917
 def test_the_best_blur_so_far_stays_while_the_focus_turns(rendered, tmp_path, capsys):
     for number, blur in enumerate((2.0, 0.8, 1.8)):
         cv2.imwrite(str(tmp_path / f"{number}.png"), taken(rendered, blur=blur))
-    assert main(["focus", str(tmp_path), *PITCH, "--views", "mirrors"]) == 0
+    assert run("focus", tmp_path, *PITCH, "--views", "mirrors") == 0
     lines = capsys.readouterr().out.splitlines()
     assert [figures(line, "best")[0] for line in lines] == pytest.approx(
         [2.0, 0.8, 0.8], abs=BLUR_TOLERANCE_PX
@@ -92,7 +87,7 @@ def test_frames_without_checkers_are_said_to_be_so_and_more_follow(rendered, tmp
     bright = np.full_like(good, 255)
     for number, image in enumerate((dark, grey, bright, good)):
         cv2.imwrite(str(tmp_path / f"{number}.png"), image)
-    assert main(["focus", str(tmp_path), *PITCH]) == 0
+    assert run("focus", tmp_path, *PITCH) == 0
     lines = capsys.readouterr().out.splitlines()
     reasons = ("too dark", "no contrast", "too bright", "left: px per checker")
     assert len(lines) == len(reasons)
@@ -107,28 +102,14 @@ def test_a_scene_is_shown_until_a_signal_comes(capsys, monkeypatch):
             return next(stops)
 
     monkeypatch.setattr("cmp_tactile_processing.processes.StopSignal", Stop)
-    assert main(["focus", "grasp", *PITCH]) == 0
+    assert run("focus", "grasp", *PITCH) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
 
 
-@pytest.fixture
-def fake(monkeypatch):
-    """The driver's cameras that answer as the kernel does."""
-    spec = importlib.util.spec_from_file_location(
-        FAKE.name, FAKE / "__init__.py", submodule_search_locations=[str(FAKE)]
-    )
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, FAKE.name, module)
-    spec.loader.exec_module(module)
-    yield module
-    for name in [name for name in sys.modules if name.partition(".")[0] == FAKE.name]:
-        del sys.modules[name]
-
-
-def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, capsys):
-    machine = fake.FakeKernel(tmp_path / "machine")
+def test_an_unplugged_camera_is_named(rendered, tmp_path, monkeypatch, capsys):
+    machine = FakeKernel(tmp_path / "machine")
     machine.install(monkeypatch)
-    camera = fake.FakeCamera(modes={"GREY": {(1024, 768): (30,)}})
+    camera = FakeCamera(modes={"GREY": {(1024, 768): (30,)}})
     node = machine.plug(camera)
     monkeypatch.setattr(camera_commands, "DEVICES", f"{node.parent}/")
     pixels = taken(rendered).tobytes()
@@ -144,7 +125,7 @@ def test_an_unplugged_camera_is_named(fake, rendered, tmp_path, monkeypatch, cap
     monkeypatch.setattr(terminal, "print_line", print_and_unplug)
     feeder = threading.Thread(target=feed)
     feeder.start()
-    assert main(["focus", str(node), *PITCH, "--size", "1024x768"]) == 1
+    assert run("focus", node, *PITCH, "--size", "1024x768") == 1
     feeder.join()
     printed = capsys.readouterr()
     assert "left: px per checker" in printed.out

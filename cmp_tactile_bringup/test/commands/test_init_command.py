@@ -1,7 +1,5 @@
 """`cmp_tactile init` writes a description that the sensor's own picture can be tracked with."""
 
-from __future__ import annotations
-
 import os
 import pty
 import select
@@ -15,9 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_output import run
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -38,7 +36,7 @@ def picture(tmp_path):
 def test_a_description_is_written_with_which_the_picture_is_tracked(picture, tmp_path, capsys):
     """The next command is proposed as a shell takes it, also with a blank in the path."""
     path = tmp_path / "my rig.yaml"
-    assert main(["init", str(picture), "--pitch", "1.5", "-o", str(path)]) == 0
+    assert run("init", picture, "--pitch", "1.5", "-o", path) == 0
     sensor = load_sensor(str(path))
     assert sensor.name == "my rig"
     assert sensor.pattern.pitch == pytest.approx(0.0015)
@@ -54,7 +52,7 @@ def test_a_description_is_written_with_which_the_picture_is_tracked(picture, tmp
 def test_a_file_that_is_there_is_kept(picture, tmp_path, capsys):
     path = tmp_path / "mine.yaml"
     path.write_text("precious")
-    assert main(["init", str(picture), "--pitch", "1.5", "-o", str(path)]) == 1
+    assert run("init", picture, "--pitch", "1.5", "-o", path) == 1
     assert path.read_text() == "precious"
     assert "another one with --output" in capsys.readouterr().err
 
@@ -71,8 +69,7 @@ def test_what_is_no_picture_is_named(name, found, tmp_path, monkeypatch, capsys)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "text.png").write_text("no picture")
     output = tmp_path / "mine.yaml"
-    words = ["init", name, "--pitch", "1", "-o", str(output)]
-    assert main(words) == 1
+    assert run("init", name, "--pitch", 1, "-o", output) == 1
     error = capsys.readouterr().err
     assert name in error
     assert found in error
@@ -81,8 +78,7 @@ def test_what_is_no_picture_is_named(name, found, tmp_path, monkeypatch, capsys)
 
 def test_without_a_terminal_the_pitch_must_be_given(picture, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", None)
-    with pytest.raises(SystemExit, match="2"):
-        main(["init", str(picture), "-o", str(tmp_path / "mine.yaml")])
+    assert run("init", picture, "-o", tmp_path / "mine.yaml") == 2
     assert "--pitch" in capsys.readouterr().err
 
 
@@ -115,8 +111,8 @@ def corners_of(sensor, frame):
 
 
 def asked_for(path, picture, sensor, *more):
-    words = ["init", str(picture), "--pitch", f"{sensor.pattern.pitch * 1e3:.9g}", *more]
-    return main([*words, "-o", str(path)])
+    pitch_mm = f"{sensor.pattern.pitch * 1e3:.9g}"
+    return run("init", picture, "--pitch", pitch_mm, *more, "-o", path)
 
 
 def other_pattern(sensor):
@@ -270,9 +266,8 @@ def test_nothing_is_asked_for_where_that_is_said(tmp_path, monkeypatch, capsys):
     with os.fdopen(theirs) as stdin:
         assert stdin.isatty()
         monkeypatch.setattr("sys.stdin", stdin)
-        assert main(["init", str(picture), "--pitch", "1.5", "--yes", "-o", str(path)]) == 0
+        assert run("init", picture, "--pitch", "1.5", "--yes", "-o", path) == 0
         assert path.exists()
-        with pytest.raises(SystemExit, match="2"):
-            main(["init", str(picture), "--yes", "-o", str(tmp_path / "b.yaml")])
+        assert run("init", picture, "--yes", "-o", tmp_path / "b.yaml") == 2
     os.close(terminal)
     assert "--pitch: found nothing" in capsys.readouterr().err

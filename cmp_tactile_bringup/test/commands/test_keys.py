@@ -1,7 +1,5 @@
 """Keys of a graph that runs, on a terminal of the test's own."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

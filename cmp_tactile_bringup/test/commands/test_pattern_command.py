@@ -4,14 +4,15 @@ import re
 import shlex
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
+from command_output import run
 from documents import shell_lines
 
-from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import description, parse
+from cmp_tactile_bringup.commands import description
 from cmp_tactile_bringup.printing.files import FORMATS, svg_bytes
 from cmp_tactile_processing.printing.pattern import (
     PATTERN_TYPES,
@@ -27,12 +28,7 @@ from cmp_tactile_processing.sensor.description import (
     write_sensor_description,
 )
 from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED
-from cmp_tactile_processing.sensor.parts import (
-    CODES,
-    MAX_CORNERS,
-    MIN_CORNERS,
-    CalibrationRecord,
-)
+from cmp_tactile_processing.sensor.parts import CODES, MAX_CORNERS, MIN_CORNERS, CalibrationRecord
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "print.md"
 
@@ -46,8 +42,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def pattern(*arguments):
-    return main(["pattern", *map(str, arguments)])
+pattern = partial(run, "pattern")
 
 
 def test_the_files_lie_here_under_the_name_of_the_description(folder, capsys):
@@ -186,11 +181,7 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
     ],
 )
 def test_mistakes_are_one_line(options, code, message, folder, capsys):
-    try:
-        found = pattern("my_sensor.yaml", *options)
-    except SystemExit as ended:
-        found = ended.code
-    assert found == code
+    assert pattern("my_sensor.yaml", *options) == code
     assert message in capsys.readouterr().err.splitlines()[-1]
     assert [path.name for path in folder.iterdir()] == ["my_sensor.yaml"]
 
@@ -233,19 +224,9 @@ def test_the_commands_of_the_tutorial_run(folder):
     write_sensor_description("my_sensor.yaml", calibrated)
     text = TUTORIAL.read_text(encoding="utf-8")
     for line in shell_lines(text.replace("\\\n", "")):
-        program, *words = shlex.split(line, comments=True)
-        assert program == "cmp_tactile"
-        parse(words)
-        if words[0] == "pattern":
-            assert main(words) == 0, line
+        _, command, *words = shlex.split(line, comments=True)
+        if command == "pattern":
+            assert pattern(*words) == 0, line
     (listed,) = re.findall(r"^\| file \|.*?\n\n", text, re.MULTILINE | re.DOTALL)
     for name in re.findall(r"^\| `(.*?)`", listed, re.MULTILINE):
         assert (folder / name).is_file(), name
-
-
-def test_every_option_is_in_the_tutorial(capsys):
-    with pytest.raises(SystemExit):
-        main(["pattern", "--help"])
-    options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
-    documented = set(re.findall(r"--[a-z-]+", TUTORIAL.read_text(encoding="utf-8")))
-    assert options <= documented, options - documented

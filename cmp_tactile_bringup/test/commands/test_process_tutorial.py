@@ -9,14 +9,12 @@ import matplotlib.pyplot as plt
 import pytest
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_bringup.commands import parse
 from cmp_tactile_bringup.recordings.results import COLUMNS, unit_of
 from cmp_tactile_processing.measured import SlipState
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorials" / "process.md"
 TEXT = TUTORIAL.read_text(encoding="utf-8")
 RESULTS = (TUTORIAL.parents[1] / "process_results.md").read_text(encoding="utf-8")
-MANY = (TUTORIAL.parents[1] / "recordings.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.usefixtures("short_scenes", "grasp_bag")
@@ -67,19 +65,3 @@ def test_the_table_of_columns_is_that_of_the_files():
     assert [(int(number), name.strip().replace(" ", "_")) for number, name in numbers] == [
         (int(state), state.name.lower()) for state in sorted(SlipState)
     ]
-
-
-def test_the_commands_that_are_shown_and_not_run_have_these_options():
-    shown = re.findall(r"^```\n(cmp_tactile.*?)^```", MANY, re.MULTILINE | re.DOTALL)
-    assert len(shown) == 2
-    for block in shown:
-        parse(shlex.split(block.replace("\\\n", ""))[1:])
-
-
-def test_every_option_of_the_command_is_in_a_document(capsys):
-    with pytest.raises(SystemExit):
-        main(["process", "--help"])
-    options = set(re.findall(r"--[a-z-]+", capsys.readouterr().out)) - {"--help", "--debug"}
-    readme = (TUTORIAL.parents[2] / "cmp_tactile_bringup" / "README.md").read_text()
-    documented = set(re.findall(r"--[a-z-]+", TEXT + MANY + RESULTS + readme))
-    assert options <= documented, options - documented

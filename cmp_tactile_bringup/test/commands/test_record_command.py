@@ -1,32 +1,30 @@
 """`cmp_tactile record` beside the nodes of a sensor, as a process of its own."""
 
-from __future__ import annotations
-
-import array
 import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import made_bags
 import pytest
+from command_output import run
 from documents import assert_printed, shown_after
+from ros_graph import header_at
 
 pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import Image
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands import running
 from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
 from cmp_tactile_processing.sensor.description import load_sensor
 
 COMMAND = [sys.executable, "-m", "cmp_tactile_bringup.command", "record"]
@@ -36,24 +34,12 @@ NOBODY = ": no node published it"
 SHOWN_AFTER = "cmp_tactile record --output my_bag --duration 10"
 
 
-def frame(number: int) -> Image:
-    message = Image(height=768, width=1024, encoding="mono8", step=1024)
-    message.header.stamp.sec = number
-    pixels = np.random.default_rng(number).integers(0, 256, 768 * 1024, np.uint8)
-    message.data = array.array("B", pixels.tobytes())
-    return message
-
-
-def messages(status: DiagnosticStatus) -> int:
-    return int({item.key: item.value for item in status.values}["messages"])
-
-
 def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     """Its namespace and its description are those of the nodes that run."""
     ros.start(ViewSplitter, sensor_name="thumb")
     images = ros.node.create_publisher(Image, "image_raw", 10)
     wrenches = ros.node.create_publisher(WrenchStamped, "wrench", 10)
-    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+    statuses = ros.statuses("recorder")
     bag = tmp_path / "my_bag"
     command = [*COMMAND, "-o", bag.name, "--namespace", ros.namespace, "--compression", "png"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -61,11 +47,11 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
         try:
             ros.wait(lambda: images.get_subscription_count() == 2, "the recorder", TIMEOUT_S)
             ros.wait(wrenches.get_subscription_count, "the recorder", TIMEOUT_S)
-            for number in range(5):
-                images.publish(frame(number))
+            for number, frame in enumerate(made_bags.frames(5, 768, 1024)):
+                images.publish(frame_to_msg(frame, header_at(number * 10**9)))
                 wrenches.publish(WrenchStamped())
             # Both of every frame, and the transforms.
-            ros.wait(lambda: statuses and messages(statuses[-1]) == 11, "all in the bag", TIMEOUT_S)
+            ros.wait(lambda: statuses.values.get("messages") == "11", "all in the bag", TIMEOUT_S)
         finally:
             process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=TIMEOUT_S)
@@ -89,7 +75,7 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
 def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
     bag = tmp_path / "bag"
-    assert main(["record", "-o", str(bag), "--namespace", "nobody_has_this"]) == 1
+    assert run("record", "-o", bag, "--namespace", "nobody_has_this") == 1
     error = capsys.readouterr().err
     assert error.startswith("error: found no view_splitter in /nobody_has_this")
     assert error.count("\n") == 1

@@ -1,9 +1,11 @@
 """`cmp_tactile simulate`: what it writes, what it says, and its exit codes."""
 
+from functools import partial
+
 import pytest
 import yaml
+from command_output import run
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.reader import BagReader
 
 SCENE = {
@@ -38,8 +40,7 @@ def scene(tmp_path):
     return path
 
 
-def simulate(*arguments):
-    return main(["simulate", *map(str, arguments)])
+simulate = partial(run, "simulate")
 
 
 def test_a_scene_becomes_a_bag_named_after_it(scene, tmp_path, monkeypatch, capsys):
@@ -76,9 +77,5 @@ def test_the_packaged_scenes_are_listed_a_line_each(capsys):
     ],
 )
 def test_mistakes_are_one_line(arguments, code, message, capsys):
-    try:
-        found = simulate(*arguments)
-    except SystemExit as ended:
-        found = ended.code
-    assert found == code
+    assert simulate(*arguments) == code
     assert message in capsys.readouterr().err.splitlines()[-1]

@@ -1,7 +1,5 @@
 """`cmp_tactile view` as a process of its own: where it is, who may see it, how it ends."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess
@@ -12,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
+from command_output import run
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.recordings.library import sensor_of_recording
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -56,13 +54,13 @@ def test_the_page_is_there_until_ctrl_c(grasp_bag):
 def test_a_recording_without_its_sensor_asks_for_it(grasp_bag, tmp_path, capsys):
     bag = shutil.copytree(grasp_bag, tmp_path / "bag")
     (bag / SENSOR_FILE).unlink()
-    assert main(["view", str(bag)]) == 1
+    assert run("view", bag) == 1
     assert f"{bag}: found no --sensor" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("short_scenes")
 def test_results_know_their_sensor_even_if_they_are_cut(grasp_bag, tmp_path):
-    assert main(["process", str(grasp_bag), "--output", str(tmp_path), "--end", "0.1"]) == 0
+    assert run("process", grasp_bag, "--output", tmp_path, "--end", "0.1") == 0
     whole, cut = tmp_path / "grasp.mcap", tmp_path / "cut.mcap"
     content = whole.read_bytes()
     cut.write_bytes(content[: len(content) // 2])

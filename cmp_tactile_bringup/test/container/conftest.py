@@ -1,7 +1,5 @@
 """A container in a context of its own, and somebody outside of it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

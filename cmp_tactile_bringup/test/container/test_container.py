@@ -1,7 +1,5 @@
 """The component container in process: good components run whatever the bad ones do."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from pathlib import Path
@@ -59,10 +57,7 @@ def test_a_second_component_of_one_name_is_refused(rig):
 
 
 def test_wrong_names_are_one_line(rig):
-    with pytest.raises(
-        ComponentLoadError,
-        match=r"a b \(sample_components::Echo\): [^\n]*a b",
-    ):
+    with pytest.raises(ComponentLoadError, match=r"a b \(sample_components::Echo\): [^\n]*a b"):
         rig.load("Echo", name="a b")
     with pytest.raises(ComponentLoadError, match="found package 'other'"):
         rig.container.load(Component("other", "sample_components::Echo"))

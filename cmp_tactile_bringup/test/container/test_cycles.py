@@ -1,7 +1,5 @@
 """Components of a sensor come and go beside another sensor at full rate."""
 
-from __future__ import annotations
-
 import gc
 import threading
 import weakref

@@ -1,7 +1,5 @@
 """What must not end the container: requests and components of any kind."""
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A graph in containers that launch starts, or that are there; needs a ROS with launch."""
 
-from __future__ import annotations
-
 import importlib.util
 import signal
 import subprocess

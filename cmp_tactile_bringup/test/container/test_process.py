@@ -1,7 +1,5 @@
 """The executable component_container ends with 0 at a signal, whatever its components do."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

@@ -1,7 +1,5 @@
 """The services of the component container, as launch and `ros2 component` call them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The runner `standalone`, and the parameters that the packaged graphs set."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,16 +1,14 @@
 """Which rate the demo plays at, and that it names limits that were missed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_output import run
 from rich.progress import Progress
 
 import cmp_tactile_bringup.demo
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.commands.demo import Demo, _play
 from cmp_tactile_bringup.report.results import DemoResults
 
@@ -45,7 +43,7 @@ def test_a_limit_that_is_missed_is_named_and_ends_the_demo_with_one(
     )
     monkeypatch.setattr("cmp_tactile_bringup.report.demo.write_report", lambda *_: None)
     bag = str(results.recording.bag)
-    assert main(["demo", "--rate", "20", "--recording", bag, "--output", str(tmp_path)]) == 1
+    assert run("demo", "--rate", "20", "--recording", bag, "--output", tmp_path) == 1
     (missed,) = re.findall("Limits missed: (.*)", capsys.readouterr().out)
     # And the frames that are not among the results.
     assert missed == "Frames lost, Corners not found, Corner error, RMS"

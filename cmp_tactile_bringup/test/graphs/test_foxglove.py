@@ -1,7 +1,5 @@
 """The layouts of Foxglove show topics of the packaged graphs, and fields of their messages."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from collections.abc import Iterator

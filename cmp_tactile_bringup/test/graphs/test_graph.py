@@ -1,7 +1,5 @@
 """Graphs: arguments keep their types, and every mistake is reported with its place."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

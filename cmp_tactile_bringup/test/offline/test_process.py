@@ -2,31 +2,30 @@
 
 import csv
 import shutil
+from functools import partial
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
-from command_output import one_line_error
+from command_output import one_line_error, output_of, printed, run
+from ros_graph import stamps_of
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline import processor
+from cmp_tactile_bringup.offline.jobs import plan_jobs
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
-T0_NS = 1_700_000_000 * 10**9
 MS = 10**6
 # Arrays are written as float32: half a unit in the last place of 1000 px.
 ATOL_PX = 1e-4
 ATOL_M = 1e-9
 
 
-def process(*arguments):
-    return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
+process = partial(run, "process", "--sensor", "sample_rig")
 
 
 def test_process_writes_what_the_pipeline_gives(images, tmp_path):
@@ -72,8 +71,7 @@ def messages(path, topic):
 
 
 def stamps(path, topic):
-    found = [item.header.stamp for item in messages(path, topic)]
-    return [stamp.sec * 10**9 + stamp.nanosec for stamp in found]
+    return stamps_of(messages(path, topic))
 
 
 def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, tmp_path, capsys):
@@ -83,7 +81,7 @@ def test_process_of_a_damaged_folder_keeps_the_good_frames_and_says_so(images, t
     assert "1.png" in capsys.readouterr().err
     (images / "2.png").write_bytes(b"")
     assert process(images, "--output", tmp_path, "--overwrite") == 1
-    assert "2 bad frames, last: " in " ".join(capsys.readouterr().err.split())
+    assert "2 bad frames, last: " in printed(capsys)
 
 
 def test_process_reports_in_how_many_frames_a_view_shows_no_pattern(images, tmp_path, capsys):
@@ -91,10 +89,10 @@ def test_process_reports_in_how_many_frames_a_view_shows_no_pattern(images, tmp_
     frame[:, :512] = 0
     cv2.imwrite(str(images / "1.png"), frame)
     assert process(images, "--output", tmp_path, "--arrays") == 0
-    printed = " ".join(capsys.readouterr().err.split())
-    assert "warning" in printed
-    assert "left view: in 1 of 3 frames dark: too dark" in printed
-    assert "right view" not in printed
+    said = printed(capsys)
+    assert "warning" in said
+    assert "left view: in 1 of 3 frames dark: too dark" in said
+    assert "right view" not in said
     with np.load(tmp_path / "images.npz", allow_pickle=False) as arrays:
         assert arrays["left_fault"].tolist() == ["", "dark", ""]
         assert arrays["right_fault"].tolist() == ["", "", ""]
@@ -106,27 +104,18 @@ def test_frames_that_all_have_a_fault_are_a_failure_that_says_how_many(images, t
     for path in images.iterdir():
         cv2.imwrite(str(path), np.zeros((768, 1024), np.uint8))
     assert process(images, "--output", tmp_path) == 1
-    printed = " ".join(capsys.readouterr().err.split())
-    assert "all 3 frames have a fault: left view: in 3 of 3 frames dark" in printed
+    said = printed(capsys)
+    assert "all 3 frames have a fault: left view: in 3 of 3 frames dark" in said
 
 
 @pytest.fixture
 def bag_with_stamps(images, tmp_path):
     """Writes a bag of one of the images, once for each stamp, ns."""
-    store = get_typestore(Stores.ROS2_JAZZY)
     image = cv2.imread(str(images / "0.png"), cv2.IMREAD_GRAYSCALE)
-    kind = "sensor_msgs/msg/Image"
 
     def write(stamps_ns):
-        path = tmp_path / "in" / "bag"
-        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            topic = writer.add_connection("/rig/image_raw", kind, typestore=store)
-            for k, stamp_ns in enumerate(stamps_ns):
-                stamp = store.types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
-                header = store.types["std_msgs/msg/Header"](stamp, "")
-                message = store.types[kind](header, 768, 1024, "mono8", 0, 1024, image.ravel())
-                writer.write(topic, T0_NS + k * 50 * MS, store.serialize_cdr(message, kind))
-        return path
+        shown = [made_bags.image(image, stamp_ns) for stamp_ns in stamps_ns]
+        return made_bags.write(tmp_path / "in" / "bag", {"/rig/image_raw": shown})
 
     return write
 
@@ -135,16 +124,17 @@ def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table
     bag_with_stamps, tmp_path, capsys
 ):
     year = 365 * 86400 * 10**9
-    back_ns = T0_NS - 5000 * MS
-    later = [T0_NS, T0_NS + 50 * MS, T0_NS + 50 * MS, T0_NS + 100 * MS, back_ns, 0]
+    begin_ns = made_bags.FIRST_STAMP_NS
+    back_ns = begin_ns - 5000 * MS
+    later = [begin_ns, begin_ns + 50 * MS, begin_ns + 50 * MS, begin_ns + 100 * MS, back_ns, 0]
     # A clock that is set, and a gap.
-    later += [T0_NS + year, T0_NS + year + 10_000 * MS]
+    later += [begin_ns + year, begin_ns + year + 10_000 * MS]
     assert process(bag_with_stamps(later), "--output", tmp_path) == 0
-    printed = " ".join(capsys.readouterr().err.split())
-    assert "1 of 8 stamps went back" in printed
-    assert "1 of 8 stamps came twice" in printed
-    assert "1 of 8 stamps were 0" in printed
-    assert "missing in gaps between stamps; the longest gap is 10 s" in printed
+    said = printed(capsys)
+    assert "1 of 8 stamps went back" in said
+    assert "1 of 8 stamps came twice" in said
+    assert "1 of 8 stamps were 0" in said
+    assert "missing in gaps between stamps; the longest gap is 10 s" in said
     with (tmp_path / "bag_wrench.csv").open() as table:
         faults = [row["stamp_fault"] for row in csv.DictReader(table)]
     assert faults == ["", "", "repeated", "", "back", "zero", "", "gap"]
@@ -172,7 +162,7 @@ def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images,
 
 @pytest.mark.usefixtures("short_scenes", "grasp_bag")
 def test_a_packaged_scene_is_processed_with_its_own_sensor(tmp_path, capsys):
-    assert main(["process", "grasp", "--output", str(tmp_path)]) == 0
+    assert run("process", "grasp", "--output", tmp_path) == 0
     err = capsys.readouterr().err
     assert "warning" not in err
     assert f"sensor description: {find_sensor_description('sample_rig')}" in err
@@ -182,8 +172,8 @@ def test_a_packaged_scene_is_processed_with_its_own_sensor(tmp_path, capsys):
 @pytest.mark.usefixtures("short_scenes", "grasp_bag")
 def test_a_wrong_sensor_is_found_by_camera_info_and_by_rays(tmp_path, wrong_sensor, capsys):
     """Everything else about the results looks as it should."""
-    sensor = ("--sensor", str(wrong_sensor))
-    assert main(["process", "grasp", *sensor, "--output", str(tmp_path / "out")]) == 0
+    given = ("--sensor", wrong_sensor, "--output", tmp_path / "out")
+    assert run("process", "grasp", *given) == 0
     err = capsys.readouterr().err
     warnings = [line for line in err.splitlines() if line.startswith("warning: grasp: ")]
     assert len(warnings) >= 3
@@ -231,13 +221,49 @@ def test_one_recording_is_processed_once_and_two_of_one_name_not_at_all(images, 
     image = images / "1.png"
     twice = (image, images / "0.png", images / ".." / images.name / "1.png")
     assert process(*twice, "--output", tmp_path / "out") == 0
-    printed = capsys.readouterr().err
-    assert "recordings that are named twice" in printed
-    assert "2 recordings, 2 without problems" in printed
+    said = printed(capsys)
+    assert "recordings that are named twice" in said
+    assert "2 recordings, 2 without problems" in said
     other = tmp_path / "other"
     other.mkdir()
     shutil.copy(image, other)
     assert process(image, other / "1.png", "--output", tmp_path / "two") == 1
-    printed = capsys.readouterr().err
-    assert f"1.png: found the same name as {image}, expected different names, or" in printed
+    said = printed(capsys)
+    assert f"1.png: found the same name as {image}, expected different names, or" in said
     assert not (tmp_path / "two").exists()
+
+
+# What processing a real recording loads.
+CODE = """
+import sys
+from pathlib import Path
+
+import cmp_tactile_bringup.offline.processor
+from cmp_tactile_bringup.recordings.library import check_source, required_sensor
+
+source = Path(sys.argv[1])
+check_source(source)
+required_sensor(source, "sample_rig")
+print([name for name in sys.modules if name.startswith("cmp_tactile_simulation")])
+"""
+
+
+def test_processing_a_recording_loads_nothing_of_the_simulator(images):
+    assert output_of("-c", CODE, images) == "[]\n"
+
+
+def test_numbers_after_a_point_are_no_suffix(tmp_path):
+    """Results have the name that the user gave, without the suffix of a file.
+
+    Public reports, tried here (report: trial: result):
+    - equinor/xtgeo 592: several points in a name: only the known suffix is cut
+    - beetbox/beets 5774: a folder's name is cut at its point: kept whole
+    """
+    folders = [tmp_path / name for name in ("press_0.5N", "press_0.7N", "run.mcap.d")]
+    for folder in folders:
+        folder.mkdir()
+    files = [tmp_path / name for name in ("a_0.5N.mcap", "b.v2.PNG", "c_0.1.mp4", "d_0.5N")]
+    for file in files:
+        file.touch()
+    names = [job.name for job in plan_jobs([*folders, *files], tmp_path / "out")]
+    assert names == [*(folder.name for folder in folders), "a_0.5N", "b.v2", "c_0.1", "d_0.5N"]

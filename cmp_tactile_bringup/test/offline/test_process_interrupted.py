@@ -5,18 +5,18 @@ import resource
 import signal
 import subprocess
 import sys
+from functools import partial
 
 import pytest
+from command_output import run
 from waiting import wait_until
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.processor import Processor
 
 FILES = [".mcap", ".yaml", "_wrench.csv"]
 
 
-def process(*arguments):
-    return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
+process = partial(run, "process", "--sensor", "sample_rig")
 
 
 def contents(folder):

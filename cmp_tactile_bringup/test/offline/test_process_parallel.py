@@ -6,20 +6,20 @@ import signal
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
+from command_output import run
 from waiting import wait_until
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline import processor
 
 MADE = (".mcap", "_wrench.csv")
 
 
-def process(*arguments):
-    return main(["process", "--sensor", "sample_rig", *map(str, arguments)])
+process = partial(run, "process", "--sensor", "sample_rig")
 
 
 def error_lines(capsys):

@@ -1,15 +1,12 @@
 """Recordings of Tac3D sensors are read into the gel frame, and their forces found again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_output import printed
+from command_output import printed, run
 from mcap.reader import make_reader
 
-from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.offline.imported import agreement
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
@@ -93,7 +90,7 @@ def test_a_flat_sensor_is_described_as_flat(folder, sensor, arrays):
 
 def test_the_force_is_found_again_and_lies_beside_the_sensors_own(folder, tmp_path, capsys):
     output = tmp_path / "out"
-    assert main(["import", "tac3d", str(folder.parent), "--output", str(output)]) == 0
+    assert run("import", "tac3d", folder.parent, "--output", output) == 0
     assert sorted(path.name for path in output.iterdir()) == [
         f"{SERIAL}.mcap",
         f"{SERIAL}.yaml",
@@ -110,24 +107,24 @@ def test_the_force_is_found_again_and_lies_beside_the_sensors_own(folder, tmp_pa
     assert topics >= {f"{space}/{name}" for name in ("surface", "force_field", "tac3d/wrench")}
     assert "correlation" in capsys.readouterr().out
     # What was made before is kept, unless asked otherwise.
-    again = ["import", "tac3d", str(folder), "--output", str(output)]
-    assert main(again) == 1
+    again = ("import", "tac3d", folder, "--output", output)
+    assert run(*again) == 1
     assert "--overwrite replaces it" in capsys.readouterr().err
-    assert main([*again, "--overwrite"]) == 0
+    assert run(*again, "--overwrite") == 0
 
 
 @pytest.fixture
 def imported(folder, arrays, tmp_path):
     """The bag of an imported press, by a sensor with a force half as large again."""
     np.save(folder / "3D_ResultantForce.npy", 1.5 * arrays["3D_ResultantForce"])
-    assert main(["import", "tac3d", str(folder), "--output", str(tmp_path / "imported")]) == 0
+    assert run("import", "tac3d", folder, "--output", tmp_path / "imported") == 0
     return tmp_path / "imported" / f"{SERIAL}.mcap"
 
 
 def test_the_sensors_own_force_calibrates_the_gel(imported, tmp_path):
     topic, new = "/AD2_0001L/tac3d/wrench", tmp_path / "new.yaml"
     words = ["calibrate", "force", str(imported), "--wrench-topic", topic, "--output", str(new)]
-    assert main([*words, "--every-frame", "--poisson-std", "0"]) == 0
+    assert run(*words, "--every-frame", "--poisson-std", "0") == 0
     found = load_sensor(str(new)).elastomer
     assert found.young == pytest.approx(1.5 * load_sensor("tac3d_ad2").elastomer.young, rel=0.03)
     assert found.calibration.source == f"{imported}: {topic}"
@@ -136,7 +133,7 @@ def test_the_sensors_own_force_calibrates_the_gel(imported, tmp_path):
 
 def test_processing_goes_on_from_the_surfaces(imported, tmp_path, capsys):
     words = ["process", str(imported), "--output", str(tmp_path), "--jobs", "1"]
-    assert main([*words, "--arrays"]) == 0
+    assert run(*words, "--arrays") == 0
     assert "recorded surfaces" in printed(capsys)
     tables = [
         np.genfromtxt(path / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
@@ -148,13 +145,12 @@ def test_processing_goes_on_from_the_surfaces(imported, tmp_path, capsys):
     with np.load(tmp_path / f"{SERIAL}.npz") as arrays:
         assert arrays["displacement"].shape == (12, 20, 20, 3)
     # Another reference is taken from the surfaces themselves.
-    assert main([*words, "--reference", "first-3", "--overwrite"]) == 0
+    assert run(*words, "--reference", "first-3", "--overwrite") == 0
     assert "mean of 3 frames" in printed(capsys)
 
 
 @pytest.mark.parametrize(
-    ("other", "complaint"),
-    [("rows_10", "found 20, 20, 0"), ("prototype", "no frame can be used")],
+    ("other", "complaint"), [("rows_10", "found 20, 20, 0"), ("prototype", "no frame can be used")]
 )
 def test_surfaces_of_another_grid_are_refused(imported, tmp_path, capsys, other, complaint):
     if other == "rows_10":
@@ -162,7 +158,7 @@ def test_surfaces_of_another_grid_are_refused(imported, tmp_path, capsys, other,
         text = imported.with_suffix(".yaml").read_text("utf-8").replace("rows: 20", "rows: 10")
         (tmp_path / "rows_10.yaml").write_text(text, "utf-8")
     words = ["process", str(imported), "--output", str(tmp_path / "out"), "--sensor", other]
-    assert main([*words, "--jobs", "1"]) == 1
+    assert run(*words, "--jobs", "1") == 1
     said = printed(capsys)
     assert said.count("error: ") == 1
     assert complaint in said
@@ -189,7 +185,7 @@ def test_a_marker_that_is_never_seen_is_missing_and_the_others_serve(folder, arr
         values = arrays[name].copy()
         values[:, [25, 209]] = np.nan
         np.save(folder / f"{name}.npy", values)
-    assert main(["import", "tac3d", str(folder), "--output", str(tmp_path)]) == 0
+    assert run("import", "tac3d", folder, "--output", tmp_path) == 0
     table = np.genfromtxt(tmp_path / f"{SERIAL}_wrench.csv", delimiter=",", names=True)
     assert table["fz_N"][-1] == pytest.approx(FORCE_N[2], rel=0.05)
     found = load_sensor(str(tmp_path / f"{SERIAL}.yaml")).pattern
@@ -246,7 +242,7 @@ def test_files_that_are_cut_or_absent_are_named_and_nothing_is_written(folder, t
     path = folder / "3D_Positions.npy"
     path.write_bytes(path.read_bytes()[:5000])
     output = tmp_path / "out"
-    assert main(["import", "tac3d", str(folder), "--output", str(output)]) == 1
+    assert run("import", "tac3d", folder, "--output", output) == 1
     assert "3D_Positions.npy: found a file without an array" in capsys.readouterr().err
     assert not output.exists()
     path.unlink()

@@ -1,7 +1,5 @@
 """The numbers against the truth, and that each check can fail."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

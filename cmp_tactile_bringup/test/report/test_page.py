@@ -1,7 +1,5 @@
 """The written report: pictures that show something, and a page that needs no other file."""
 
-from __future__ import annotations
-
 import base64
 from dataclasses import replace
 from html.parser import HTMLParser

@@ -1,16 +1,15 @@
 """Bags as rosbag2 writes them: other libraries read them, and we what is left of a damaged one."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from typing import Any
 
+import made_bags
 import numpy as np
 import pytest
+from made_bags import STORE
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import open_storage
@@ -25,29 +24,28 @@ from cmp_tactile_driver.errors import BagError
 from cmp_tactile_processing.errors import MessageDefinitionError
 from cmp_tactile_processing.ros.messages.definitions import message_definition
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE = "sensor_msgs/msg/Image"
 TOPIC = "/rig/image_raw"
 
 
-def serialised(frame: np.ndarray, stamp_ns: int, bags: Any) -> bytes:
-    return bytes(STORE.serialize_cdr(bags.image(frame, stamp_ns), IMAGE))
+def serialised(frame: np.ndarray, stamp_ns: int) -> bytes:
+    return bytes(STORE.serialize_cdr(made_bags.image(frame, stamp_ns), IMAGE))
 
 
-def write(folder: Path, bags: Any, count: int, **options: Any) -> list[int]:
+def write(folder: Path, count: int, **options: Any) -> list[int]:
     """A bag of frames of 300 kB; their times."""
-    times = bags.stamps(count)
+    times = made_bags.stamps(count)
     with BagWriter(folder, **options) as writer:
         writer.add_topic(TOPIC, IMAGE)
-        for frame, time_ns in zip(bags.frames(count, 480, 640), times, strict=True):
-            writer.write(TOPIC, time_ns, serialised(frame, time_ns, bags))
+        for frame, time_ns in zip(made_bags.frames(count, 480, 640), times, strict=True):
+            writer.write(TOPIC, time_ns, serialised(frame, time_ns))
     return times
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_two_other_libraries_read_every_byte(tmp_path, bags, compressed):
-    times = write(tmp_path / "bag", bags, 12, compressed=compressed)
-    frames = [serialised(f, t, bags) for f, t in zip(bags.frames(12, 480, 640), times, strict=True)]
+def test_two_other_libraries_read_every_byte(tmp_path, compressed):
+    times = write(tmp_path / "bag", 12, compressed=compressed)
+    frames = [serialised(f, t) for f, t in zip(made_bags.frames(12, 480, 640), times, strict=True)]
     with Reader(tmp_path / "bag") as reader:
         assert reader.message_count == 12
         assert reader.start_time == times[0]
@@ -74,10 +72,10 @@ def test_an_unknown_type_is_named():
 
 
 @pytest.mark.parametrize("compressed", [False, True])
-def test_of_a_chunk_that_is_cut_what_is_there_is_read(tmp_path, bags, compressed):
+def test_of_a_chunk_that_is_cut_what_is_there_is_read(tmp_path, compressed):
     """Also where it is the only one, as in short results of `process`."""
     bag = tmp_path / "bag"
-    times = write(bag, bags, 3, compressed=compressed)
+    times = write(bag, 3, compressed=compressed)
     file = bag / "bag.mcap"
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 4 // 5])
     reader = BagReader(bag)
@@ -96,12 +94,12 @@ class SlowEncoder:
         return EncodedMessage(TOPIC, IMAGE, message)
 
 
-def test_what_the_queue_cannot_hold_is_dropped_and_counted(tmp_path, bags):
+def test_what_the_queue_cannot_hold_is_dropped_and_counted(tmp_path):
     """Whoever brings messages is not kept waiting, and what was taken is written."""
     recorder = BagRecorder(BagWriter(tmp_path / "bag"), queue_bytes=1_000_000)
     slow = SlowEncoder()
     tap = Tap(TOPIC, slow, size=300_000)
-    data = serialised(bags.frames(1, 480, 640)[0], 1, bags)
+    data = serialised(made_bags.frames(1, 480, 640)[0], 1)
     for number in range(10):
         recorder.put(tap, 1 + number, data)
     assert recorder.progress.dropped == {TOPIC: 7}
@@ -116,8 +114,8 @@ def test_what_the_queue_cannot_hold_is_dropped_and_counted(tmp_path, bags):
     assert recorder.progress.messages == {TOPIC: 3}
 
 
-def test_whatever_a_message_does_to_its_encoder_the_recording_goes_on(tmp_path, bags):
-    data = serialised(bags.frames(1)[0], 1, bags)
+def test_whatever_a_message_does_to_its_encoder_the_recording_goes_on(tmp_path):
+    data = serialised(made_bags.frames(1)[0], 1)
 
     def encode(message: bytes) -> EncodedMessage:
         if not message:

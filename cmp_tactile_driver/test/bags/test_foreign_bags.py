@@ -18,22 +18,21 @@ Public reports, tried on this reader (report: trial: result):
 - ouster-lidar/ouster-sdk 666: a file of a split recording without messages of the topic: counted
 """
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import made_bags
 import numpy as np
 import pytest
 import yaml
 import zstandard
+from made_bags import STORE
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.files import Place
 from cmp_tactile_driver.bags.reader import BagReader
@@ -42,7 +41,6 @@ from cmp_tactile_driver.bags.storage import bag_files, open_storage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, FrameSourceError
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
 MS = 1_000_000
 HOUR_NS = 3600 * 10**9
@@ -71,15 +69,14 @@ def write_mcap(path: Path, rows: Sequence[tuple[int, Any]], **options: Any) -> P
 UNINDEXED = {"use_chunking": False, "index_types": IndexType.NONE}
 
 
-def _rows(bags: Any, frames: Sequence[Any]) -> list[tuple[int, Any]]:
-    times = bags.stamps(len(frames))
-    return [(t + MS, bags.image(f, t)) for f, t in zip(frames, times, strict=True)]
+def _rows(frames: Sequence[Any]) -> list[tuple[int, Any]]:
+    times = made_bags.stamps(len(frames))
+    return [(t + MS, made_bags.image(f, t)) for f, t in zip(frames, times, strict=True)]
 
 
-def _check_whole(reader: BagReader, bags: Any, frames: Sequence[Any]) -> None:
+def _check_whole(reader: BagReader, frames: Sequence[Any]) -> None:
     found = list(reader.frames())
-    assert [frame.stamp_ns for frame in found] == bags.stamps(len(frames))
-    assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
+    made_bags.assert_played(found, frames)
     times = [0.05 * number for number in range(len(frames))]
     assert [frame.time_s for frame in found] == pytest.approx(times)
     assert reader.duration == pytest.approx(times[-1])
@@ -101,13 +98,13 @@ def _check_whole(reader: BagReader, bags: Any, frames: Sequence[Any]) -> None:
     ids=str,
 )
 @pytest.mark.parametrize("late_ms", [2, 700])
-def test_whatever_the_writer_chose(tmp_path, bags, frames, options, late_ms):
-    rows = _rows(bags, frames)
+def test_whatever_the_writer_chose(tmp_path, frames, options, late_ms):
+    rows = _rows(frames)
     for number in (3, 4, 8):
         rows[number] = rows[number][0] + late_ms * MS, rows[number][1]
     rows[1], rows[2] = rows[2], rows[1]
     reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows, **options))
-    _check_whole(reader, bags, frames)
+    _check_whole(reader, frames)
     assert reader.gaps == ""
 
 
@@ -117,7 +114,7 @@ def _without_content_size(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
-def test_zstd_that_does_not_state_the_size_of_its_content(tmp_path, bags, frames, compression):
+def test_zstd_that_does_not_state_the_size_of_its_content(tmp_path, frames, compression):
     """Messages that were compressed one by one, in chunks that may be compressed as well."""
     path = tmp_path / "bag.mcap"
     with path.open("wb") as file:
@@ -126,26 +123,26 @@ def test_zstd_that_does_not_state_the_size_of_its_content(tmp_path, bags, frames
         channel = writer.register_channel(
             TOPIC, "cdr", writer.register_schema(IMAGE, "ros2msg", b"")
         )
-        for time_ns, message in _rows(bags, frames):
+        for time_ns, message in _rows(frames):
             data = _without_content_size(bytes(STORE.serialize_cdr(message, IMAGE)))
             writer.add_message(channel, time_ns, data, time_ns)
         writer.finish()
-    _check_whole(BagReader(path), bags, frames)
+    _check_whole(BagReader(path), frames)
 
 
-def test_a_summary_that_is_cut_loses_nothing(tmp_path, bags, frames):
-    path = write_mcap(tmp_path / "bag.mcap", _rows(bags, frames))
+def test_a_summary_that_is_cut_loses_nothing(tmp_path, frames):
+    path = write_mcap(tmp_path / "bag.mcap", _rows(frames))
     path.write_bytes(path.read_bytes()[:-150])
-    _check_whole(BagReader(path), bags, frames)
+    _check_whole(BagReader(path), frames)
 
 
-def test_a_file_of_a_split_recording_may_have_no_message_of_the_topic(tmp_path, bags, frames):
+def test_a_file_of_a_split_recording_may_have_no_message_of_the_topic(tmp_path, frames):
     bag = tmp_path / "bag"
     bag.mkdir()
-    rows = _rows(bags, frames)
+    rows = _rows(frames)
     write_mcap(bag / "bag_0.mcap", rows)
     write_mcap(bag / "bag_1.mcap", [])
-    _check_whole(BagReader(bag), bags, frames)
+    _check_whole(BagReader(bag), frames)
 
 
 def _change_metadata(bag: Path, change: Any) -> None:
@@ -172,10 +169,8 @@ def _other_names(information: Any) -> None:
 
 
 @pytest.mark.parametrize("change", [_other_qos, _other_counts, _other_names, None, "broken"])
-def test_metadata_that_differs_from_the_files(tmp_path, bags, frames, change):
-    times = bags.stamps(len(frames))
-    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
-    bag = bags.write(tmp_path / "bag", {TOPIC: messages})
+def test_metadata_that_differs_from_the_files(tmp_path, frames, change):
+    bag = made_bags.write(tmp_path / "bag", {TOPIC: made_bags.images(frames)})
     if change is None:
         (bag / "metadata.yaml").unlink()
     elif change == "broken":
@@ -184,13 +179,12 @@ def test_metadata_that_differs_from_the_files(tmp_path, bags, frames, change):
         _change_metadata(bag, change)
     # macOS leaves such beside every file on a foreign disk.
     (bag / "._bag.mcap").write_bytes(b"\0\5\x16\7")
-    _check_whole(BagReader(bag), bags, frames)
+    _check_whole(BagReader(bag), frames)
 
 
-def test_a_count_that_does_not_fit_is_named_in_words_of_its_own(tmp_path, bags, frames):
-    times = bags.stamps(len(frames))
-    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
-    bag = bags.write(tmp_path / "bag", {TOPIC: messages}, StoragePlugin.SQLITE3)
+def test_a_count_that_does_not_fit_is_named_in_words_of_its_own(tmp_path, frames):
+    topics = {TOPIC: made_bags.images(frames)}
+    bag = made_bags.write(tmp_path / "bag", topics, StoragePlugin.SQLITE3)
     with sqlite3.connect(bag / "bag.db3") as connection:
         connection.execute("DELETE FROM messages WHERE id > 10")
     reader = BagReader(bag)
@@ -199,13 +193,13 @@ def test_a_count_that_does_not_fit_is_named_in_words_of_its_own(tmp_path, bags, 
     assert "damaged" not in reader.health.problem
 
 
-def test_a_missing_file_of_a_split_recording_is_named(tmp_path, bags, frames):
+def test_a_missing_file_of_a_split_recording_is_named(tmp_path, frames):
     bag = tmp_path / "bag"
     bag.mkdir()
-    rows = _rows(bags, frames)
+    rows = _rows(frames)
     for number in range(3):
         write_mcap(bag / f"bag_{number}.mcap", rows[4 * number : 4 * number + 4])
-    _check_whole(BagReader(bag), bags, frames)
+    _check_whole(BagReader(bag), frames)
     names = [f"bag_{number}.mcap" for number in range(3)]
     text = {"relative_file_paths": names, "topics_with_message_count": []}
     content = yaml.safe_dump({"rosbag2_bagfile_information": text})
@@ -218,22 +212,22 @@ def test_a_missing_file_of_a_split_recording_is_named(tmp_path, bags, frames):
 
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_zstd_of_files_and_of_messages(tmp_path, bags, frames, mode, storage):
+def test_zstd_of_files_and_of_messages(tmp_path, frames, mode, storage):
     bag = tmp_path / "bag"
     writer = RosbagsWriter(bag, version=9, storage_plugin=storage)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         connection = writer.add_connection(TOPIC, IMAGE, typestore=STORE)
-        for received_ns, message in _rows(bags, frames):
+        for received_ns, message in _rows(frames):
             writer.write(connection, received_ns, STORE.serialize_cdr(message, IMAGE))
-    _check_whole(BagReader(bag), bags, frames)
+    _check_whole(BagReader(bag), frames)
     (bag / "metadata.yaml").unlink()
-    _check_whole(BagReader(bag), bags, frames)
+    _check_whole(BagReader(bag), frames)
     # One file by itself, as it is copied; a disk of Windows may have made its name upper case.
     file = next(iter(bag_files(bag)))
-    _check_whole(open_recording(file), bags, frames)
+    _check_whole(open_recording(file), frames)
     if mode is CompressionMode.MESSAGE:
-        _check_whole(open_recording(file.rename(bag / file.name.upper())), bags, frames)
+        _check_whole(open_recording(file.rename(bag / file.name.upper())), frames)
 
 
 @pytest.mark.parametrize(
@@ -262,11 +256,11 @@ def test_a_device_is_no_recording():
         open_recording(Path("/dev/null"))
 
 
-def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, bags, frames):
+def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, frames):
     """A recorder that was killed leaves its last messages there."""
-    times = bags.stamps(len(frames))
-    messages = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
-    first = bags.write(tmp_path / "first", {TOPIC: messages[:6]}, StoragePlugin.SQLITE3)
+    times = made_bags.stamps(len(frames))
+    messages = made_bags.images(frames)
+    first = made_bags.write(tmp_path / "first", {TOPIC: messages[:6]}, StoragePlugin.SQLITE3)
     file = first / "first.db3"
     connection = sqlite3.connect(file)
     connection.execute("PRAGMA journal_mode=WAL")
@@ -280,10 +274,10 @@ def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, bags, frames):
     for suffix in ("", "-wal"):
         shutil.copy(f"{file}{suffix}", bag / f"killed_0.db3{suffix}")
     connection.close()
-    _check_whole(BagReader(bag), bags, frames)
+    _check_whole(BagReader(bag), frames)
 
 
-def test_sqlite_of_eloquent_knows_no_qos(tmp_path, bags, frames):
+def test_sqlite_of_eloquent_knows_no_qos(tmp_path, frames):
     with sqlite3.connect(tmp_path / "bag.db3") as connection:
         connection.executescript(
             "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
@@ -292,14 +286,14 @@ def test_sqlite_of_eloquent_knows_no_qos(tmp_path, bags, frames):
             " timestamp INTEGER NOT NULL, data BLOB NOT NULL);"
             f"INSERT INTO topics VALUES(1, '{TOPIC}', '{IMAGE}', 'cdr');"
         )
-        for received_ns, message in _rows(bags, frames):
+        for received_ns, message in _rows(frames):
             data = bytes(STORE.serialize_cdr(message, IMAGE))
             connection.execute("INSERT INTO messages VALUES(NULL, 1, ?, ?)", (received_ns, data))
-    _check_whole(BagReader(tmp_path / "bag.db3"), bags, frames)
+    _check_whole(BagReader(tmp_path / "bag.db3"), frames)
 
 
-def test_receipts_of_one_moment_leave_the_order_as_it_was_written(tmp_path, bags, frames):
-    rows = [(7, bags.image(frame, 0)) for frame in frames]
+def test_receipts_of_one_moment_leave_the_order_as_it_was_written(tmp_path, frames):
+    rows = [(7, made_bags.image(frame, 0)) for frame in frames]
     found = list(BagReader(write_mcap(tmp_path / "bag.mcap", rows, **UNINDEXED)).frames())
     assert all(np.array_equal(a.image, b) for a, b in zip(found, frames, strict=True))
 
@@ -340,11 +334,11 @@ CLOCKS: dict[str, Clocks] = {
 
 
 @pytest.mark.parametrize("clocks", CLOCKS.values(), ids=CLOCKS.keys())
-def test_time_goes_on_from_frame_to_frame_whatever_the_clocks_did(tmp_path, bags, frames, clocks):
+def test_time_goes_on_from_frame_to_frame_whatever_the_clocks_did(tmp_path, frames, clocks):
     stamp, receipt, said = clocks
-    times = list(enumerate(bags.stamps(len(frames))))
+    times = list(enumerate(made_bags.stamps(len(frames))))
     rows = [
-        (receipt(*time), bags.image(frame, stamp(*time)))
+        (receipt(*time), made_bags.image(frame, stamp(*time)))
         for frame, time in zip(frames, times, strict=True)
     ]
     reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
@@ -356,11 +350,10 @@ def test_time_goes_on_from_frame_to_frame_whatever_the_clocks_did(tmp_path, bags
     assert (said in reader.gaps) if said else reader.gaps == ""
 
 
-def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path, bags, frames):
-    times = bags.stamps(len(frames))
-    info = [bags.camera_info(frames[0], times[0] - 10**9)]
-    images = [bags.image(f, t) for f, t in zip(frames, times, strict=True)]
-    reader = BagReader(bags.write(tmp_path / "bag", {"/rig/camera_info": info, TOPIC: images}))
+def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path, frames):
+    info = made_bags.camera_info(frames[0], made_bags.FIRST_STAMP_NS - 10**9)
+    topics = {"/rig/camera_info": [info], TOPIC: made_bags.images(frames)}
+    reader = BagReader(made_bags.write(tmp_path / "bag", topics))
     assert [item.time_s for item in reader.messages()][:3] == pytest.approx([0, 0, 0.05])
 
 
@@ -398,8 +391,8 @@ def test_a_part_that_begins_at_a_frame_has_that_frame():
 
 
 @pytest.mark.parametrize("options", [{}, UNINDEXED, {"compression": CompressionType.ZSTD}], ids=str)
-def test_whatever_byte_is_damaged_is_reported(tmp_path, bags, frames, options):
-    rows = _rows(bags, frames)
+def test_whatever_byte_is_damaged_is_reported(tmp_path, frames, options):
+    rows = _rows(frames)
     whole = write_mcap(tmp_path / "bag.mcap", rows, **options).read_bytes()
     rng = np.random.default_rng(1)
     places = [*range(8, 120), *rng.integers(8, len(whole), 100)]
@@ -416,8 +409,8 @@ def test_whatever_byte_is_damaged_is_reported(tmp_path, bags, frames, options):
     assert read > 0.5 * len(frames) * 100
 
 
-def test_zeros_after_a_power_cut_are_passed_over(tmp_path, bags, frames):
-    path = write_mcap(tmp_path / "bag.mcap", _rows(bags, frames), **UNINDEXED)
+def test_zeros_after_a_power_cut_are_passed_over(tmp_path, frames):
+    path = write_mcap(tmp_path / "bag.mcap", _rows(frames), **UNINDEXED)
     end = path.read_bytes().rindex(b"\x0f\x04\x00\x00\x00\x00\x00\x00\x00")  # DataEnd
     path.write_bytes(path.read_bytes()[:end] + bytes(100_000))
     reader = BagReader(path)

@@ -1,7 +1,5 @@
 """The player sends every message once, in order, in the recorded timing."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -10,12 +8,7 @@ import numpy as np
 import pytest
 from waiting import wait_until
 
-from cmp_tactile_driver.bags.player import (
-    PREFETCH_DEPTH,
-    Player,
-    PlayerState,
-    StartGate,
-)
+from cmp_tactile_driver.bags.player import PREFETCH_DEPTH, Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError

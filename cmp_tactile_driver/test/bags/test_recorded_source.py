@@ -1,9 +1,8 @@
 """A bag as the source of the camera driver: its frames, its rate, and what is no such bag."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
+import made_bags
 import numpy as np
 import pytest
 
@@ -13,12 +12,10 @@ from cmp_tactile_driver.sources.frames import SourceOptions
 
 
 @pytest.fixture
-def image_bag(tmp_path, bags, frames):
+def image_bag(tmp_path, frames):
     """The frames alone, at 20 Hz, and one of another size."""
-    times = bags.stamps(len(frames) + 1)
-    odd = np.zeros((8, 8), np.uint8)
-    messages = [bags.image(f, t) for f, t in zip([odd, *frames], times, strict=True)]
-    return bags.write(tmp_path / "images_bag", {"/rig/image_raw": messages})
+    messages = made_bags.images([np.zeros((8, 8), np.uint8), *frames])
+    return made_bags.write(tmp_path / "images_bag", {"/rig/image_raw": messages})
 
 
 def test_frames_of_a_bag_come_in_order_at_the_recorded_rate(image_bag, small_sensor, frames):

@@ -1,7 +1,5 @@
 """camera_info of the camera driver: from the description, from a file, and by set_camera_info."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,14 +1,14 @@
 """The node camera_driver: lifecycle, frames and diagnostics over real topics."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import sys
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
+from ros_graph import stamps_of
 
 pytestmark = pytest.mark.ros
 
@@ -16,17 +16,18 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import CameraInfo, Image
 
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
 from cmp_tactile_processing.errors import ParameterError
 
+NODE = "camera_driver"
+
 
 @pytest.fixture
-def sensor_folder(tmp_path, bags):
+def sensor_folder(tmp_path):
     """Six frames of the sample rig's size, and one that is not."""
-    frames = bags.frames(6, 768, 1024)
+    frames = made_bags.frames(6, 768, 1024)
     for number, frame in enumerate(frames):
         cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
     cv2.imwrite(str(tmp_path / "9.png"), np.zeros((10, 10), np.uint8))
@@ -36,15 +37,6 @@ def sensor_folder(tmp_path, bags):
 def _start(ros, folder, **parameters):
     given = {"sensor_description": "sample_rig", "frame_rate": 50.0, "input": str(folder)}
     return ros.start(CameraDriver, **{**given, **parameters})
-
-
-def _change(ros, transition):
-    request = ChangeState.Request(transition=Transition(id=transition))
-    return ros.call(ChangeState, "camera_driver/change_state", request).success
-
-
-def _state(ros):
-    return ros.call(GetState, "camera_driver/get_state", GetState.Request()).current_state.label
 
 
 def test_without_an_input_it_does_not_start(ros):
@@ -60,17 +52,17 @@ def test_lifecycle_frames_and_the_end(ros, sensor_folder):
     infos = ros.listen(CameraInfo, "camera_info", depth=100)
     reports = ros.reports("camera_driver")
     node = _start(ros, folder, autostart=False)
-    assert _state(ros) == "unconfigured"
-    assert _change(ros, Transition.TRANSITION_CONFIGURE)
+    assert ros.lifecycle_state(NODE) == "unconfigured"
+    assert ros.change_state(NODE, Transition.TRANSITION_CONFIGURE)
     ros.run(0.2)
-    assert (_state(ros), images) == ("inactive", [])
+    assert (ros.lifecycle_state(NODE), images) == ("inactive", [])
     ros.wait(lambda: node.count_subscribers("image_raw") == 1, "the subscriber")
     begin = ros.node.get_clock().now().nanoseconds
-    assert _change(ros, Transition.TRANSITION_ACTIVATE)
+    assert ros.change_state(NODE, Transition.TRANSITION_ACTIVATE)
     ros.wait(lambda: len(images) == len(infos) == len(frames), "the frames")
     for image, frame in zip(images, frames, strict=True):
         assert np.array_equal(np.frombuffer(image.data, np.uint8).reshape(768, 1024), frame)
-    stamps = [image.header.stamp.sec * 10**9 + image.header.stamp.nanosec for image in images]
+    stamps = stamps_of(images)
     assert begin < stamps[0] < stamps[-1] < ros.node.get_clock().now().nanoseconds
     assert {image.header.frame_id for image in images} == {"sample_rig_camera_optical_frame"}
     assert [info.header.stamp for info in infos] == [image.header.stamp for image in images]
@@ -86,23 +78,25 @@ def test_lifecycle_frames_and_the_end(ros, sensor_folder):
         (Transition.TRANSITION_DEACTIVATE, "inactive"),
         (Transition.TRANSITION_CLEANUP, "unconfigured"),
     ):
-        assert _change(ros, transition)
-        assert _state(ros) == state
+        assert ros.change_state(NODE, transition)
+        assert ros.lifecycle_state(NODE) == state
 
 
-def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path, bags):
+def test_a_source_that_is_missing_can_be_configured_later(ros, tmp_path):
     folder = tmp_path / "later"
     reports = ros.reports("camera_driver")
-    _start(ros, folder)
-    assert _state(ros) == "unconfigured"
+    _start(ros, folder, sensor_name="left_finger")
+    assert ros.lifecycle_state(NODE) == "unconfigured"
     ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "an error in the diagnostics")
     assert f"{folder}: found no such file or folder" in reports.last.message
     folder.mkdir()
-    cv2.imwrite(str(folder / "0.png"), bags.frames(1, 768, 1024)[0])
-    images = ros.listen(Image, "image_raw")
-    assert _change(ros, Transition.TRANSITION_CONFIGURE)
-    assert _change(ros, Transition.TRANSITION_ACTIVATE)
-    ros.wait(lambda: images, "a frame")
+    cv2.imwrite(str(folder / "0.png"), made_bags.frames(1, 768, 1024)[0])
+    images, infos = ros.listen(Image, "image_raw"), ros.listen(CameraInfo, "camera_info")
+    assert ros.change_state(NODE, Transition.TRANSITION_CONFIGURE)
+    assert ros.change_state(NODE, Transition.TRANSITION_ACTIVATE)
+    ros.wait(lambda: images and infos, "a frame")
+    for message in (images[0], infos[0]):
+        assert message.header.frame_id == "left_finger_camera_optical_frame"
 
 
 def test_destroyed_node_leaves_the_graph_without_garbage_collection(ros, sensor_folder):
@@ -135,7 +129,8 @@ class Tape:
         return self
 
     def frame_sent(self, frame, header):
-        self.log.append((frame.origin, header.stamp.sec, header.stamp.nanosec, header.frame_id))
+        stamp_ns = header.stamp.sec * 10**9 + header.stamp.nanosec
+        self.log.append((frame.origin, stamp_ns, header.frame_id))
 
     @property
     def diagnostics(self):
@@ -147,16 +142,9 @@ class Tape:
 
 
 @pytest.fixture
-def tape_log(tmp_path, monkeypatch):
+def tape_log(install_sources):
     """A source of another package that extends the node; what is called of it."""
-    metadata = tmp_path / "tape_source-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: tape_source\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text(
-        "[cmp_tactile_frame_sources]\ntape = tape_source:Tape\n"
-    )
-    (tmp_path / "tape_source.py").write_text(TAPE)
-    monkeypatch.syspath_prepend(str(tmp_path))
+    install_sources("tape_source", TAPE, tape="Tape")
     yield importlib.import_module("tape_source").Tape.log
     del sys.modules["tape_source"]
 
@@ -168,11 +156,11 @@ def test_a_source_may_extend_the_node(ros, tape_log):
     ros.wait(lambda: len(images) > 3, "frames")
     ros.wait(lambda: reports.values.get("reels") == "3", "the source's own diagnostics")
     assert (reports.last.level, reports.last.message) == (DiagnosticStatus.WARN, "worn")
-    assert _change(ros, Transition.TRANSITION_DEACTIVATE)
-    assert _change(ros, Transition.TRANSITION_CLEANUP)
+    assert ros.change_state(NODE, Transition.TRANSITION_DEACTIVATE)
+    assert ros.change_state(NODE, Transition.TRANSITION_CLEANUP)
     reported = {item for item in tape_log if isinstance(item, tuple)}
-    stamps = [(image.header.stamp.sec, image.header.stamp.nanosec) for image in images]
-    assert {("here", *stamp, "sample_rig_camera_optical_frame") for stamp in stamps} <= reported
+    frame_id = "sample_rig_camera_optical_frame"
+    assert {("here", stamp_ns, frame_id) for stamp_ns in stamps_of(images)} <= reported
     # The extension is closed, then the source.
     assert [item for item in tape_log if isinstance(item, str)] == [
         "open",
@@ -193,7 +181,7 @@ def test_an_unexpected_error_of_a_source_is_reported(ros, sensor_folder, monkeyp
     monkeypatch.setattr(importlib.import_module(module), "find_source", lambda _name: opens)
     reports = ros.reports("camera_driver")
     _start(ros, sensor_folder[0])
-    assert _state(ros) == "unconfigured"
+    assert ros.lifecycle_state(NODE) == "unconfigured"
     ros.wait(lambda: "RuntimeError: of a library" in reports.last.message, "the report")
     assert reports.last.level == DiagnosticStatus.ERROR
     assert "Traceback" in capfd.readouterr().err

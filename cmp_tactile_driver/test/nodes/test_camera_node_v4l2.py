@@ -1,11 +1,12 @@
 """The node camera_driver with a camera (fake_v4l2) over real topics, services and parameters."""
 
-from __future__ import annotations
-
-import threading
+import itertools
 import time
 
 import pytest
+from fake_v4l2 import FakeCamera
+from ros_graph import stamps_of
+from waiting import in_background
 
 pytestmark = pytest.mark.ros
 
@@ -13,7 +14,6 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 from sensor_msgs.msg import Image
@@ -32,19 +32,10 @@ def camera(plug):
 @pytest.fixture
 def exposing(camera):
     """The camera gives 50 frames a second, the first pixel of each counts them."""
-    ended = threading.Event()
-
-    def expose():
-        number = 0
-        while not ended.wait(0.02):
-            number += 1
-            camera.give(bytes([number % 256]) * (SIZE[0] * SIZE[1]))
-
-    thread = threading.Thread(target=expose)
-    thread.start()
-    yield camera
-    ended.set()
-    thread.join()
+    pixels = SIZE[0] * SIZE[1]
+    exposures = (camera.give(bytes([number % 256]) * pixels) for number in itertools.count(1))
+    with in_background(exposures, 0.02):
+        yield camera
 
 
 class _Driver:
@@ -67,12 +58,10 @@ class _Driver:
 
     @property
     def state(self):
-        request = GetState.Request()
-        return self._ros.call(GetState, "camera_driver/get_state", request).current_state.label
+        return self._ros.lifecycle_state("camera_driver")
 
     def change(self, transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return self._ros.call(ChangeState, "camera_driver/change_state", request).success
+        return self._ros.change_state("camera_driver", transition)
 
     def set(self, **values):
         """Set controls as `ros2 param set` does; the reason of a refusal."""
@@ -121,8 +110,7 @@ def test_frames_have_the_stamp_of_their_exposure(ros, exposing):
     ros.wait(lambda: len(images) > 12, "frames")
     images = [image for image in images if image.data[0] in exposures]
     assert len(images) > 5
-    for image in images:
-        stamp_ns = image.header.stamp.sec * 10**9 + image.header.stamp.nanosec
+    for image, stamp_ns in zip(images, stamps_of(images), strict=True):
         # A microsecond of the kernel's count, and two clocks that are not read at once.
         assert abs(stamp_ns - exposures[image.data[0]]) < 1_000_000
     assert (images[0].encoding, images[0].width, images[0].height) == ("mono8", *SIZE)
@@ -237,9 +225,7 @@ def test_what_a_camera_insists_on_is_shown_with_a_warning(ros, kernel, exposing,
     ros.wait(lambda: driver.values["refused controls"] == "none", "the diagnostics")
 
 
-def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
-    ros, kernel, fake, capfd
-):
+def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(ros, kernel, capfd):
     """As where a gripper is switched on after the computer; what is wrong is reported then."""
     images = ros.listen(Image, "image_raw")
     driver = _Driver(ros, **{"controls.gain": 7})
@@ -248,10 +234,10 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     assert "until the camera is there" in driver.report.message
     assert driver.state == "unconfigured"
     assert not driver.change(Transition.TRANSITION_CONFIGURE), "by hand it is not looked for"
-    other = fake.FakeCamera("CAM2", modes={"GREY": {SIZE: (30,)}})
+    other = FakeCamera("CAM2", modes={"GREY": {SIZE: (30,)}})
     kernel.plug(other, number=0, port="1-7")
     ros.wait(lambda: "(Tactile: Camera, serial CAM2" in driver.report.message, "the other camera")
-    camera = fake.FakeCamera(modes={"GREY": {SIZE: (30,)}})
+    camera = FakeCamera(modes={"GREY": {SIZE: (30,)}})
     kernel.plug(camera, number=3)
     ros.wait(lambda: camera.streaming, "the camera to be found")
     assert driver.state == "active"
@@ -267,11 +253,7 @@ def test_a_camera_that_is_missing_at_the_start_is_looked_for_until_it_is_there(
     [
         ({"GREY": {(640, 480): (30,)}}, {}, "image size of the sensor description"),
         ({"GREY": {SIZE: (30,)}}, {"frame_rate": 120.0}, "frame_rate: found 120 Hz"),
-        (
-            {"GREY": {SIZE: (30,)}},
-            {"controls.gain": 500},
-            "found 500, expected an integer, 0",
-        ),
+        ({"GREY": {SIZE: (30,)}}, {"controls.gain": 500}, "found 500, expected an integer, 0"),
     ],
 )
 def test_what_is_wrong_with_a_camera_that_is_there_is_not_tried_again(

@@ -1,7 +1,5 @@
 """Replays that begin together: none before all are ready, all at the same time."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

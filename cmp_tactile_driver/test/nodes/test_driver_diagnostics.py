@@ -1,7 +1,5 @@
 """The driver's nodes report in /diagnostics as the stages do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

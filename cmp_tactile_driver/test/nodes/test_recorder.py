@@ -1,8 +1,5 @@
 """The node recorder over real topics: what was published is in the bag, with both its times."""
 
-from __future__ import annotations
-
-import array
 import resource
 import signal
 import subprocess
@@ -13,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
+from made_bags import STORE
 from mcap.reader import make_reader
+from ros_graph import header_at
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
 
 pytestmark = pytest.mark.ros
 
@@ -36,26 +35,18 @@ from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes import recorder as recorder_module
 from cmp_tactile_driver.nodes.recorder import Recorder
-from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
+from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, image_to_msg
 from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
+CAMERA = "rig_camera_optical_frame"
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def image(frame: np.ndarray, stamp_ns: int, encoding: str = "") -> Image:
-    height, width = frame.shape[:2]
-    message = Image(height=height, width=width, encoding=encoding or "mono8")
-    message.step = frame[0].nbytes
-    message.header.frame_id = "rig_camera_optical_frame"
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    message.data = array.array("B", frame.tobytes())
-    return message
-
-
-def values(statuses: list[DiagnosticStatus]) -> dict[str, str]:
-    return {item.key: item.value for item in statuses[-1].values} if statuses else {}
+def images(frames: list[np.ndarray]) -> list[Image]:
+    """The frames as messages, with the stamps of made_bags."""
+    stamps = made_bags.stamps(len(frames))
+    return [frame_to_msg(f, header_at(t, CAMERA)) for f, t in zip(frames, stamps, strict=True)]
 
 
 def recorded(ros: Any, node: Any, publisher: Any, messages: list[Any]) -> None:
@@ -74,20 +65,19 @@ def output(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("compression", ["zstd", "png", "none"])
-def test_frames_come_back_bit_by_bit(ros, output, bags, compression):
-    frames, times = bags.frames(12), bags.stamps(12)
+def test_frames_come_back_bit_by_bit(ros, output, compression):
+    frames = made_bags.frames(12)
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
     node = ros.start(Recorder, output=str(output), compression=compression)
     before = time.time_ns()
-    recorded(ros, node, publisher, [image(f, t) for f, t in zip(frames, times, strict=True)])
+    recorded(ros, node, publisher, images(frames))
     node.stop()
     reader = BagReader(output)
     compressed = "/compressed" if compression == "png" else ""
     assert reader.image_topic == f"{ros.namespace}/image_raw{compressed}"
     back = list(reader.frames())
-    assert [frame.stamp_ns for frame in back] == times
-    assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
-    assert {frame.frame_id for frame in back} == {"rig_camera_optical_frame"}
+    made_bags.assert_played(back, frames)
+    assert {frame.frame_id for frame in back} == {CAMERA}
     # The log time is when the message came.
     with (output / "bag.mcap").open("rb") as file:
         logged = [m.log_time for *_, m in make_reader(file).iter_messages()]
@@ -100,7 +90,8 @@ def test_colours_by_png_and_other_encodings_as_they_are(ros, output):
     yuyv = np.random.default_rng(4).integers(0, 256, (6, 8, 2), np.uint8)
     publisher = ros.node.create_publisher(Image, "image_raw", 10)
     node = ros.start(Recorder, output=str(output), compression="png")
-    messages = [image(colours, 1, "bgr8"), image(colours, 2, "rgb8"), image(yuyv, 3, "yuv422_yuy2")]
+    shown = ((colours, "bgr8"), (colours, "rgb8"), (yuyv, "yuv422_yuy2"))
+    messages = [image_to_msg(pixels, encoding, header_at(1)) for pixels, encoding in shown]
     recorded(ros, node, publisher, messages)
     node.stop()
     topic = f"{ros.namespace}/image_raw"
@@ -183,19 +174,18 @@ def test_a_type_that_cannot_be_used_here_is_named_and_the_rest_is_recorded(
     assert capfd.readouterr().err.count("/a: not recorded: geometry_msgs/msg/Transform") == 1
 
 
-def test_start_stop_and_status(ros, output, bags):
-    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+def test_start_stop_and_status(ros, output):
+    statuses = ros.statuses("recorder")
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
     node = ros.start(Recorder, output=str(output), autostart=False)
-    frames = [image(f, t) for f, t in zip(bags.frames(6), bags.stamps(6), strict=True)]
-    ros.wait(lambda: values(statuses).get("state") == "idle", "state idle")
+    ros.wait(lambda: statuses.state == "idle", "state idle")
     assert not output.exists()
     answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
     assert (answer.success, answer.message) == (True, f"recording: {output}")
-    recorded(ros, node, publisher, frames)
+    recorded(ros, node, publisher, images(made_bags.frames(6)))
     assert ros.call(SetBool, "recorder/record", SetBool.Request(data=False)).success
-    ros.wait(lambda: values(statuses)["state"] == "finished", "state finished")
-    assert values(statuses)["messages"] == "6"
+    ros.wait(lambda: statuses.state == "finished", "state finished")
+    assert statuses.values["messages"] == "6"
     assert publisher.get_subscription_count() == 0
     assert len(list(BagReader(output).frames())) == 6
     answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
@@ -252,14 +242,14 @@ def start_process(namespace: str, output: Path, **limits: Any) -> subprocess.Pop
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, **limits)
 
 
-def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
+def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output):
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
-    frames, times = bags.frames(30, 480, 640), bags.stamps(30)
+    frames = made_bags.frames(30, 480, 640)
     with start_process(ros.namespace, output) as process:
         try:
             ros.wait(publisher.get_subscription_count, "the recorder")
-            for frame, stamp in zip(frames, times, strict=True):
-                publisher.publish(image(frame, stamp))
+            for message in images(frames):
+                publisher.publish(message)
             path = output / "bag.mcap"
             ros.wait(lambda: path.stat().st_size > 29 * 640 * 480, "29 frames on the disk")
         finally:
@@ -268,38 +258,38 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output, bags):
     reader = BagReader(output)
     back = list(reader.frames())
     assert len(back) >= 28
-    assert [frame.stamp_ns for frame in back] == times[: len(back)]
+    made_bags.assert_played(back, frames[: len(back)])
     assert f"{len(back)} messages can be read" in reader.loss
     assert "the file has no end" in reader.loss
 
 
-def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, bags, capfd):
+def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, capfd):
     """Not where it is published raw, too, as image_transport does.
 
     Reports: realsenseai/realsense-ros 2017 (wants the one type, has the other), ros2/rosbag2 829
     (topics that are not recorded without a word); tried: recorded, with one line.
     """
-    frames, times = bags.frames(3), bags.stamps(3)
+    frames, stamps = made_bags.frames(3), made_bags.stamps(3)
     publisher = ros.node.create_publisher(CompressedImage, "image_raw/compressed", 100)
     both = [
         ros.node.create_publisher(kind, f"both{suffix}", 100)
         for kind, suffix in ((Image, ""), (CompressedImage, "/compressed"))
     ]
     node = ros.start(Recorder, output=str(output), topics="image_raw both")
-    messages = []
-    for frame, stamp in zip(frames, times, strict=True):
-        message = CompressedImage(format="mono8; png compressed ")
-        message.header = image(frame, stamp).header
-        message.data = array.array("B", cv2.imencode(".png", frame)[1].tobytes())
-        messages.append(message)
+    messages = [
+        CompressedImage(
+            header=header_at(stamp),
+            format="mono8; png compressed ",
+            data=cv2.imencode(".png", frame)[1].tobytes(),
+        )
+        for frame, stamp in zip(frames, stamps, strict=True)
+    ]
     recorded(ros, node, publisher, messages)
     assert node.missing_topics == []
     assert [item.get_subscription_count() for item in both] == [1, 0]
     node.stop()
     assert capfd.readouterr().err.count("image_raw/compressed is recorded instead") == 1
-    back = list(BagReader(output).frames())
-    assert [frame.stamp_ns for frame in back] == times
-    assert all(np.array_equal(a.image, b) for a, b in zip(back, frames, strict=True))
+    made_bags.assert_played(BagReader(output).frames(), frames)
 
 
 def accounted(figures: dict[str, str]) -> int:
@@ -307,10 +297,10 @@ def accounted(figures: dict[str, str]) -> int:
     return int(figures["messages"]) + int(figures["dropped"])
 
 
-def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
+def test_full_disk_ends_the_recording_with_what_it_has(ros, output):
     """As a full disk does, the limit makes a write fail in the middle of a chunk."""
     publisher = ros.node.create_publisher(Image, "image_raw", 100)
-    statuses = ros.listen(DiagnosticStatus, "recorder/status", latched=True, depth=1)
+    statuses = ros.statuses("recorder")
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (5_000_000, 5_000_000))
@@ -318,26 +308,26 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output, bags):
     with start_process(ros.namespace, output, preexec_fn=limit) as process:
         try:
             ros.wait(publisher.get_subscription_count, "the recorder")
-            for frame, stamp in zip(bags.frames(30, 480, 640), bags.stamps(30), strict=True):
-                publisher.publish(image(frame, stamp))
-            ros.wait(lambda: values(statuses).get("state") == "failed", "state failed")
+            for message in images(made_bags.frames(30, 480, 640)):
+                publisher.publish(message)
+            ros.wait(lambda: statuses.state == "failed", "state failed")
             # Those that come after the failure are dropped, too.
-            ros.wait(lambda: accounted(values(statuses)) == 30, "what became of each frame")
+            ros.wait(lambda: accounted(statuses.values) == 30, "what became of each frame")
         finally:
             process.send_signal(signal.SIGINT)
         assert process.wait(60) == 0
         assert process.stderr is not None
         log = process.stderr.read()
-    assert statuses[-1].level == DiagnosticStatus.ERROR
-    assert statuses[-1].message == f"{output}/bag.mcap: cannot be written: File too large"
+    assert statuses.last.level == DiagnosticStatus.ERROR
+    assert statuses.last.message == f"{output}/bag.mcap: cannot be written: File too large"
     assert f"recording ended: {output}/bag.mcap: cannot be written" in log
     # What did not fit is not reported as recorded.
     reader = BagReader(output)
-    assert len(list(reader.frames())) >= max(12, int(values(statuses)["messages"]))
+    assert len(list(reader.frames())) >= max(12, int(statuses.values["messages"]))
     assert "messages can be read; others are lost" in reader.loss
 
 
-def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
+def test_what_is_pushed_out_within_a_container_is_counted(ros, output):
     wiring = Wiring()
     with joining(wiring):
         source, node = (
@@ -351,8 +341,8 @@ def test_what_is_pushed_out_within_a_container_is_counted(ros, output, bags):
     ros.wait(lambda: frames.ends, "the recorder's subscription")
     # Nothing is taken meanwhile.
     with wiring.lock:
-        for frame in bags.frames(1) * 103:
-            frames.publish(frame, image(frame, 1).header)
+        for frame in made_bags.frames(1) * 103:
+            frames.publish(frame, header_at(1))
     topic = f"{ros.namespace}/image_raw"
     ros.wait(lambda: node.progress.dropped == {topic: 3}, "what is more than the queue holds")
     ros.run(1.2)

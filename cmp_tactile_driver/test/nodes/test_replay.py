@@ -1,19 +1,19 @@
 """The node replay over real topics: nothing is lost, added or changed."""
 
-from __future__ import annotations
-
 import re
-from typing import Any
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
+from ros_graph import stamps_of
 
 pytestmark = pytest.mark.ros
 
 pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
@@ -30,12 +30,8 @@ from cmp_tactile_processing.ros.messages.definitions import (
     simulation_typestore,
 )
 from cmp_tactile_processing.ros.messages.making import SURFACE
-from cmp_tactile_processing.ros.messages.reading import surface_from_msg
+from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
-
-
-def _stamp_ns(message: Any) -> int:
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def _pixels(message: Image) -> np.ndarray:
@@ -44,55 +40,43 @@ def _pixels(message: Image) -> np.ndarray:
     return image[..., 0] if channels == 1 else image
 
 
-def _values(status: DiagnosticStatus) -> dict[str, str]:
-    return {item.key: item.value for item in status.values}
-
-
-class _Statuses:
-    """The last `~/status`."""
-
-    def __init__(self, ros: Any) -> None:
-        self._received = ros.listen(DiagnosticStatus, "replay/status", latched=True, depth=1)
-
-    @property
-    def state(self) -> str:
-        return _values(self.last)["state"] if self._received else ""
-
-    @property
-    def last(self) -> DiagnosticStatus:
-        return self._received[-1]
+def _ticks(clocks: list[Clock]) -> list[int]:
+    return [stamp_ns(clock.clock) for clock in clocks]
 
 
 @pytest.mark.alone
-def test_sixty_frames_at_20_hz(ros, tmp_path, bags):
-    frames = bags.frames(60, 768, 1024)
-    times = bags.stamps(60)
-    messages = [bags.compressed(f, t) for f, t in zip(frames, times, strict=True)]
-    bag = bags.write(tmp_path / "bag", {"/rig/image_raw/compressed": messages})
+def test_sixty_frames_at_20_hz(ros, tmp_path):
+    frames = made_bags.frames(60, 768, 1024)
+    times = made_bags.stamps(60)
+    messages = list(map(made_bags.compressed, frames, times))
+    bag = made_bags.write(tmp_path / "bag", {"/rig/image_raw/compressed": messages})
     images, infos = ros.listen(Image, "image_raw"), ros.listen(CameraInfo, "camera_info")
-    clocks, statuses = ros.listen(Clock, "/clock", depth=100), _Statuses(ros)
+    clocks, statuses = ros.listen(Clock, "/clock", depth=100), ros.statuses("replay")
     ros.start(Replay, input=str(bag), wait_for_subscribers=1, sensor_description="sample_rig")
     ros.wait(lambda: statuses.state == "finished" and len(images) == 60, "60 frames", 60.0)
-    assert [_stamp_ns(image) for image in images] == times
+    assert stamps_of(images) == times
     assert {image.header.frame_id for image in images} == {"rig_camera_optical_frame"}
     assert all(np.array_equal(_pixels(a), b) for a, b in zip(images, frames, strict=True))
     # The bag has no camera infos: they come from the sensor description, one per frame.
-    assert [_stamp_ns(info) for info in infos] == times
+    assert stamps_of(infos) == times
     assert {info.k[0] for info in infos} == {733.3859777674537}
     # At most forty a second, and so fewer where two frames come in a bunch.
-    ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
+    ticks = _ticks(clocks)
     assert ticks == sorted({*ticks} & {*times})
     assert len(ticks) > 30
-    assert _values(statuses.last)["frames out"] == "60"
+    assert statuses.values["frames out"] == "60"
     assert statuses.last.level == DiagnosticStatus.OK
 
 
-def test_recorded_camera_infos_are_kept_whole(ros, frame_bag, frames, bags):
+def test_recorded_camera_infos_are_kept_whole_under_the_name_of_the_sensor(ros, frame_bag, frames):
     infos = ros.listen(CameraInfo, "camera_info", depth=100)
     images = ros.listen(Image, "image_raw", depth=100)
-    ros.start(Replay, input=str(frame_bag), wait_for_subscribers=1, rate=2.0)
+    given = {"wait_for_subscribers": 1, "rate": 2.0, "sensor_name": "left_finger"}
+    ros.start(Replay, input=str(frame_bag), **given)
     ros.wait(lambda: len(infos) == len(images) == len(frames), "frames and camera infos")
-    assert [_stamp_ns(info) for info in infos] == bags.stamps(len(frames))
+    frame_ids = {message.header.frame_id for message in (*images, *infos)}
+    assert frame_ids == {"left_finger_camera_optical_frame"}
+    assert stamps_of(infos) == made_bags.stamps(len(frames))
     assert list(infos[0].d) == [0.1, 0.2, 0.3, 0.4, 0.5]
     assert (infos[0].binning_x, infos[0].roi.do_rectify, infos[0].roi.width) == (2, True, 4)
 
@@ -117,7 +101,7 @@ def test_folder_of_colour_images(ros, tmp_path):
         sensor_description="sample_rig",
     )
     ros.wait(lambda: len(images) == 5, "five images")
-    assert [_stamp_ns(image) for image in images] == [n * 20_000_000 for n in range(5)]
+    assert stamps_of(images) == [n * 20_000_000 for n in range(5)]
     assert {image.header.frame_id for image in images} == {"sample_rig_camera_optical_frame"}
     assert {image.encoding for image in images} == {"bgr8"}
     assert all(np.array_equal(_pixels(a), b) for a, b in zip(images, colours, strict=True))
@@ -126,25 +110,24 @@ def test_folder_of_colour_images(ros, tmp_path):
 
 
 def test_pause_and_rate_while_it_plays(ros, frame_bag, frames):
-    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+    images, statuses = ros.listen(Image, "image_raw", depth=100), ros.statuses("replay")
     node = ros.start(Replay, input=str(frame_bag), paused=True)
     ros.wait(lambda: statuses.state == "paused", "state paused")
     ros.run(0.2)
     assert images == []
-    from rclpy.parameter import Parameter
-
     assert node.set_parameters([Parameter("rate", value=10.0)])[0].successful
     refused = node.set_parameters([Parameter("rate", value=0.0)])[0]
     assert not refused.successful
     answer = ros.call(SetBool, "replay/pause", SetBool.Request(data=False))
     assert answer.success
-    ros.wait(lambda: statuses.state == "finished" and len(images) == len(frames), "all frames")
+    ros.wait(
+        lambda: statuses.state == "finished" and len(images) == len(frames),
+        "all frames",
+    )
 
 
-def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
-    from rclpy.parameter import Parameter
-
-    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames):
+    images, statuses = ros.listen(Image, "image_raw", depth=100), ros.statuses("replay")
     infos = ros.listen(CameraInfo, "camera_info", depth=100)
     node = ros.start(Replay, input=str(frame_bag), paused=True)
     ros.wait_subscribed(node, "image_raw", "camera_info")
@@ -152,11 +135,12 @@ def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
     for count in (1, 2):
         assert ros.call(Trigger, "replay/step", Trigger.Request()).success
         ros.wait(lambda count=count: len(images) == len(infos) == count, f"frame {count}")
+    assert list(infos[1].d) == [0.1, 0.2, 0.3, 0.4, 0.5]
     assert node.set_parameters([Parameter("start", value=0.35)])[0].successful
     assert ros.call(Trigger, "replay/step", Trigger.Request()).success
     ros.wait(lambda: len(images) == 3, "frame 3")
-    times = bags.stamps(len(frames))
-    assert [_stamp_ns(image) for image in images] == [times[0], times[1], times[7]]
+    times = made_bags.stamps(len(frames))
+    assert stamps_of(images) == [times[0], times[1], times[7]]
     assert ros.call(SetBool, "replay/pause", SetBool.Request(data=False)).success
     ros.wait(lambda: statuses.state == "finished", "the end")
     answer = ros.call(Trigger, "replay/step", Trigger.Request())
@@ -164,7 +148,7 @@ def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames, bags):
     assert answer.message == "found the state finished, expected paused"
 
 
-def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, frames, bags):
+def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, frames):
     """A loop takes the stamps, and the clock, back to the beginning."""
     images = ros.listen(Image, "image_raw", depth=200)
     clocks = ros.listen(Clock, "/clock", depth=200)
@@ -174,35 +158,34 @@ def test_several_recordings_in_order_and_again(ros, frame_bag, image_folder, fra
     count = 2 * len(frames)
     ros.wait(lambda: len(images) > count + 3, "the second pass")
     node.destroy_node()
-    first, second = bags.stamps(len(frames)), [n * 50_000_000 for n in range(len(frames))]
-    assert [_stamp_ns(image) for image in images[: count + 3]] == [*first, *second, *first[:3]]
+    first, second = made_bags.stamps(len(frames)), [n * 50_000_000 for n in range(len(frames))]
+    assert stamps_of(images[: count + 3]) == [*first, *second, *first[:3]]
     assert all(
         np.array_equal(_pixels(a), b) for a, b in zip(images, [*frames, *frames], strict=False)
     )
-    ticks = [clock.clock.sec * 10**9 + clock.clock.nanosec for clock in clocks]
+    ticks = _ticks(clocks)
     assert first[0] in ticks[ticks.index(second[0]) :]
 
 
-def test_truncated_bag_is_played_and_reported(ros, tmp_path, bags):
-    frames = bags.frames(20, 480, 640)
-    messages = [bags.image(f, t) for f, t in zip(frames, bags.stamps(20), strict=True)]
-    bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
+def test_truncated_bag_is_played_and_reported(ros, tmp_path):
+    messages = made_bags.images(made_bags.frames(20, 480, 640))
+    bag = made_bags.write(tmp_path / "bag", {"/image_raw": messages})
     file = next(bag.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    images, statuses = ros.listen(Image, "image_raw", depth=100), _Statuses(ros)
+    images, statuses = ros.listen(Image, "image_raw", depth=100), ros.statuses("replay")
     ros.start(Replay, input=str(bag), wait_for_subscribers=1, rate=4.0)
     ros.wait(lambda: statuses.state == "finished", "the end")
-    count = int(_values(statuses.last)["frames out"])
+    count = int(statuses.values["frames out"])
     ros.wait(lambda: len(images) == count, "what was sent")
     assert 5 <= count < 11
     assert statuses.last.level == DiagnosticStatus.WARN
     assert f"{count} of 20 messages can be read" in statuses.last.message
 
 
-def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, bags, frames, capfd):
+def test_wrong_encoding_throughout_is_an_error(ros, tmp_path, frames, capfd):
     """In the diagnostics, in the log, and for the container."""
-    messages = [bags.image(frame, 0, encoding="32FC1") for frame in frames]
-    bag = bags.write(tmp_path / "bag", {"/image_raw": messages})
+    messages = [made_bags.image(frame, 0, encoding="32FC1") for frame in frames]
+    bag = made_bags.write(tmp_path / "bag", {"/image_raw": messages})
     reports = ros.reports("replay")
     node = ros.start(Replay, input=str(bag))
     ros.wait(lambda: reports.last.level == DiagnosticStatus.ERROR, "a diagnostic of level ERROR")
@@ -245,14 +228,14 @@ def _surface_bag(path, sensor, stamps):
     return path
 
 
-def test_surfaces_of_a_sensor_without_a_camera(ros, tmp_path, bags, frame_bag):
-    sensor, stamps = load_sensor("tac3d_ad2"), bags.stamps(5)
+def test_surfaces_of_a_sensor_without_a_camera(ros, tmp_path, frame_bag):
+    sensor, stamps = load_sensor("tac3d_ad2"), made_bags.stamps(5)
     bag = _surface_bag(tmp_path / "surfaces", sensor, stamps)
-    surfaces, statuses = ros.listen(SurfaceMsg, "surface"), _Statuses(ros)
+    surfaces, statuses = ros.listen(SurfaceMsg, "surface"), ros.statuses("replay")
     given = {"sensor_description": "tac3d_ad2", "wait_for_subscribers": 1}
     ros.start(Replay, input=str(bag), **given)
     ros.wait(lambda: statuses.state == "finished" and len(surfaces) == 5, "five surfaces")
-    assert [_stamp_ns(item) for item in surfaces] == stamps
+    assert stamps_of(surfaces) == stamps
     assert surfaces[0].header.frame_id == "tac3d_ad2_gel_frame"
     last = surface_from_msg(surfaces[-1], sensor.pattern.shape)
     assert last.displacement[..., 2] == pytest.approx(-4e-6)

@@ -3,8 +3,6 @@
 The vendor's client needs the vendor's program; a stand-in with its interface sends the frames.
 """
 
-from __future__ import annotations
-
 import sys
 from types import ModuleType
 
@@ -26,16 +24,16 @@ from cmp_tactile_processing.sensor.description import load_sensor
 PRESSED_MM = np.array([0.0, 0.1, -0.3])
 
 
-# Clients that were made, the newest last.
-MADE: list[Client] = []
-
-
 class Client:
     """As PyTac3D.Sensor: calls back with each frame, on a thread of its own."""
 
     def __init__(self, recvCallback, port):
         self.callback, self.port = recvCallback, port
         MADE.append(self)
+
+
+# Clients that were made, the newest last.
+MADE: list[Client] = []
 
 
 @pytest.fixture

@@ -1,12 +1,9 @@
 """Events keep their intervals, clocks their offset, and a worker the reason of its failure."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import CATCH_UP, Pacer, Worker, on_clock
 
 
@@ -75,23 +72,6 @@ def test_a_worker_can_stop_itself():
     worker = Worker("test", work)
     worker.start()
     assert ended.wait(20)
-
-
-@pytest.mark.parametrize(
-    ("error", "failure"),
-    [
-        (FrameSourceError("no frames"), "no frames"),
-        (ValueError("a bug"), "ValueError: a bug"),
-    ],
-)
-def test_a_failure_is_kept(error, failure):
-    def work():
-        raise error
-
-    worker = Worker("test", work)
-    worker.start()
-    worker.stop()
-    assert worker.failure == failure
 
 
 def test_a_time_on_another_clock_is_by_the_reading_that_was_interrupted_least():

@@ -1,10 +1,9 @@
 """Images of folders and frames of videos: in order, of one size, bad ones counted."""
 
-from __future__ import annotations
-
 import struct
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
 from PIL import Image
@@ -85,18 +84,16 @@ JPEG_TOLERANCE = 6
 @pytest.fixture
 def video(tmp_path):
     """Ten grey ramps that get brighter, at 25 Hz."""
-    path = tmp_path / "ramp.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
-    assert writer.isOpened()
-    for number in range(FRAMES):
-        writer.write(_ramp(number))
-    writer.release()
-    return path
+    return made_bags.write_video(tmp_path / "ramp.avi", "MJPG", _ramps())
 
 
 def _ramp(number):
     row = np.linspace(0, 100, 64) + 10 * number
     return np.repeat(np.tile(row, (48, 1))[..., None], 3, axis=2).astype(np.uint8)
+
+
+def _ramps():
+    return [_ramp(number) for number in range(FRAMES)]
 
 
 def test_frames_and_rate(video):
@@ -119,12 +116,8 @@ def test_missing_and_undecodable_file(tmp_path):
 
 
 def test_truncated_end_is_counted(tmp_path):
-    path = tmp_path / "noise.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (320, 240))
-    generator = np.random.default_rng(5)
-    for _ in range(FRAMES):
-        writer.write(generator.integers(0, 256, (240, 320, 3), np.uint8))
-    writer.release()
+    noise = np.random.default_rng(5).integers(0, 256, (FRAMES, 240, 320, 3), np.uint8)
+    path = made_bags.write_video(tmp_path / "noise.avi", "MJPG", noise)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 6 // 10])
     source = VideoFile(path)
@@ -132,15 +125,6 @@ def test_truncated_end_is_counted(tmp_path):
     assert 0 < count < FRAMES
     assert source.health.bad_frames == FRAMES - count
     assert f"{count} of {FRAMES} frames can be read" in source.health.problem
-
-
-def _recorded(path, codec):
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 25.0, (64, 48))
-    assert writer.isOpened()
-    for number in range(FRAMES):
-        writer.write(_ramp(number))
-    writer.release()
-    return path.read_bytes()
 
 
 def _replaced_once(content, old, new):
@@ -155,7 +139,7 @@ def test_frames_of_a_variable_rate_have_their_own_times_and_none_is_missing(tmp_
     were those of a constant rate, and frames that never were counted as damaged.
     """
     path = tmp_path / "slow.mkv"
-    content = _recorded(path, "FFV1")
+    content = made_bags.write_video(path, "FFV1", _ramps()).read_bytes()
     for number in reversed(range(6, FRAMES)):
         # In a block of Matroska: track 1, then the time in ms.
         old, new = (struct.pack(">Bh", 0x81, ms) for ms in (40 * number, 100 * number - 360))
@@ -178,7 +162,7 @@ def test_a_video_is_not_turned_for_viewing(tmp_path):
     upside down was read so.
     """
     path = tmp_path / "held_upside_down.mp4"
-    content = _recorded(path, "mp4v")
+    content = made_bags.write_video(path, "mp4v", _ramps()).read_bytes()
     before, header, track = content.partition(b"tkhd")
     upright, turned = (
         struct.pack(">9i", s << 16, 0, 0, 0, s << 16, 0, 0, 0, 1 << 30) for s in (1, -1)

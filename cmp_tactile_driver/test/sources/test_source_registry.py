@@ -1,11 +1,9 @@
 """Sources are found through entry points: the driver's own, and those of other packages."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
 
@@ -16,28 +14,21 @@ from cmp_tactile_processing.sensor.description import load_sensor
 
 
 @pytest.fixture
-def other_package(tmp_path, monkeypatch) -> Path:
-    """A package that is installed besides, with one source that works and one that does not."""
-    metadata = tmp_path / "other_sources-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: other_sources\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text(
-        "[cmp_tactile_frame_sources]\ntape = other_sources:open_tape\nbad = other_sources:nothing\n"
-    )
-    (tmp_path / "other_sources.py").write_text(
-        "def open_tape(options):\n    return options.input\n"
-    )
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path
+def _other_package(install_sources):
+    """A package with one source that works and one that does not."""
+    code = "def open_tape(options):\n    return options.input\n"
+    install_sources("other_sources", code, tape="open_tape", bad="nothing")
 
 
-def test_a_source_of_another_package_is_found(other_package):
+@pytest.mark.usefixtures("_other_package")
+def test_a_source_of_another_package_is_found():
     assert {"images", "video", "tape"} <= set(source_names())
     options = SourceOptions("reel 3", load_sensor("sample_rig"))
     assert find_source("tape")(options) == "reel 3"
 
 
-def test_a_source_that_cannot_be_imported_says_why(other_package):
+@pytest.mark.usefixtures("_other_package")
+def test_a_source_that_cannot_be_imported_says_why():
     with pytest.raises(FrameSourceError, match=r"source bad: other_sources:nothing cannot be imp"):
         find_source("bad")
 
@@ -73,10 +64,9 @@ def test_the_drivers_own_sources_take_the_options(image_folder, tmp_path):
     default = find_source("images")(SourceOptions(str(folder), sensor))
     assert default.frame_rate == 30.0
     assert [default.read() is not None for _ in range(2)] == [True, False]
-    path = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (1024, 768))
-    writer.write(np.zeros((768, 1024, 3), np.uint8))
-    writer.release()
+    path = made_bags.write_video(
+        tmp_path / "film.avi", "MJPG", [np.zeros((768, 1024, 3), np.uint8)]
+    )
     video = find_source("video")(SourceOptions(str(path), sensor))
     assert video.frame_rate == 25.0
     video.close()

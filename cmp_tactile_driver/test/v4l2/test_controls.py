@@ -1,7 +1,5 @@
 """Controls of a camera by linuxpy, on a device that answers as the kernel does (fake_v4l2)."""
 
-from __future__ import annotations
-
 import errno
 
 import pytest
@@ -65,11 +63,7 @@ def test_automatic_controls_are_set_before_those_that_they_rule(camera, controls
             40,
             r"exposure_time_absolute: .*without effect while auto_exposure is 3 \(Aperture Prior",
         ),
-        (
-            "white_balance_temperature",
-            4000,
-            "without effect while white_balance_automatic is True",
-        ),
+        ("white_balance_temperature", 4000, "without effect while white_balance_automatic is True"),
         ("firmware", "2", "firmware: found a read-only control"),
         ("auto_exposure", 2, "found 2, expected one of 0: Auto Mode, 1: Manual Mode, 3: Aperture"),
     ],

@@ -1,7 +1,5 @@
 """Two cameras as one source: pairs by time, placed where the description has its views."""
 
-from __future__ import annotations
-
 import threading
 import time
 from dataclasses import replace

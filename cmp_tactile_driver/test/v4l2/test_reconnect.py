@@ -1,13 +1,12 @@
 """A camera that goes away while it is read: unplugged, stalled, failing (fake_v4l2)."""
 
-from __future__ import annotations
-
 import errno
 import threading
 import time
 
 import numpy as np
 import pytest
+from fake_v4l2 import webcam_controls
 from linuxpy.video import raw
 from waiting import wait_until
 
@@ -23,7 +22,7 @@ def _poll_until(source, condition):
 
 
 def test_a_camera_is_found_again_at_another_number_with_its_controls(
-    open_source, plug, fake, kernel, picture
+    open_source, plug, kernel, picture
 ):
     camera = plug()
     source = open_source("video0")
@@ -40,7 +39,7 @@ def test_a_camera_is_found_again_at_another_number_with_its_controls(
     # Another camera takes its name; it is not taken for it.
     plug("CAM2", number=0, port="1-7")
     _poll_until(source, lambda: "expected the camera with serial CAM1" in source.health.problem)
-    camera.controls = fake.webcam_controls()
+    camera.controls = webcam_controls()
     kernel.plug(camera, number=3, port="1-4")
     _poll_until(source, lambda: camera.streaming)
     found = {item.name: item.value for item in camera.controls}

@@ -1,13 +1,12 @@
 """The source `v4l2`, by linuxpy, on cameras that answer as the kernel does (fake_v4l2)."""
 
-from __future__ import annotations
-
 import errno
 import re
 import struct
 import time
 
 import cv2
+import made_bags
 import numpy as np
 import pytest
 import simplejpeg
@@ -62,9 +61,9 @@ def test_a_camera_that_repeats_one_image_is_reported(open_source, plug, picture)
 
 @pytest.mark.parametrize("extra_step", [0, 12])
 @pytest.mark.parametrize("colour", [True, False])
-def test_pixel_formats_with_padded_rows(open_source, plug, bags, extra_step, colour):
+def test_pixel_formats_with_padded_rows(open_source, plug, extra_step, colour):
     size = {(WIDTH, HEIGHT): (30,)}
-    bgr = np.stack(bags.frames(3, HEIGHT, WIDTH), axis=2)
+    bgr = np.stack(made_bags.frames(3, HEIGHT, WIDTH), axis=2)
     yuyv = np.ascontiguousarray(bgr[..., :2])
     grey_of_bgr = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
     for name, pixels, in_colour, in_grey in (

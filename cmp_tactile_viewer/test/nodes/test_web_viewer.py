@@ -1,7 +1,5 @@
 """Sensors that run on topics: what the page gets of them, what it costs them, what buttons do."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

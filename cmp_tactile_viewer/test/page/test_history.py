@@ -1,7 +1,5 @@
 """The figures of the plots: in order, in a window, from the beginning where time runs back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from made_forces import made_contact, made_field

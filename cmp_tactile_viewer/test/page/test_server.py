@@ -1,7 +1,5 @@
 """Who gets the page: this machine's own browser pages, and who has the token."""
 
-from __future__ import annotations
-
 import http.client
 import socket
 

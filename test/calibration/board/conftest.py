@@ -1,28 +1,19 @@
 """Frames of boards in front of rigs that are not as described."""
 
-from __future__ import annotations
-
 import copy
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from board_photographs import photograph_board
+from calibration_rigs import Frames, photograph
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.calibration.practice import board_poses, changed_rig
+from cmp_tactile_bringup.calibration.practice import changed_rig
 from cmp_tactile_processing.calibration.board import images
 from cmp_tactile_processing.calibration.board.target import BoardTarget, find_board
-from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
-from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize, Roi
-from cmp_tactile_simulation.rendering.camera import CameraSettings
 
-Frames = list[NDArray[np.uint8]]
-NOISE = 4.0
 DISTORTION = (-0.1, 0.02, 1e-3, -5e-4, 0.0)
 
 
@@ -106,81 +97,6 @@ def charuco() -> BoardTarget:
 
 
 @pytest.fixture(scope="session")
-def photograph() -> Callable[..., Frames]:
-    """Frames of a board in a rig: at given poses or `count` random ones."""
-
-    def take(
-        sensor: SensorDescription,
-        target: BoardTarget,
-        count: int = 15,
-        poses: list[NDArray[np.float64]] | None = None,
-        seed: int = 1,
-    ) -> Frames:
-        if poses is None:
-            poses = board_poses(sensor, target, count, seed)
-        camera = CameraSettings(read_noise=NOISE)
-        return [photograph_board(sensor, target, T, camera, k) for k, T in enumerate(poses)]
-
-    return take
-
-
-@pytest.fixture(scope="session")
-def frames(
-    built: SensorDescription, chessboard: BoardTarget, photograph: Callable[..., Frames]
-) -> Frames:
+def frames(built: SensorDescription, chessboard: BoardTarget) -> Frames:
     """12 frames of the chessboard in the rig that was built."""
     return photograph(built, chessboard, count=12)
-
-
-@pytest.fixture(scope="session")
-def cut() -> Callable[[SensorDescription, Frames, str], Frames]:
-    """Un-mirrored images of one view: those of the plain camera that the mirror makes."""
-
-    def of_view(sensor: SensorDescription, frames: Frames, view: str) -> Frames:
-        placement = build_views(sensor)[view].placement
-        return [split_frame(frame, placement) for frame in frames]
-
-    return of_view
-
-
-@pytest.fixture(scope="session")
-def length_errors() -> Callable[[dict[str, ViewGeometry], dict[str, ViewGeometry]], float]:
-    """RMS of the relative error of lengths above 3 mm, seen by one rig and measured by another."""
-
-    def measure(true: dict[str, ViewGeometry], found: dict[str, ViewGeometry]) -> float:
-        rng = np.random.default_rng(5)
-        p = rng.uniform(-5e-3, 5e-3, (1000, 3)) * (1, 1, 0.3)
-        rays = [found[view].rays(true[view].project(p)) for view in ("left", "right")]
-        measured = _midpoints(*rays[0], *rays[1])
-        other = np.roll(np.arange(len(p)), 1)
-        length = np.linalg.norm(p - p[other], axis=1)
-        ratio = np.linalg.norm(measured - measured[other], axis=1) / length - 1
-        return float(np.sqrt((ratio[length > 3e-3] ** 2).mean()))
-
-    return measure
-
-
-def _midpoints(
-    o1: NDArray[np.float64],
-    v1: NDArray[np.float64],
-    o2: NDArray[np.float64],
-    v2: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Midpoints of the common normals of rays, written out apart from the package's own."""
-    way, cosine = o2 - o1, (v1 * v2).sum(axis=1)
-    along1, along2 = (way * v1).sum(axis=1), (way * v2).sum(axis=1)
-    t1 = (along1 - cosine * along2) / (1 - cosine**2)
-    t2 = (cosine * along1 - along2) / (1 - cosine**2)
-    return np.asarray((o1 + t1[:, None] * v1 + o2 + t2[:, None] * v2) / 2)
-
-
-@pytest.fixture(scope="session")
-def said() -> Callable[[CalibrationOutcome, Severity], str]:
-    """All findings of a severity, text and advice, as one string."""
-
-    def join(outcome: CalibrationOutcome, severity: Severity) -> str:
-        chosen = [item for item in outcome.findings if item.severity is severity]
-        assert all(item.text and item.advice for item in chosen)
-        return " ".join(f"{item.text} {item.advice}" for item in chosen)
-
-    return join

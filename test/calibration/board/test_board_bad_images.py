@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from calibration_rigs import cut, photograph, said
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.practice import bare_views, changed_rig
@@ -18,7 +19,7 @@ from cmp_tactile_processing.calibration.outcome import Severity
 ERROR, WARNING = Severity.ERROR, Severity.WARNING
 
 
-def test_too_few_images(frames, chessboard, described, said):
+def test_too_few_images(frames, chessboard, described):
     outcome = calibrate_mirror_rig(frames[:5], chessboard, described)
     assert not outcome.accepted
     assert outcome.sensor is None
@@ -29,13 +30,13 @@ def test_too_few_images(frames, chessboard, described, said):
     assert "7 different poses of the board are few" in said(outcome, WARNING)
 
 
-def test_the_same_pose_many_times(frames, chessboard, described, said):
+def test_the_same_pose_many_times(frames, chessboard, described):
     repeated = [frames[0]] * 9 + frames[1:4]
     outcome = calibrate_mirror_rig(repeated, chessboard, described)
     assert "8 of 12 images repeat a pose of the board" in said(outcome, ERROR)
 
 
-def test_squares_of_another_size(frames, chessboard, described, said):
+def test_squares_of_another_size(frames, chessboard, described):
     """Lengths come out wrong by a factor, which the mirrors' distances give away."""
     outcome = calibrate_mirror_rig(frames, replace(chessboard, square=2e-3), described)
     assert not outcome.accepted
@@ -45,7 +46,7 @@ def test_squares_of_another_size(frames, chessboard, described, said):
     assert likely == pytest.approx(1.6, rel=0.1)
 
 
-def test_swapped_views(frames, chessboard, described, said):
+def test_swapped_views(frames, chessboard, described):
     views = dict(described.views)
     left, right = views["left"], views["right"]
     swapped = replace(
@@ -59,7 +60,7 @@ def test_swapped_views(frames, chessboard, described, said):
     assert "views are swapped" in said(outcome, ERROR)
 
 
-def test_swapped_lists_of_images(frames, chessboard, built, said, cut):
+def test_swapped_lists_of_images(frames, chessboard, built):
     """Un-mirrored, the left view of this rig looks from the right."""
     left, right = (cut(built, frames[:8], view) for view in ("left", "right"))
     outcome = calibrate_cameras(left, right, chessboard)
@@ -67,7 +68,7 @@ def test_swapped_lists_of_images(frames, chessboard, built, said, cut):
     assert calibrate_cameras(right, left, chessboard).accepted
 
 
-def test_too_few_images_of_both_views(frames, chessboard, built, said, cut):
+def test_too_few_images_of_both_views(frames, chessboard, built):
     """Seven poses, none of which both views show."""
     left, right = (cut(built, frames[:7], view) for view in ("left", "right"))
     blank = np.full_like(left[0], 90)
@@ -76,7 +77,7 @@ def test_too_few_images_of_both_views(frames, chessboard, built, said, cut):
     assert "Both views show the board in 0 images" in said(outcome, ERROR)
 
 
-def test_a_board_of_another_size(frames, described, said):
+def test_a_board_of_another_size(frames, described):
     outcome = calibrate_mirror_rig(frames[:3], BoardTarget("chessboard", 6, 3, 1.6e-3), described)
     text = said(outcome, ERROR)
     assert "chessboard of 7 x 4 inner corners, expected 6 x 3." in text
@@ -87,7 +88,7 @@ def test_a_board_of_another_size(frames, described, said):
     assert "must show the whole board" in said(outcome, ERROR)
 
 
-def test_no_board_at_all(frames, charuco, chessboard, described, said):
+def test_no_board_at_all(frames, charuco, chessboard, described):
     blank = [np.full_like(frames[0], 90)] * 4
     outcome = calibrate_mirror_rig(blank, chessboard, described)
     assert "not found in 4 of 4 left images" in said(outcome, ERROR)
@@ -99,7 +100,7 @@ def test_no_board_at_all(frames, charuco, chessboard, described, said):
     assert "not found in 4 of 11 left images: 1, 2, 3, 4." in said(outcome, WARNING)
 
 
-def test_blurred_images_and_one_of_another_size(frames, chessboard, described, said):
+def test_blurred_images_and_one_of_another_size(frames, chessboard, described):
     images = list(frames)
     images[3], images[7] = (cv2.GaussianBlur(images[k], (0, 0), 3.0) for k in (3, 7))
     images[9] = cv2.resize(images[9], (600, 400))
@@ -111,7 +112,7 @@ def test_blurred_images_and_one_of_another_size(frames, chessboard, described, s
     assert outcome.sensor.calibration.frames == 11
 
 
-def test_a_rig_that_changed_between_the_images(photograph, frames, chessboard, built, said):
+def test_a_rig_that_changed_between_the_images(frames, chessboard, built):
     other = changed_rig(built, seed=11, turn=np.radians(2.0), shift=0.3e-3)
     mixed = frames[:4] + photograph(other, chessboard, count=3, seed=3)
     outcome = calibrate_mirror_rig(mixed, chessboard, built)
@@ -119,7 +120,7 @@ def test_a_rig_that_changed_between_the_images(photograph, frames, chessboard, b
     assert "do not fit" in said(outcome, ERROR) or "Reprojection error" in said(outcome, ERROR)
 
 
-def test_images_that_do_not_fit_are_named(photograph, frames, chessboard, built, said):
+def test_images_that_do_not_fit_are_named(frames, chessboard, built):
     """As where the board moved between the two cameras' images."""
     images, off = list(frames), photograph(built, chessboard, count=1, seed=21)
     images[5] = np.concatenate([frames[5][:, :256], off[0][:, 256:]], axis=1)
@@ -139,7 +140,7 @@ def _facing(built, target, places):
     return poses
 
 
-def test_a_board_seen_from_one_direction(photograph, chessboard, built, cut, said):
+def test_a_board_seen_from_one_direction(chessboard, built):
     """A plane that does not lean shows the focal length by its distortion at most."""
     grid = [-1.5e-3, 0.0, 1.5e-3]
     poses = _facing(built, chessboard, [(x, y, 0.0) for x in grid for y in grid])
@@ -151,7 +152,7 @@ def test_a_board_seen_from_one_direction(photograph, chessboard, built, cut, sai
     assert "from nearly the same direction" in text
 
 
-def test_a_board_in_one_part_of_the_view(photograph, described, built, said):
+def test_a_board_in_one_part_of_the_view(described, built):
     small = BoardTarget("chessboard", 5, 4, 0.9e-3)
     rng = np.random.default_rng(2)
     poses = []

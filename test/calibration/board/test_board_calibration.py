@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_rigs import cut, length_errors, photograph, two_view_rig
 
 from cmp_tactile_bringup.calibration.practice import board_poses
 from cmp_tactile_processing.calibration.board.calibrate import (
@@ -24,7 +25,7 @@ RMS_PX = 0.03
 
 
 def test_a_mirror_rig_is_found_from_a_description_that_is_off(
-    photograph, full_chessboard, full_described, full_built, length_errors
+    full_chessboard, full_described, full_built
 ):
     built, described, steps = full_built, full_described, []
     frames = photograph(built, full_chessboard)
@@ -54,9 +55,7 @@ def test_a_mirror_rig_is_found_from_a_description_that_is_off(
     assert steps[-1][1] == steps[-1][2]
 
 
-def test_a_charuco_board_with_hidden_parts(
-    photograph, charuco, full_described, full_built, length_errors
-):
+def test_a_charuco_board_with_hidden_parts(charuco, full_described, full_built):
     frames = photograph(full_built, charuco, count=6, seed=6)
     for number, frame in enumerate(frames[::2]):
         frame[330:460, 100 + 20 * number : 160 + 20 * number] = 90
@@ -66,7 +65,7 @@ def test_a_charuco_board_with_hidden_parts(
     assert length_errors(build_views(full_built), build_views(outcome.sensor)) < 3 * RTOL_LENGTH
 
 
-def test_two_plain_cameras_without_any_description(frames, chessboard, built, cut):
+def test_two_plain_cameras_without_any_description(frames, chessboard, built):
     # Un-mirrored, the right view of this rig is the left one of a pair of cameras.
     right, left = (cut(built, frames, view) for view in ("left", "right"))
     right[2] = np.full_like(right[2], 70)
@@ -84,9 +83,7 @@ def test_two_plain_cameras_without_any_description(frames, chessboard, built, cu
     assert -info.P[0, 3] / info.P[0, 0] == pytest.approx(baseline, rel=1e-3)
 
 
-def test_the_cameras_of_a_two_view_description(  # noqa: PLR0917
-    frames, chessboard, described, built, two_view_rig, cut, length_errors
-):
+def test_the_cameras_of_a_two_view_description(frames, chessboard, described, built):
     sensor, true = two_view_rig(described), two_view_rig(built)
     left, right = (cut(built, frames, view) for view in ("left", "right"))
     outcome = calibrate_cameras(left, right, chessboard, sensor=sensor)
@@ -104,7 +101,7 @@ def test_the_cameras_of_a_two_view_description(  # noqa: PLR0917
 
 
 @pytest.mark.parametrize("size", [(8, 4), (5, 5)])
-def test_boards_that_look_the_same_turned_round(size, photograph, built, cut):
+def test_boards_that_look_the_same_turned_round(size, built):
     """Which end each view counts from is known from both views together."""
     target = BoardTarget("chessboard", *size, 1.6e-3)
     frames = photograph(built, target, count=8, seed=8)
@@ -117,7 +114,7 @@ def test_boards_that_look_the_same_turned_round(size, photograph, built, cut):
     assert outcome.residuals[0].used.mean() > 0.99
 
 
-def test_one_equidistant_camera(photograph, described, chessboard, cut):
+def test_one_equidistant_camera(described, chessboard):
     camera = Camera("equidistant", 350.0, 353.0, 257.0, 190.0, (0.03, -0.01, 0.0, 0.0))
     wide = replace(described, camera=camera)
     images = cut(wide, photograph(wide, chessboard, count=8, seed=9), "left")
@@ -130,12 +127,12 @@ def test_one_equidistant_camera(photograph, described, chessboard, cut):
 
 
 @pytest.fixture
-def left(frames, built, cut):
+def left(frames, built):
     """Two images of the left camera."""
     return cut(built, frames[:2], "left")
 
 
-def test_input_of_the_wrong_kind(frames, left, chessboard, described, two_view_rig):
+def test_input_of_the_wrong_kind(frames, left, chessboard, described):
     with pytest.raises(CalibrationError, match="found 2 left and 1 right images"):
         calibrate_cameras(left, left[:1], chessboard)
     with pytest.raises(CalibrationError, match="images, expected at least one"):

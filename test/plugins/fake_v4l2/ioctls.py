@@ -1,7 +1,5 @@
 """The calls of V4L2 that a capture device answers, by their numbers."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os
@@ -38,13 +36,6 @@ def _enumerate_formats(camera: FakeCamera, entry: Any, _: int) -> None:
 
 def _enumerate_sizes(camera: FakeCamera, entry: Any, _: int) -> None:
     sizes = camera.modes[_name_of(entry.pixel_format)]
-    if camera.stepwise:
-        entry.type = raw.Frmsizetypes.STEPWISE
-        limits = _pick([camera.stepwise], entry.index)
-        names = [name for name, _ in raw.v4l2_frmsize_stepwise._fields_]
-        for name, value in zip(names, limits, strict=True):
-            setattr(entry.stepwise, name, value)
-        return
     size = _pick(sizes, entry.index)
     entry.type = raw.Frmsizetypes.DISCRETE
     entry.discrete.width, entry.discrete.height = size

@@ -1,7 +1,5 @@
 """A camera: its controls and modes, and the frames that it is to give."""
 
-from __future__ import annotations
-
 import errno
 import os
 import threading
@@ -109,8 +107,7 @@ def webcam_controls() -> list[FakeControl]:
 class FakeCamera:
     """A camera; what its fields are set to is what it does from then on.
 
-    modes: rates by pixel format and size.  stepwise: least, greatest and step of width and of
-    height, in place of the sizes of modes.  made_rate: of any rate that it is asked for.
+    modes: rates by pixel format and size.  made_rate: of any rate that it is asked for.
     fault: error numbers by ioctl.  resets: that many times after the start of streaming, with the
     first at once and the next ones before a frame, all controls have their defaults again.
     insists: titles of controls that then keep them.  conceals: what is read does not show it.
@@ -126,9 +123,7 @@ class FakeCamera:
     openable: int = 0
     fault: dict[int, int] = field(default_factory=dict)
     extra_step: int = 0
-    stepwise: tuple[int, ...] = ()
     made_rate: int = 0
-    calls: list[int] = field(default_factory=list)
     pushed: int = 0
     resets: int = 0
     insists: tuple[str, ...] = ()

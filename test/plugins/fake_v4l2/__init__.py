@@ -5,7 +5,7 @@ for real.  `fcntl.ioctl`, `open` and `select` of linuxpy are answered here, from
 structures of the kernel.  Nothing of linuxpy itself is replaced.
 """
 
-from .camera import FakeCamera, FakeControl, webcam_controls
+from .camera import FakeCamera, webcam_controls
 from .kernel import FakeKernel
 
-__all__ = ["FakeCamera", "FakeControl", "FakeKernel", "webcam_controls"]
+__all__ = ["FakeCamera", "FakeKernel", "webcam_controls"]
