@@ -152,7 +152,7 @@ def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images,
     assert len(errors) == 2
     # What is not there is reported before anything is processed.
     errors.reverse()
-    assert "empty: found no image" in errors[0]
+    assert "empty: found nothing" in errors[0]
     assert "absent: found no such file or folder, expected a ROS 2 bag, a folder of" in errors[1]
     assert "or the name of a scene: " in errors[1]
     for name in ("1", "[red]other"):

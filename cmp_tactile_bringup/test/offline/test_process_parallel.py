@@ -40,7 +40,7 @@ def test_processes_give_the_same_bytes_and_one_bad_recording_stops_no_other(
     sources = (images, recording.bag, tmp_path / "empty")
     assert process(*sources, "--output", tmp_path / "out", "--jobs", 2) == 1
     (error,) = error_lines(capsys)
-    assert "empty: found no image" in error
+    assert "empty: found nothing" in error
     assert process(*sources[:2], "--output", tmp_path / "here", "--jobs", 1) == 0
     same_files(tmp_path / "here", tmp_path / "out", ("images", "grasp"))
 
@@ -80,7 +80,7 @@ def test_a_worker_runs_nothing_of_the_current_folder(tmp_path, monkeypatch, caps
         (tmp_path / "images" / name).mkdir()
     folders = (tmp_path / "images" / "a", tmp_path / "images" / "b")
     assert process(*folders, "--output", tmp_path / "out", "--jobs", 2) == 1
-    assert ["found no image" in line for line in error_lines(capsys)] == [True, True]
+    assert ["found nothing" in line for line in error_lines(capsys)] == [True, True]
     assert not list(tmp_path.glob("*.ran"))
 
 
@@ -107,7 +107,7 @@ def test_a_cluster_gives_the_same_bytes(cluster, images, tmp_path, capsys):
     more = (*sources[:2], tmp_path / "empty", sources[2])
     assert process(*more, "--output", tmp_path / "out", "--scheduler", cluster) == 1
     (error,) = error_lines(capsys)
-    assert "empty: found no image" in error
+    assert "empty: found nothing" in error
     assert process(*sources, "--output", tmp_path / "here") == 0
     same_files(tmp_path / "here", tmp_path / "out", ("i0", "i1", "i2"))
 

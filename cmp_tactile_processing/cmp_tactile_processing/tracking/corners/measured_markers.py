@@ -41,10 +41,10 @@ REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
 # A corner that lies this far (in sides, and times the median of those around it) from the cubics
 # through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
 PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
-# A spot takes from the rings around a corner; where they are so strong, against those around, the
-# gel bends.  What is fitted does not bend as sharply: it errs by about so many px for each side
-# that the corner is off.
-WHOLE_RING, BENT_PX = 0.96, 2.0
+# A spot takes from the rings around a corner, or its rim spoils the fit; where they are so strong,
+# against those around, or the fit is so good, in sides, the gel bends.  What is fitted does not
+# bend as sharply: it errs by about so many px for each side that the corner is off.
+WHOLE_RING, CLEAR_STD, BENT_PX = 0.96, 0.0015, 2.0
 # Where no crossing is better, a corner off by more than this is no measurement; nor is a corner
 # beside missing ones that is off the displacement of the others by so much; in sides.
 FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
@@ -178,7 +178,8 @@ class MeasuredMarkers:
         crossing = around.crossings(image, guess, pulled)
         steps = around.row_step[pulled], around.col_step[pulled]
         rings = ring_evidence(image.smooth, position[pulled], *steps)[:, 0]
-        spoilt = ~(rings / around.amplitude[pulled] > WHOLE_RING)
+        clear = corners.modelled[pulled] & (std[pulled] < CLEAR_STD * side)
+        spoilt = ~(clear | (rings / around.amplitude[pulled] > WHOLE_RING))
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
         left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
         better, doubtful = pulled.copy(), pulled.copy()
