@@ -12,9 +12,13 @@ from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ParameterError
 from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage
 from cmp_tactile_processing.measured import GridShape, Status
+from cmp_tactile_processing.tracking.virtual_markers.corner_fusion import (
+    LINE_ENTRIES,
+    fused_corners,
+    gather_lines,
+)
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LANES,
-    LINE_ENTRIES,
     MARKER_BIAS_PX,
     Array,
     Fits,
@@ -24,8 +28,6 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     Single,
     blocks_of,
     fit_segments,
-    fused_corners,
-    gather_lines,
     set_sizes,
     share_of_models,
     true_std,

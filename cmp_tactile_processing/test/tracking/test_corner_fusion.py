@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.tracking.virtual_markers.fusion import (
-    CORNER_BIAS_PX,
+from cmp_tactile_processing.tracking.virtual_markers.corner_fusion import (
     LINE_ENTRIES,
-    SHARED_PIXELS,
-    Fits,
     fused_corners,
     gather_lines,
+)
+from cmp_tactile_processing.tracking.virtual_markers.fusion import (
+    CORNER_BIAS_PX,
+    SHARED_PIXELS,
+    Fits,
 )
 
 STD, LINE_STD, LENGTH_PX = 0.01, 0.005, 20.0
