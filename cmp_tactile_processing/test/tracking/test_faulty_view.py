@@ -143,6 +143,33 @@ def test_a_thin_bar_along_rows_is_not_taken_for_a_tear(trackers, photograph, nom
     assert grid.fault in {GridFault.NONE, GridFault.PARTLY_HIDDEN}
 
 
+def test_gel_that_a_small_ball_drags_is_no_other_pattern(trackers, photograph, nominal):
+    """From corner to corner it moves by up to 0.8 sides, and the gridlines go on."""
+    (image, corners), side = photograph(), nominal.side_px
+    y, x = np.indices(image.shape, dtype=np.float32)
+    at, reach = corners[9, 10] + 0.3 * side, 2.2 * side
+    drag = 1.2 * side * np.array([0.8, 0.6])
+
+    def bump(points):
+        away = np.linalg.norm(points - at, axis=-1) / reach
+        return np.exp(-(away**4))[..., None] * drag
+
+    # The picture is looked up where a pixel came from: the fixed point of its own displacement.
+    pixels = np.stack([x, y], axis=-1)
+    origin = pixels
+    for _ in range(40):
+        origin = pixels - bump(origin)
+    dragged = cv2.remap(image, *np.moveaxis(origin.astype(np.float32), -1, 0), cv2.INTER_CUBIC)
+    tracker = trackers["saddle_lattice"]
+    tracker.reset()
+    tracker.track(image)
+    grid = tracker.track(dragged)
+    off = np.linalg.norm(grid.corners - (corners + bump(corners)), axis=-1) / side
+    assert np.isfinite(off).all()
+    assert off.max() < 0.1
+    assert grid.fault is GridFault.NONE
+
+
 BOARD_CHECKERS = 9
 BLUR_PX = 0.8
 

@@ -38,6 +38,8 @@ REACH = 3
 # A single corner lies within this of the surface through those around it, in sides, or within so
 # many times the median second difference: at the grid's own corners a scatter counts most.
 LARGEST_STEP, USUAL_STEPS = 0.07, 3.0
+# A stray part within the pattern belongs to it where so many of the corners around it are there.
+CONTINUOUS = 0.5
 # Fewer corners around it say nothing about a part, or of a single corner.
 FEWEST_AROUND, FEWEST_AROUND_SINGLE = 8, 6
 # Keeps the second order small where too few corners determine it.
@@ -67,7 +69,7 @@ def drop_stray_parts(corners: Float, nominal: NominalGrid) -> int:
     else:
         seam = _touching((bend > limit) | ~known, ~known) & known
     bent = _touching(bend > ALSO_BENT * limit, seam)
-    stray = known & ~_continued(displacement, known, bent, usual)
+    stray = _set_apart(known & ~_continued(displacement, known, bent, usual), known)
     corners[stray] = np.nan
     return int(np.count_nonzero(stray))
 
@@ -146,6 +148,23 @@ def _continued(displacement: Float, known: Mask, bent: Mask, usual: float) -> Ma
                 grown = True
                 break
     return whole
+
+
+def _set_apart(stray: Mask, known: Mask) -> Mask:
+    """The stray corners that come in from outside, or that missing ones set apart from the rest.
+
+    A seam destroys corners along it; where it does not, within the pattern, the gel is dragged.
+    """
+    label = cv2.connectedComponents(stray.astype(np.uint8), connectivity=8)[1]
+    within = np.zeros_like(stray)
+    within[1:-1, 1:-1] = True
+    apart = stray.copy()
+    for number in range(1, label.max() + 1):
+        part = label == number
+        around = (_distance(part) <= 1) & ~part
+        if within[part].all() and np.mean(known[around]) > CONTINUOUS:
+            apart &= ~part
+    return apart
 
 
 def _parts(sound: Mask) -> list[Mask]:
