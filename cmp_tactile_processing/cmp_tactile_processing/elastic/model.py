@@ -9,6 +9,7 @@ for the markers and force nodes of one sensor on disk.
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -47,8 +48,9 @@ MODEL_VERSION = 2
 # The uppermost elements of the body are at most this many times as high as wide.
 TALLEST = 1.3
 
-# More force nodes than these add cost but no resolution: the markers' noise hides such detail.
-MAX_NODES = 20
+# Farther apart than this, m, force nodes blur small contacts: at twice the distance a ball that
+# touches over 2 mm weighs 3 % too much.  More nodes along a side than MAX_NODES cost too much time.
+NODE_SPACING, MAX_NODES = 0.6e-3, 20
 # The response of the markers to the nodes is kept whole: 104 MB for so many.
 MAX_MARKERS = 60 * 60
 
@@ -124,7 +126,8 @@ class ElasticProblem:
             raise GeometryError(msg)
         extent = (pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch
         geometry = BlockGeometry.from_sensor(sensor)
-        nodes = SurfaceGrid(min(pattern.rows, MAX_NODES), min(pattern.cols, MAX_NODES), extent)
+        rows, cols = _node_count(pattern.rows, extent[1]), _node_count(pattern.cols, extent[0])
+        nodes = SurfaceGrid(rows, cols, extent)
         density = MeshDensity()
         width = 2 * max(_loaded_half_widths(nodes)) / density.across
         return cls(
@@ -204,6 +207,12 @@ class ElasticProblem:
         x_line = hat_loads(whole.x_edges, self.nodes.x).T[self.nodes.cols // 2 :]
         y_line = hat_loads(whole.y_edges, self.nodes.y).T[self.nodes.rows // 2 :]
         return _surface_columns(mesh, parity, mesh.lattice[2] - 1, x_line, y_line)
+
+
+def _node_count(markers: int, extent: float) -> int:
+    """Force nodes along a side of so many markers, m long: at the markers where these are close."""
+    # Rounded: 10.8 mm are 18 spacings, and a last digit more.
+    return min(max(markers, math.ceil(round(extent / NODE_SPACING, 6)) + 1), MAX_NODES)
 
 
 def mesh_under(nodes: SurfaceGrid, geometry: BlockGeometry, density: MeshDensity) -> BlockMesh:

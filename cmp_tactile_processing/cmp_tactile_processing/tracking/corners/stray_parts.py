@@ -158,12 +158,12 @@ def _set_apart(stray: Mask, known: Mask) -> Mask:
     label = cv2.connectedComponents(stray.astype(np.uint8), connectivity=8)[1]
     within = np.zeros_like(stray)
     within[1:-1, 1:-1] = True
-    apart = stray.copy()
+    apart: Mask = stray.copy()
     for number in range(1, label.max() + 1):
-        part = label == number
+        part: Mask = label == number
         around = (_distance(part) <= 1) & ~part
         if within[part].all() and np.mean(known[around]) > CONTINUOUS:
-            apart &= ~part
+            apart[part] = False
     return apart
 
 
