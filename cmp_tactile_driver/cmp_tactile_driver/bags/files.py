@@ -19,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Schema
+from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
@@ -28,10 +28,7 @@ HEAD_BYTES = 12
 """Of a message: what names the encoding, and the stamp of a header that it begins with."""
 
 RECORD_HEAD = struct.Struct("<BQ")
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-CHUNK_HEAD = struct.Struct("<QQQI")
-TEXT_HEAD = struct.Struct("<I")
-LENGTH = struct.Struct("<Q")
+NO_CHUNK = 0
 # One in use, and those that others overlap in time.
 KEPT_CHUNKS = 4
 MOST_SUMMARY_BYTES = 2**30
@@ -44,11 +41,12 @@ class DamageError(Exception):
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a message lies.
+class StoredMessage:
+    """One message as it was recorded.
 
     time_ns: when it was received.  stamp_ns: of its header, if its type begins with one; 0 where it
-    has none.  where: for the reading of its file, which is the `file`th of its bag.
+    has none.  where: for the reading of its file, which is the `file`th of its bag.  data: its CDR
+    bytes, empty until they are read.
     """
 
     topic: str
@@ -57,6 +55,7 @@ class Place:
     stamp_ns: int
     where: Any
     file: int = 0
+    data: bytes = b""
 
 
 def unpacked(data: bytes) -> bytes:
@@ -75,7 +74,7 @@ def unpacked(data: bytes) -> bytes:
 
 
 def head_stamp_ns(head: bytes) -> int:
-    """The stamp in the first HEAD_BYTES of a message that begins with a header; 0 for none."""
+    """The stamp of a message that begins with a header, by its first HEAD_BYTES; 0 for none."""
     if len(head) < HEAD_BYTES:
         return 0
     order = "<" if head[1] & 1 else ">"
@@ -91,8 +90,16 @@ def full_kind(name: str, encoding: str = "cdr") -> str:
     return kind if encoding == "cdr" else f"{kind} in {encoding or 'unknown encoding'}"
 
 
+class _Record(NamedTuple):
+    """A record and where its content lies in a stream."""
+
+    opcode: int
+    begin: int
+    length: int
+
+
 class _Where(NamedTuple):
-    """A message's bytes, in the file or in a chunk that begins at `chunk`."""
+    """A message's bytes: among the records of the chunk that begins there, or in the file."""
 
     chunk: int
     begin: int
@@ -122,94 +129,79 @@ class McapBagFile:
             if self.damage and not self._channels:
                 raise DamageError(self.damage)
 
-    def places(self, topics: Collection[str]) -> list[Place]:
-        """Where the messages of some topics lie, in the order in which they were written.
+    def places(self, topics: Collection[str]) -> list[StoredMessage]:
+        """The messages of some topics without their bytes, in the order they were written.
 
         What is damaged is passed over where its length is known.
         """
         self.damage = ""
-        found: list[Place] = []
+        found: list[StoredMessage] = []
         with self._path.open("rb") as file:
-            try:
-                for opcode, begin, length in self._top_records(file):
-                    if opcode == Opcode.CHUNK:
-                        found += self._places_in_chunk(file, begin, length, topics)
-                    else:
-                        found += self._take(file, (opcode, begin, length), topics)
-            except DamageError as error:
-                self.damage = str(error)
+            for stream, chunk, record in self._all_records(file):
+                try:
+                    found += self._take(stream, chunk, record, topics)
+                except Exception as error:  # noqa: BLE001, PERF203  damaged bytes raise anything
+                    self.damage = f"the record at byte {record.begin} cannot be read: {error}"
         return found
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[_Where], bytes]]:
-        """Reads the CDR bytes at a place's `where`; DamageError where they are damaged."""
+        """Reads the CDR bytes at a message's `where`; DamageError where they are damaged."""
         with self._path.open("rb") as file:
             chunk = lru_cache(KEPT_CHUNKS)(lambda begin: _chunk_records(file, begin))
 
             def read(where: _Where) -> bytes:
-                if where.chunk:
+                if where.chunk != NO_CHUNK:
                     return unpacked(chunk(where.chunk)[where.begin : where.begin + where.length])
                 file.seek(where.begin)
                 return unpacked(file.read(where.length))
 
             yield read
 
-    def _top_records(self, file: IO[bytes]) -> Iterator[tuple[int, int, int]]:
-        """Up to the end of the data."""
-        size = self._path.stat().st_size
-        for record in _records(file, len(MCAP0_MAGIC), size):
-            if record[0] in (Opcode.DATA_END, Opcode.FOOTER):
+    def _all_records(self, file: IO[bytes]) -> Iterator[tuple[IO[bytes], int, _Record]]:
+        """Those up to the end of the data: the stream and the chunk that each is in, and itself."""
+        for record in self._readable(file, self._path.stat().st_size, len(MCAP0_MAGIC)):
+            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            yield record
-        raise DamageError("the file has no end; its recorder did not close it")
+            if record.opcode != Opcode.CHUNK:
+                yield file, NO_CHUNK, record
+                continue
+            try:
+                data = _chunk_records(file, record.begin)
+            except DamageError as error:
+                self.damage = str(error)
+                continue
+            stream = BytesIO(data)
+            for inner in self._readable(stream, len(data)):
+                yield stream, record.begin, inner
+        self.damage = self.damage or "the file has no end; its recorder did not close it"
 
-    def _places_in_chunk(
-        self, file: IO[bytes], begin: int, length: int, topics: Collection[str]
-    ) -> Iterator[Place]:
-        """Of a chunk's records, which are unpacked here only where they are compressed."""
+    def _readable(self, stream: IO[bytes], end: int, begin: int = 0) -> Iterator[_Record]:
+        """The records between two places, up to one that is cut."""
         try:
-            is_packed, first = _chunk_layout(file, begin)
-            stream: IO[bytes] = file
-            last = begin + length
-            if is_packed:
-                data = _chunk_records(file, begin)
-                stream, first, last = BytesIO(data), 0, len(data)
-            for opcode, at, size in _records(stream, first, last):
-                for place in self._take(stream, (opcode, at, size), topics):
-                    where = _Where(begin, place.where.begin - first, place.where.length)
-                    yield replace(place, where=where)
+            yield from _records(stream, begin, end)
         except DamageError as error:
             self.damage = str(error)
 
     def _take(
-        self, stream: IO[bytes], record: tuple[int, int, int], topics: Collection[str]
-    ) -> Iterator[Place]:
-        """Learn a schema or channel; give the place of a message of a topic that is wanted."""
-        opcode, begin, length = record
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            content = ReadDataStream(BytesIO(stream.read(length)))
-            try:
-                if opcode == Opcode.SCHEMA:
-                    self._add_schema(Schema.read(content))
-                else:
-                    self._add_channel(Channel.read(content))
-            except Exception as error:  # noqa: BLE001  damaged bytes raise anything
-                msg = f"the record at byte {begin} is not a schema or channel: {error}"
-                raise DamageError(msg) from None
-        if opcode != Opcode.MESSAGE or length < MESSAGE_HEAD.size:
-            return
-        head = stream.read(min(length, MESSAGE_HEAD.size + HEAD_BYTES))
-        number, _, received_ns, _ = MESSAGE_HEAD.unpack_from(head)
-        channel = self._channels.get(number)
-        if channel is None or channel.topic not in topics:
-            return
-        start = head[MESSAGE_HEAD.size :]
-        if start.startswith(ZSTD_MAGIC):
-            stream.seek(begin + MESSAGE_HEAD.size)
-            start = unpacked(stream.read(length - MESSAGE_HEAD.size))[:HEAD_BYTES]
-        where = _Where(0, begin + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size)
-        kind = self._kind(channel)
-        yield Place(channel.topic, kind, received_ns, head_stamp_ns(start), where)
+        self, stream: IO[bytes], chunk: int, record: _Record, topics: Collection[str]
+    ) -> Iterator[StoredMessage]:
+        """Learn a schema or channel; give a message of a topic that is wanted."""
+        reading = ReadDataStream(stream)
+        if record.opcode == Opcode.SCHEMA:
+            self._add_schema(Schema.read(reading))
+        elif record.opcode == Opcode.CHANNEL:
+            self._add_channel(Channel.read(reading))
+        elif record.opcode == Opcode.MESSAGE:
+            message = Message.read(reading, record.length)
+            channel = self._channels.get(message.channel_id)
+            if channel is None or channel.topic not in topics:
+                return
+            length = len(message.data)
+            where = _Where(chunk, record.begin + record.length - length, length)
+            stamp_ns = head_stamp_ns(unpacked(message.data))
+            kind = self._kind(channel)
+            yield StoredMessage(channel.topic, kind, message.log_time, stamp_ns, where)
 
     def _take_summary(self) -> bool:
         """Whether the file ends with a summary that names all channels."""
@@ -241,8 +233,8 @@ class McapBagFile:
         return full_kind(self._kinds.get(channel.schema_id, ""), channel.message_encoding)
 
 
-def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, begin and length of the records between two places; DamageError where one is cut.
+def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[_Record]:
+    """The records between two places; DamageError where one is cut.
 
     A chunk that is cut comes before that, with the length that is left.  The stream stands where
     the record begins.
@@ -260,23 +252,11 @@ def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[tuple[int, int
         begin += RECORD_HEAD.size
         if begin + length > end:
             if opcode == Opcode.CHUNK:
-                yield opcode, begin, end - begin
+                yield _Record(opcode, begin, end - begin)
             msg = f"a record of {length} bytes at byte {begin} is incomplete"
             raise DamageError(msg)
-        yield opcode, begin, length
+        yield _Record(opcode, begin, length)
         begin += length
-
-
-def _chunk_layout(file: IO[bytes], begin: int) -> tuple[bool, int]:
-    """Whether a chunk is compressed, and where its records begin."""
-    at = begin + CHUNK_HEAD.size
-    file.seek(at)
-    head = file.read(TEXT_HEAD.size)
-    if len(head) < TEXT_HEAD.size:
-        msg = f"the chunk at byte {begin} is incomplete"
-        raise DamageError(msg)
-    name_length = TEXT_HEAD.unpack(head)[0]
-    return name_length > 0, at + TEXT_HEAD.size + name_length + LENGTH.size
 
 
 def _chunk_records(file: IO[bytes], begin: int) -> bytes:
@@ -284,34 +264,20 @@ def _chunk_records(file: IO[bytes], begin: int) -> bytes:
 
     DamageError where they are not what its checksum says.
     """
-    _, first = _chunk_layout(file, begin)
     try:
-        file.seek(first - LENGTH.size)
-        (length,) = LENGTH.unpack(file.read(LENGTH.size))
         file.seek(begin)
         chunk = Chunk.read(ReadDataStream(file))
-        if len(chunk.data) < length:
-            return _begin_of_records(chunk)
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        data = stream.read(size)
+        if chunk.compression == "zstd":
+            # In one go, nothing of a chunk that is cut would be unpacked.
+            data = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
+            chunk = replace(chunk, compression="", data=data)
+        # A checksum is only over all of them.
+        is_whole = len(chunk.data) >= chunk.uncompressed_size or chunk.compression
+        stream, size = get_chunk_data_stream(chunk, validate_crc=bool(is_whole))
+        return stream.read(size)
     except Exception as error:  # noqa: BLE001  damaged bytes raise anything
         msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
         raise DamageError(msg) from None
-    if len(data) != chunk.uncompressed_size:
-        sizes = f"found {len(data)} bytes, expected {chunk.uncompressed_size} as the chunk states"
-        msg = f"the chunk at byte {begin}: {sizes}"
-        raise DamageError(msg)
-    return data
-
-
-def _begin_of_records(cut: Chunk) -> bytes:
-    """As much as can be unpacked; a checksum is only over all of them."""
-    if cut.compression == "zstd":
-        return zstandard.ZstdDecompressor().decompressobj().decompress(cut.data)
-    if cut.compression:
-        msg = f"is incomplete; with {cut.compression} its first part cannot be unpacked"
-        raise DamageError(msg)
-    return cut.data
 
 
 class SqliteBagFile:
@@ -337,7 +303,7 @@ class SqliteBagFile:
             raise DamageError(f"{error}{hint if self._has_log else ''}") from None
         self.topics = dict(self._topics.values())
 
-    def places(self, topics: Collection[str]) -> list[Place]:
+    def places(self, topics: Collection[str]) -> list[StoredMessage]:
         """As `McapBagFile`, up to the first damage."""
         self.damage = ""
         found = []
@@ -348,8 +314,8 @@ class SqliteBagFile:
                     name, kind = self._topics.get(number, ("", ""))
                     if name in topics:
                         start = self._read(connection, row) if head[:4] == ZSTD_MAGIC else head
-                        stamp_ns = head_stamp_ns(start[:HEAD_BYTES])
-                        found.append(Place(name, kind, received_ns, stamp_ns, row))
+                        stamp_ns = head_stamp_ns(start)
+                        found.append(StoredMessage(name, kind, received_ns, stamp_ns, row))
         except (sqlite3.Error, DamageError) as error:
             self.damage = str(error)
         return found

@@ -19,10 +19,8 @@ from numpy.typing import NDArray
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from cmp_tactile_driver.bags.storage import (
-    StoredMessage,
-    open_storage,
-)
+from cmp_tactile_driver.bags.files import StoredMessage
+from cmp_tactile_driver.bags.storage import open_storage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE

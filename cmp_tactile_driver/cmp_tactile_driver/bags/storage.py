@@ -17,23 +17,13 @@ from typing import Any
 import yaml
 import zstandard
 
-from cmp_tactile_driver.bags.files import DamageError, McapBagFile, Place, SqliteBagFile
+from cmp_tactile_driver.bags.files import DamageError, McapBagFile, SqliteBagFile, StoredMessage
 from cmp_tactile_driver.errors import BagError
 
 BagFile = McapBagFile | SqliteBagFile
 FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
 STORAGE_SUFFIXES = tuple(FORMATS)
 PACKED_SUFFIX = ".zstd"
-
-
-@dataclass(frozen=True)
-class StoredMessage:
-    """One message as it was recorded: its type, when it was received, ns, and its CDR bytes."""
-
-    topic: str
-    kind: str
-    time_ns: int
-    data: bytes
 
 
 @dataclass(frozen=True)
@@ -60,44 +50,43 @@ class BagStorage:
         self._metadata = _read_metadata(path)
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
         self.loss = ""
-        paths, self._missing = self._listed_files()
-        self._files, faults = self._open(paths)
+        self._faults: list[str] = []
+        self._files = list(self._opened_files())
         if not self._files:
-            raise BagError(self._nothing_left(paths, faults))
-        self._faults = faults
+            raise BagError("; ".join(self._faults))
         self.topics: dict[str, str] = {}
         for file in self._files:
             self.topics = {**file.topics, **self.topics}
 
-    def places(self, topics: Collection[str]) -> list[Place]:
-        """Where the messages of some topics lie, in the order in which they were received."""
+    def places(self, topics: Collection[str]) -> list[StoredMessage]:
+        """The messages of some topics without their bytes, in the order they were received."""
         found = [
-            replace(place, file=number) if number else place
+            replace(message, file=number) if number else message
             for number, file in enumerate(self._files)
-            for place in file.places(topics)
+            for message in file.places(topics)
         ]
         # Those of one moment stay in the order in which they were written.
-        found.sort(key=lambda place: place.time_ns)
-        self.loss = "; ".join(self._losses(topics, Counter(place.topic for place in found)))
+        found.sort(key=lambda message: message.time_ns)
+        self.loss = "; ".join(self._losses(topics, Counter(message.topic for message in found)))
         return found
 
-    def read_all(self, places: Sequence[Place]) -> Iterator[StoredMessage | None]:
-        """The messages at some places; None for one whose bytes are damaged, see `loss`."""
+    def read_all(self, places: Sequence[StoredMessage]) -> Iterator[StoredMessage | None]:
+        """Messages of `places` with their bytes; None for one that is damaged, see `loss`."""
         failed = 0
         with ExitStack() as stack:
             opened: list[Any] = [stack.enter_context(file.opened()) for file in self._files]
-            for place in places:
+            for message in places:
                 try:
-                    data = opened[place.file](place.where)
+                    data = opened[message.file](message.where)
                 except DamageError as error:
                     failed += 1
                     count = len(places) - failed
                     self.loss = _damage(self._path, error, count, len(places))
                     yield None
                     continue
-                yield StoredMessage(place.topic, place.kind, place.time_ns, data)
+                yield replace(message, data=data)
 
-    def read(self, places: Sequence[Place]) -> Iterator[StoredMessage]:
+    def read(self, places: Sequence[StoredMessage]) -> Iterator[StoredMessage]:
         """Those of `read_all` that are whole."""
         return (item for item in self.read_all(places) if item is not None)
 
@@ -107,7 +96,6 @@ class BagStorage:
 
     def _losses(self, topics: Collection[str], found: Counter[str]) -> Iterator[str]:
         yield from self._faults
-        yield from self._missing
         reason = next((file.damage for file in self._files if file.damage), "")
         stated = {topic: n for topic, n in self._metadata.counts.items() if topic in topics}
         if reason:
@@ -118,29 +106,31 @@ class BagStorage:
                 counts = f"found {found[topic]} messages, expected {count} as metadata.yaml states"
                 yield f"{self._path}: {topic}: {counts}"
 
-    def _listed_files(self) -> tuple[list[Path], list[str]]:
-        """The files of the bag, and a line for each that metadata.yaml lists in vain."""
+    def _opened_files(self) -> Iterator[BagFile]:
+        """The files that can be read; `_faults` gets a line for each other one."""
+        for path in self._listed_files():
+            try:
+                yield self._open_file(path)
+            except DamageError as error:  # noqa: PERF203  each file by itself
+                self._faults.append(f"{path}: damaged, no message can be read: {error}")
+
+    def _listed_files(self) -> list[Path]:
+        """The files of the bag that are there; BagError for none."""
         if self._path.is_file():
-            return [self._path], []
+            return [self._path]
         listed = [self._path / name for name in self._metadata.files]
         there = [path for path in listed if path.is_file()]
-        if not there:
-            return bag_files(self._path), []
-        missing = [path.name for path in listed if not path.is_file()]
-        text = (
-            f"{self._path}: found no file %s, which metadata.yaml lists; its messages are missing"
-        )
-        return there, [text % name for name in missing]
-
-    def _open(self, paths: Sequence[Path]) -> tuple[list[BagFile], list[str]]:
-        files: list[BagFile] = []
-        faults = []
-        for path in paths:
-            try:
-                files.append(self._open_file(path))
-            except DamageError as error:  # noqa: PERF203  each file by itself
-                faults.append(f"{path}: damaged, no message can be read: {error}")
-        return files, faults
+        if there:
+            lost = "which metadata.yaml lists; its messages are missing"
+            for path in (path for path in listed if not path.is_file()):
+                self._faults.append(f"{self._path}: found no file {path.name}, {lost}")
+            return there
+        found = bag_files(self._path)
+        if not found:
+            kinds = " or ".join(STORAGE_SUFFIXES)
+            msg = f"{self._path}: not a readable ROS 2 bag: found no {kinds} file"
+            raise BagError(msg)
+        return found
 
     def _open_file(self, path: Path) -> BagFile:
         unpacked = self._unpack(path) if path.suffix == PACKED_SUFFIX else path
@@ -156,12 +146,6 @@ class BagStorage:
             except zstandard.ZstdError as error:
                 raise DamageError(str(error)) from None
         return target
-
-    def _nothing_left(self, paths: Sequence[Path], faults: Sequence[str]) -> str:
-        if not paths:
-            kinds = " or ".join(STORAGE_SUFFIXES)
-            return f"{self._path}: not a readable ROS 2 bag: found no {kinds} file"
-        return "; ".join(faults)
 
 
 def open_storage(path: Path) -> BagStorage:

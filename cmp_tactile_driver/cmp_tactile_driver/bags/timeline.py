@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from statistics import median
 
-from cmp_tactile_driver.bags.files import Place
+from cmp_tactile_driver.bags.files import StoredMessage
 
 NS_PER_S = 10**9
 LONGEST_GAP_S = 60.0
@@ -46,7 +46,7 @@ class Timeline:
     nothing.
     """
 
-    places: tuple[Place, ...] = ()
+    places: tuple[StoredMessage, ...] = ()
     times_s: tuple[float, ...] = ()
     stamps_ns: tuple[int, ...] = ()
     gaps: str = ""
@@ -62,7 +62,7 @@ class Timeline:
         return range(first, max(first, bisect_left(self.times_s, span.end)))
 
 
-def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
+def timeline(places: Sequence[StoredMessage], first_topic: str) -> Timeline:
     """Put messages in order, given as they were received; time 0 is the first of `first_topic`."""
     if not places:
         return Timeline()
@@ -91,7 +91,7 @@ def timeline(places: Sequence[Place], first_topic: str) -> Timeline:
     )
 
 
-def _filled_stamps(places: Sequence[Place]) -> list[int]:
+def _filled_stamps(places: Sequence[StoredMessage]) -> list[int]:
     """Stamps; for a message without one, its neighbour's and the time between their receipts."""
     stamped = [number for number, place in enumerate(places) if place.stamp_ns]
     if not stamped:
@@ -100,21 +100,17 @@ def _filled_stamps(places: Sequence[Place]) -> list[int]:
     for number, place in enumerate(places):
         if place.stamp_ns:
             continue
-        at = bisect_left(stamped, number)
-        after = stamped[at] if at < len(stamped) else None
-        if at == 0:
-            near = places[stamped[0]]
-            stamps[number] = near.stamp_ns - (near.time_ns - place.time_ns)
-            continue
-        near = places[stamped[at - 1]]
+        after = bisect_left(stamped, number)
+        near = places[stamped[max(after - 1, 0)]]
         stamps[number] = near.stamp_ns + place.time_ns - near.time_ns
-        if after is not None:
+        if after < len(stamped):
             # Between its neighbours, whatever the receipts say.
-            stamps[number] = min(stamps[number], max(near.stamp_ns, places[after].stamp_ns))
+            latest_ns = max(near.stamp_ns, places[stamped[after]].stamp_ns)
+            stamps[number] = min(stamps[number], latest_ns)
     return stamps
 
 
-def _between_restarts(places: Sequence[Place], stamps: Sequence[int]) -> list[range]:
+def _between_restarts(places: Sequence[StoredMessage], stamps: Sequence[int]) -> list[range]:
     """Parts in which the clock of the stamps runs on; it was set back between them.
 
     Where it was, stamps stay behind the receipts by as much.  A message that came late is alone
@@ -144,7 +140,7 @@ def _least_until_jump(delays: Sequence[int]) -> list[int]:
     return least
 
 
-def _gaps_text(gaps: Sequence[float], places: Sequence[Place]) -> str:
+def _gaps_text(gaps: Sequence[float], places: Sequence[StoredMessage]) -> str:
     """One line on times that are skipped, or on receipts that are no guide to the time."""
     if gaps:
         longest = max(gaps, key=abs)

@@ -34,7 +34,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from cmp_tactile_driver.bags.files import Place
+from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.storage import bag_files, open_storage
@@ -383,7 +383,7 @@ def test_messages_in_another_encoding_are_named(tmp_path, name, encoding, kind):
 def test_a_part_that_begins_at_a_frame_has_that_frame():
     """A sum of the seconds between frames would put the one at 0.2 s before 0.2 s."""
     stamps = [7 * HOUR_NS + round(k * 1e9 / 30) for k in range(300)]
-    line = timeline([Place(TOPIC, IMAGE, stamp, stamp, None) for stamp in stamps], TOPIC)
+    line = timeline([StoredMessage(TOPIC, IMAGE, stamp, stamp, None) for stamp in stamps], TOPIC)
     assert [line.times_s[k] for k in (0, 6, 30, 75)] == [0.0, 0.2, 1.0, 2.5]
     for number, stamp in enumerate(stamps):
         start = (stamp - stamps[0]) / 1e9
