@@ -14,8 +14,6 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 # What a corner is located to in a good image, px.
 CORNER_ERROR_PX = 0.05
 
-PositionErrors = NDArray[np.float64]
-
 
 def description_facts(sensor: SensorDescription) -> dict[str, str]:
     """The main entries of the description."""
@@ -86,11 +84,8 @@ def geometry_facts(sensor: SensorDescription) -> dict[str, str]:
     }
 
 
-"""(rows, cols, 3) standard deviation of x, y, z in m."""
-
-
-def position_errors(sensor: SensorDescription, corner_error_px: float) -> PositionErrors:
-    """What independent errors of that standard deviation in both views do to each marker.
+def position_errors(sensor: SensorDescription, corner_error_px: float) -> NDArray[np.float64]:
+    """(rows, cols, 3) standard deviation of x, y, z, m, by independent errors in both views.
 
     First order: the covariance of the least-squares point is (J^T J)^-1 times the variance.
     """

@@ -27,6 +27,7 @@ POLL_TIME = 0.02
 # From the last message, in which its time is not lost by rounding.
 SURELY_WITHIN_S = 1e-6
 PREFETCH_DEPTH = 16
+"""Messages that are read and decoded ahead: half a dozen frames or more."""
 
 
 def read_ahead(items: Iterator[T], depth: int) -> Generator[T, None, None]:
@@ -43,9 +44,6 @@ def read_ahead(items: Iterator[T], depth: int) -> Generator[T, None, None]:
                 yield cast("T", item)
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-"""Messages that are read and decoded ahead: half a dozen frames or more."""
 
 
 class PlayerState(Enum):

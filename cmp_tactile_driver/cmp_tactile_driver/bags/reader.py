@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -27,16 +27,15 @@ from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
-from cmp_tactile_processing.image.encodings import (
-    COMPRESSED,
-    BitDepth,
-    decode_compressed,
-    decode_raw,
-)
+from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.measured import GridShape, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE, whole_frame_info
-from cmp_tactile_processing.ros.messages.reading import camera_info_from_msg, surface_from_msg
+from cmp_tactile_processing.ros.messages.reading import (
+    camera_info_from_msg,
+    image_from_msg,
+    surface_from_msg,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -124,8 +123,7 @@ class BagReader:
         self._depth = BitDepth(f"{path}: {self.image_topic}", look_ahead=self._used_bits)
         self._given_size = expected_size
         self._expected_size = expected_size
-        self._frame_health = SourceHealth()
-        self._info_health = SourceHealth()
+        self._health = SourceHealth()
 
     @property
     def has_camera_info(self) -> bool:
@@ -145,8 +143,7 @@ class BagReader:
     @property
     def health(self) -> SourceHealth:
         """Frames that could not be used in the last reading, and what a damaged bag lost."""
-        problem = self._frame_health.problem or self._info_health.problem or self.loss
-        return SourceHealth(self._frame_health.bad_frames, problem)
+        return replace(self._health, problem=self._health.problem or self.loss)
 
     @property
     def duration(self) -> float:
@@ -192,7 +189,7 @@ class BagReader:
         camera info that cannot be read is skipped.
         Raises BagError where there is no good frame, unless the span has none at all.
         """
-        self._frame_health = self._info_health = SourceHealth()
+        self._health = SourceHealth()
         self._expected_size = self._given_size
         line = self._timeline
         part = line.part(span)
@@ -210,14 +207,14 @@ class BagReader:
                 frame = self._read_frame(stored, times)
             except (FrameError, GeometryError) as error:
                 where = f"{self._path}: {self.image_topic} at {stored.time_ns} ns"
-                self._frame_health = self._frame_health.with_bad_frame(f"{where}: {error}")
+                self._health = self._health.with_bad_frame(f"{where}: {error}")
                 wrong_sizes += isinstance(error, WrongSizeError)
                 if wrong_sizes == MOST_WRONG_SIZES and not count:
                     break
                 continue
             count += 1
             yield frame
-        if not count and (span == WHOLE or self._frame_health.bad_frames):
+        if not count and (span == WHOLE or self._health.bad_frames):
             reason = self.health.problem or "the topic is empty"
             msg = f"{self._path}: {self.image_topic}: no frame can be used: {reason}"
             raise BagError(msg)
@@ -228,7 +225,7 @@ class BagReader:
             self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
         except BAD_MESSAGE as error:
             text = f"{self._path}: {stored.topic} at {stored.time_ns} ns: not a {CAMERA_INFO}"
-            self._info_health = self._info_health.with_bad_frame(f"{text}: {error}")
+            self._health = replace(self._health, problem=f"{text}: {error}")
             return False
         return True
 
@@ -237,7 +234,7 @@ class BagReader:
         places = [item for item in self._timeline.places if item.topic == self.image_topic]
         for stored in self._storage.read(places):
             with suppress(FrameError):
-                self._decode(self._read_message(stored), depth)
+                image_from_msg(self._read_message(stored), None, depth)
         return depth.bits
 
     def _read_message(self, stored: StoredMessage) -> Any:
@@ -260,7 +257,7 @@ class BagReader:
         if not hasattr(message, "format"):
             # Before it is converted: a wrong one may be large.
             self._check_size((message.width, message.height))
-        image = self._decode(message, self._depth)
+        image = image_from_msg(message, None, self._depth)
         size = (image.shape[1], image.shape[0])
         self._check_size(size)
         self._expected_size = size
@@ -271,19 +268,6 @@ class BagReader:
         if self._expected_size not in (None, size):
             msg = f"found {size_text(size)}, expected {size_text(self._expected_size)}"
             raise WrongSizeError(msg)
-
-    def _decode(self, message: Any, depth: BitDepth) -> NDArray[np.uint8]:
-        data = np.asarray(message.data, np.uint8)
-        if hasattr(message, "format"):
-            return decode_compressed(message.format, data, depth)
-        return decode_raw(
-            (message.width, message.height),
-            message.encoding,
-            message.step,
-            data,
-            big_endian=bool(message.is_bigendian),
-            depth=depth,
-        )
 
 
 def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: bool) -> str:
@@ -299,15 +283,15 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: 
     if not images:
         msg = f"{path}: found no topic of type {IMAGE} or {COMPRESSED_IMAGE}; topics: {found}"
         raise BagError(msg)
-    camera = [name for name in images if name.removesuffix(COMPRESSED).endswith("image_raw")]
-    # A recording of a running sensor holds its views and overlays too; the camera's is outermost.
-    camera.sort(key=lambda name: (name.removesuffix(COMPRESSED).count("/"), name))
-    bases = {name.removesuffix(COMPRESSED) for name in camera}
-    outermost = [base for base in bases if base.count("/") == min(b.count("/") for b in bases)]
     if len(images) == 1:
         return images[0]
-    if len(outermost) == 1:
-        return next(name for name in camera if name.removesuffix(COMPRESSED) == outermost[0])
+    bases = {name: name.removesuffix(COMPRESSED) for name in images}
+    camera = [name for name in images if bases[name].endswith("image_raw")]
+    # A recording of a running sensor holds its views and overlays too; the camera's is outermost.
+    least = min((bases[name].count("/") for name in camera), default=0)
+    outermost = [name for name in camera if bases[name].count("/") == least]
+    if len({bases[name] for name in outermost}) == 1:
+        return outermost[0]
     msg = f"{path}: found several image topics, expected the name of one of: {', '.join(images)}"
     raise BagError(msg)
 

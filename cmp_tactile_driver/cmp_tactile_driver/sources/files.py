@@ -22,6 +22,7 @@ WEBP_HEAD_BYTES = 21
 _PNG_CHUNK = struct.Struct(">I4sI")
 
 DEFAULT_FRAME_RATE = 30.0
+"""Of files that do not have theirs, Hz."""
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -82,9 +83,6 @@ def _is_animation(content: NDArray[np.uint8]) -> bool:
         if kind in (b"acTL", b"IDAT"):
             return kind == b"acTL" and images > 1
         chunk += length + 12
-
-
-"""Of files that do not have theirs, Hz."""
 
 
 class _Images:

@@ -158,14 +158,14 @@ def _read_slip(msg: Any, owner: str) -> measured.SlipEstimate:
 
 def image_from_msg(
     msg: Any,
-    weights: tuple[float, float, float] = LUMINANCE,
+    weights: tuple[float, float, float] | None = LUMINANCE,
     depth: BitDepth | None = None,
 ) -> NDArray[np.uint8]:
     """Image of an Image or CompressedImage: grey (H, W) uint8, or BGR (H, W, 3) where in colours.
 
-    weights: of red, green and blue in the grey value that is made of it.  YUV and Bayer are read
-    as grey where luminance is all that is asked of them.  depth: of the topic; absent for an
-    image by itself.
+    weights: of red, green and blue in the grey value that is made of it, None for no grey value.
+    YUV and Bayer are read as grey where luminance is all that is asked of them.  depth: of the
+    topic; absent for an image by itself.
     Raises FrameError, as decode_raw and decode_compressed.
     """
     data = np.frombuffer(msg.data, np.uint8)
