@@ -44,7 +44,7 @@ from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics import Finding, LossWatch, SentFrames
+from cmp_tactile_processing.ros.diagnostics import Finding, InputWatch, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import message_class
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import declare_parameters
@@ -271,7 +271,7 @@ class Recorder(ReportingNode):
         self._watch = TopicWatch(self, topics)
         # Of the recording.
         self.bag: Path | None = None
-        self._taps: list[tuple[Tap, LossWatch]] = []
+        self._taps: list[tuple[Tap, InputWatch]] = []
         self._lost: Counter[str] = Counter()
         self._early: list[tuple[Tap, Any]] = []
         self._reported: RecorderState | None = None
@@ -347,7 +347,7 @@ class Recorder(ReportingNode):
             self.get_logger().warning(f"{topic.instead_of}: {text}")
         tap = self._tap(topic)
         end = Input(lambda given: partial(self._on_message, tap, watch, given))
-        watch = LossWatch(end)
+        watch = InputWatch(end)
         self.connect_input(end, kind, tap.topic, topic.qos)
         self._taps.append((tap, watch))
 
@@ -366,7 +366,7 @@ class Recorder(ReportingNode):
                 self._lost[tap.topic] += new
                 self._recorder.lost(tap, new)
 
-    def _on_message(self, tap: Tap, watch: LossWatch, given: Given) -> None:
+    def _on_message(self, tap: Tap, watch: InputWatch, given: Given) -> None:
         message = given.message
         watch.take(given.info)
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds

@@ -123,74 +123,70 @@ class ReportingNode(WiredNode, ABC):
         return super().create_service(*args, **kwargs)
 
 
-class FrameCollection(Generic[Frame]):
-    """Frames that a request waits for; `finish` answers it, once they are used."""
-
-    def __init__(self, wanted: int) -> None:
-        self.wanted = wanted
-        self.frames: list[Frame] = []
-        self.outcome: Future[tuple[bool, str]] = Future()
-
-    def finish(self, success: bool, explanation: str) -> None:
-        """Settle the outcome; a second time changes nothing."""
-        if not self.outcome.done():
-            self.outcome.set_result((success, explanation))
-
-
 class FrameService(Generic[Frame]):
     """A Trigger service that collects frames, one request at a time.
 
     name: the service's; busy: the answer while another request is open; wanted: gives number of
-    frames, longest wait in s, and the topics that they come from.
+    frames, longest wait in s, and the topics that they come from.  Once `take` has returned the
+    frames, whoever uses them answers by `finish`.
     """
 
     def __init__(
         self, node: Node, name: str, busy: str, wanted: Callable[[], tuple[int, float, str]]
     ) -> None:
         self._node, self._busy, self._wanted = node, busy, wanted
-        self._open: FrameCollection[Frame] | None = None
+        self._frames: list[Frame] | None = None
+        self._count = 0
+        self._outcome: Future[tuple[bool, str]] = Future()
         # A group of its own: the service waits for frames, which must come in meanwhile.
         node.create_service(Trigger, name, self._answer, callback_group=ReentrantCallbackGroup())
 
     @property
     def is_open(self) -> bool:
         """Whether frames are being collected."""
-        return self._open is not None
+        return self._frames is not None
 
-    def take(self, frame: Frame) -> FrameCollection[Frame] | None:
-        """Add a frame; the collection to be used and finished where it was the last one needed."""
-        collection = self._open
-        if collection is None:
+    def take(self, frame: Frame) -> list[Frame] | None:
+        """Add a frame; all of them, to be used, where it was the last one needed."""
+        frames = self._frames
+        if frames is None:
             return None
-        collection.frames.append(frame)
-        if len(collection.frames) < collection.wanted:
+        frames.append(frame)
+        if len(frames) < self._count:
             return None
-        self._open = None
-        return collection
+        self._frames = None
+        return frames
+
+    def finish(self, success: bool, explanation: str) -> None:
+        """Answer the request; a second time changes nothing."""
+        if not self._outcome.done():
+            self._outcome.set_result((success, explanation))
 
     async def _answer(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        if self._open is not None:
+        if self._frames is not None:
             response.success, response.message = False, self._busy
             return response
-        count, timeout_s, topics = self._wanted()
-        collection = self._open = FrameCollection[Frame](count)
+        self._count, timeout_s, topics = self._wanted()
+        frames: list[Frame] = []
+        outcome: Future[tuple[bool, str]] = Future()
+        self._frames, self._outcome = frames, outcome
 
         def give_up() -> None:
-            found = f"found {len(collection.frames)} frames on {topics} in {timeout_s:g} s"
-            collection.finish(False, f"{found}, expected {count}")
+            if not outcome.done():
+                self._frames = None
+                found = f"found {len(frames)} frames on {topics} in {timeout_s:g} s"
+                outcome.set_result((False, f"{found}, expected {self._count}"))
 
         executor = self._node.executor
         if executor is not None:
             # The last frame comes on another thread, which the executor does not see.
-            collection.outcome.add_done_callback(lambda _: executor.wake())
+            outcome.add_done_callback(lambda _: executor.wake())
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         timer = self._node.create_timer(timeout_s, give_up, clock=steady)
-        response.success, response.message = await collection.outcome
+        response.success, response.message = await outcome
         self._node.destroy_timer(timer)
-        if self._open is collection:
-            self._open = None
         return response
 
 

@@ -93,15 +93,18 @@ class StampWatch:
         self._interval_ns = usual + SMOOTHING * (passed_ns - usual) if usual else float(passed_ns)
 
 
-class LossWatch:
-    """Counts the messages that were sent to an input and never got to it.
+class InputWatch:
+    """Counts the stamps of an input, and the messages that were sent to it and never got there.
 
-    They show as gaps in the numbers that the middleware gives to the messages of a publisher, if
+    Losses show as gaps in the numbers that the middleware gives to the messages of a publisher, if
     it does.  Where frames come by a plain call, the entrance counts those that it pushed out.
+
+    newest: only the newest message is wanted.
     """
 
-    def __init__(self, end: Input) -> None:
-        self.end = end
+    def __init__(self, end: Input, *, newest: bool = False) -> None:
+        self.end, self.newest = end, newest
+        self.stamps = StampWatch()
         self._lost = 0
         self._numbers: dict[bytes, int] = {}
         self._in_order = True
@@ -124,15 +127,6 @@ class LossWatch:
                 self._lost += number - last - 1
             self._in_order = number > last and (self._in_order or number == last + 1)
         self._numbers[publisher] = number
-
-
-class InputWatch(LossWatch):
-    """Counts for one subscription of a stage.  newest: only the newest message is wanted."""
-
-    def __init__(self, end: Input, *, newest: bool = False) -> None:
-        super().__init__(end)
-        self.stamps = StampWatch()
-        self.newest = newest
 
 
 class SentFrames:
@@ -240,16 +234,6 @@ class StageDiagnostics:
         self._last_frame_s = time.monotonic()
         self._silence_s = self._usual_silence_s = 0.0
 
-    @property
-    def lost(self) -> int:
-        """Messages that were sent to this node and never got to it."""
-        return sum(item.lost for item in self.inputs if not item.newest)
-
-    @property
-    def frames_out(self) -> int:
-        """Results that were published."""
-        return self.sent.frames
-
     def bad_frame(self, error: str) -> None:
         """A message could not be used."""
         self.bad_frames += 1
@@ -279,9 +263,9 @@ class StageDiagnostics:
         stamps = [item.stamps for item in self.inputs]
         return {
             "frames in": self.frames_in,
-            "frames out": self.frames_out,
+            "frames out": self.sent.frames,
             "bad frames": self.bad_frames,
-            "lost on the way": self.lost,
+            "lost on the way": sum(item.lost for item in self.inputs if not item.newest),
             "passed over": self.passed_over + newer,
             "missing frames": sum(item.missing for item in stamps),
             **{

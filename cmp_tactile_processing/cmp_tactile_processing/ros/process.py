@@ -85,36 +85,29 @@ def _provide_log_folder() -> None:
     As without HOME (a systemd service), or with HOME=/ (`docker run --user 2000`).
     Raises JoinError for a folder that the user has set.
     """
-    for variable in ("ROS_LOG_DIR", "ROS_HOME"):
+    for variable, inside in (("ROS_LOG_DIR", ""), ("ROS_HOME", "log")):
         if given := os.environ.get(variable):
-            _check_log_folder(variable, given)
+            reason = _why_not_writable(expanded_path(given) / inside)
+            if reason:
+                expected = "a folder for logs that can be written"
+                msg = f"{variable}: found {given} ({reason}), expected {expected}"
+                raise JoinError(msg)
             return
-    if home := os.environ.get("HOME"):
-        folder = Path(home, ".ros", "log")
-        with suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return
-    os.environ["ROS_LOG_DIR"] = str(folder_without_home() / "log")
+    home = os.environ.get("HOME")
+    if not home or _why_not_writable(Path(home, ".ros", "log")):
+        os.environ["ROS_LOG_DIR"] = str(folder_without_home() / "log")
 
 
-def _check_log_folder(variable: str, given: str) -> None:
-    """Raise JoinError where ROS, which reports a number of an error, could not log there."""
-    folder = expanded_path(given)
-    if variable == "ROS_HOME":
-        folder /= "log"
-    reason = ""
+def _why_not_writable(folder: Path) -> str:
+    """Why a folder cannot be made or written into; empty where it can.
+
+    ROS itself reports the number of an error.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        reason = error.strerror or str(error)
-    if not reason and not os.access(folder, os.W_OK | os.X_OK):
-        reason = os.strerror(errno.EACCES)
-    if reason:
-        msg = (
-            f"{variable}: found {given} ({reason}), expected a folder for logs that can be written"
-        )
-        raise JoinError(msg)
+        return error.strerror
+    return "" if os.access(folder, os.W_OK | os.X_OK) else os.strerror(errno.EACCES)
 
 
 def split_ros_args(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -229,15 +222,10 @@ def leave_process(code: int, threads_before: frozenset[threading.Thread]) -> int
     the interpreter from ending, or crash it; the process then ends at once.
     """
     if frozenset(threading.enumerate()) - threads_before:
-        leave_at_once(code)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
     return code
-
-
-def leave_at_once(code: int) -> None:
-    """End the process without the interpreter's clean-up."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
 
 
 class Listener:

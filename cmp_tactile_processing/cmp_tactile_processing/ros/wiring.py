@@ -28,6 +28,7 @@ Info = Mapping[str, Any]
 """Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
 
 Finish = Callable[[], None]
+"""The rest of the work on a frame, on the thread of the sensor."""
 
 
 class Given:
@@ -56,9 +57,6 @@ class Given:
     def message(self) -> Any:
         """A message of ROS's own class."""
         return self._make_message()
-
-
-"""The rest of the work on a frame, on the thread of the sensor."""
 
 
 class Input:

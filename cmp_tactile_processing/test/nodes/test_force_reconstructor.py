@@ -114,7 +114,7 @@ def test_building_the_model_blocks_nothing_and_is_reported(ros):
     node._update_diagnostics()
     extra = node.diagnostics.extra
     assert extra["model"] == "ready"
-    assert node.diagnostics.passed_over + node.diagnostics.frames_out == sent
+    assert node.diagnostics.passed_over + node.diagnostics.sent.frames == sent
 
 
 def test_parameters_of_force_and_slip_may_be_changed_and_bad_values_are_refused(ros):

@@ -171,4 +171,5 @@ def test_parameters_change_between_frames_and_lose_none(ros):
     ros.wait(lambda: len(grids) == 6, "a grid of every image")
     assert [grid.header.stamp.sec for grid in grids] == [1, 2, 3, 4, 5, 6]
     assert len(trackers) > 1
-    assert node.diagnostics.bad_frames == node.diagnostics.lost == 0
+    assert node.diagnostics.bad_frames == 0
+    assert [item.lost for item in node.diagnostics.inputs] == [0] * len(node.diagnostics.inputs)

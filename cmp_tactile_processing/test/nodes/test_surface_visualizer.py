@@ -272,7 +272,7 @@ def test_nothing_is_computed_while_nobody_looks(ros):
     # Would be refused if it were read.
     publisher.publish(surface_to_msg(replace(surface, status=surface.status * 7), HEADER))
     ros.wait(lambda: node.diagnostics.frames_in == 1, "the surface")
-    assert (node.diagnostics.frames_out, node.diagnostics.bad_frames) == (0, 0)
+    assert (node.diagnostics.sent.frames, node.diagnostics.bad_frames) == (0, 0)
     arrays = ros.listen(MarkerArray, "markers")
     ros.wait_subscribed(node, "markers")
     publisher.publish(surface_to_msg(surface, HEADER))
@@ -385,4 +385,4 @@ def test_dense_points_have_position_displacement_and_status(ros):
     bridged = np.zeros(points.shape, bool)
     bridged[2 + 4 * 4 + 1 : 2 + 4 * 6, 2 + 4 * 8 + 1 : 2 + 4 * 10] = True
     np.testing.assert_array_equal(points["status"] == 2, bridged)
-    assert node.diagnostics.frames_out == 1
+    assert node.diagnostics.sent.frames == 1

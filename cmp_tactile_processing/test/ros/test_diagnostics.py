@@ -21,7 +21,6 @@ from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics import (
     SILENT_S,
     InputWatch,
-    LossWatch,
     SentFrames,
     StageDiagnostics,
     StampWatch,
@@ -152,7 +151,7 @@ def test_age_is_counted_by_the_clock_of_a_recording(ros):
     ros.publisher(Clock, "/clock").publish(Clock(clock=Time(sec=100)))
     ros.wait(lambda: node.get_clock().now().nanoseconds == 100 * 10**9, "the clock")
     ros.publisher(Surface, "surface").publish(_surface(99_750 * 10**6))
-    ros.wait(lambda: node.diagnostics.frames_out == 1, "a result")
+    ros.wait(lambda: node.diagnostics.sent.frames == 1, "a result")
     assert _values(node._status())["latency median (ms)"] == "250.0"
 
 
@@ -183,7 +182,7 @@ def _info(number: int | None, publisher: bytes = b"a") -> dict:
 
 def test_numbers_of_messages_show_what_was_lost():
     """Of each publisher apart: one that starts, or starts again, is no loss."""
-    watch = LossWatch(_end())
+    watch = InputWatch(_end())
     for number in (7, 8, 11):
         watch.take(_info(number))
     assert watch.lost == 2
@@ -201,7 +200,7 @@ def test_numbers_of_messages_show_what_was_lost():
 )
 def test_losses_are_reported_where_rclpy_does_not_name_the_publisher(numbers, lost):
     """As in ROS 2 Jazzy.  Two publishers by turns lose nothing, nor does one that starts again."""
-    watch = LossWatch(_end())
+    watch = InputWatch(_end())
     for number in numbers:
         watch.take({"publication_sequence_number": number})
     assert watch.lost == lost
