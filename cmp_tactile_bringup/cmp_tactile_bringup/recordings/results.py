@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -51,7 +52,6 @@ COLUMN_TYPES = {
 UNITS = {"s": "s", "N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # Longest name of a fault: an array of texts has one length.
 FAULT_TYPE = f"U{max(len(fault.value) for fault in GridFault)}"
-COPY_BYTES = 1 << 20
 
 
 def force_arrays(force: ForceField) -> dict[str, NDArray[Any]]:
@@ -244,14 +244,13 @@ class ArrayLog:
             zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         ):
             for name, (dtype, shape) in self._rows.items():
-                header = {
-                    "descr": np.lib.format.dtype_to_descr(dtype),
-                    "fortran_order": False,
-                    "shape": (self._count, *shape),
-                }
-                with (
-                    archive.open(f"{name}.npy", "w", force_zip64=True) as target,
-                    (self._folder / f"{name}.raw").open("rb") as source,
-                ):
-                    np.lib.format.write_array_header_1_0(target, header)
-                    shutil.copyfileobj(source, target, COPY_BYTES)
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as target:
+                    np.lib.format.write_array(target, self._column(name, dtype, shape))
+
+    def _column(self, name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+        """All rows of an array, which stay on the disk."""
+        rows = (self._count, *shape)
+        # Nothing cannot be mapped.
+        if not math.prod(rows):
+            return np.empty(rows, dtype)
+        return np.memmap(self._folder / f"{name}.raw", dtype, "r", shape=rows)

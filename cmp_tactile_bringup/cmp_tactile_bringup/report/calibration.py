@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +21,7 @@ from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     ViewResiduals,
+    WithFindings,
     length_text,
 )
 from cmp_tactile_processing.elastic.relaxation import step_weights
@@ -38,15 +39,6 @@ MARKS = ("^", "s", "o")
 BAR = 2.0
 # Components below this share of the force are only shown where they were meant to be there.
 LEAST_SHARE = 0.05
-POINT = [
-    ("axis", np.intp),
-    ("used", np.bool_),
-    ("known", np.float64),
-    ("known_std", np.float64),
-    ("before", np.float64),
-    ("after", np.float64),
-    ("after_std", np.float64),
-]
 CAPTIONS = {
     "residuals.png": (
         "Measured minus modelled position of every point. Arrows in random directions are noise. "
@@ -74,12 +66,13 @@ NO_RELAXATION = GelRelaxation(0.0, math.nan)
 
 def residual_figure(residuals: Sequence[ViewResiduals], pictures: Mapping[str, Image]) -> Figure:
     """Residuals over each view, magnified.  pictures: one image of each view, where there is."""
-    shown = _shown(residuals)
+    shown = [item for item in residuals if len(item.pixels)]
     spans = [_span(item, pictures.get(item.view)) for item in shown]
     sides = [high - low for low, high in spans]
     widths = [max(AXES_HEIGHT * side[0] / side[1], LEAST_WIDTH) for side in sides]
     figure = style.new_figure(sum(widths) + MARGIN * len(shown), AXES_HEIGHT + MARGIN)
-    for axes, item, span in zip(_row_of_axes(figure, len(shown)), shown, spans, strict=True):
+    row = figure.subplots(1, len(shown), squeeze=False)[0]
+    for axes, item, span in zip(row, shown, spans, strict=True):
         _draw_vectors(axes, item, span, pictures.get(item.view))
     return figure
 
@@ -150,38 +143,36 @@ def truth_figure(errors: NDArray[np.float64], pattern: Pattern) -> Figure:
     return figure
 
 
-def _shown(residuals: Sequence[ViewResiduals]) -> list[ViewResiduals]:
-    return [item for item in residuals if len(item.pixels)]
-
-
-def _row_of_axes(figure: Figure, count: int) -> list[Axes]:
-    return [figure.add_subplot(1, count, k + 1) for k in range(count)]
-
-
 def material_figure(loads: Sequence[LoadResult]) -> Figure:
     """Reading against reference before and after, and what is left, for all known components."""
     figure = style.new_figure(12.0, 5.6)
     left, right = figure.subplots(1, 2)
-    points = _points(loads)
-    ends = [min(0.0, points.known.min(initial=0.0)), max(0.0, points.known.max(initial=0.0))]
+    # Each (loads, 3).
+    shown = np.array([known_components(load) for load in loads])
+    used = shown & np.array([[load.used] for load in loads])
+    known, known_std, before, after, after_std = (
+        np.array([getattr(load, name) for load in loads])
+        for name in ("reference", "reference_std", "before", "after", "after_std")
+    )
+    after_std = np.nan_to_num(after_std)
+    ends = [known[shown].min(initial=0.0), known[shown].max(initial=0.0)]
     left.plot(ends, ends, color=style.MUTED, lw=1, zorder=0)
     right.axhline(0, color=style.MUTED, lw=1, zorder=0)
     for axis, name in enumerate(AXES):
-        own = points[points.used & (points.axis == axis)]
-        if not own.size:
+        own = used[:, axis], axis
+        if not used[:, axis].any():
             continue
         look: dict[str, Any] = {
             "color": style.SERIES[axis], "marker": MARKS[axis], "ls": "none", "ms": 6
         }  # fmt: skip
-        left.plot(own.known, own.before, **look, fillstyle="none", label=f"{name} before")
-        left.errorbar(
-            own.known, own.after, BAR * own.after_std, **look, capsize=4, label=f"{name} after"
-        )
-        bars = BAR * np.hypot(own.after_std, own.known_std)
-        right.errorbar(own.known, own.after - own.known, bars, **look, capsize=4)
-    unused = points[~points.used]
-    if unused.size:
-        left.plot(unused.known, unused.before, "x", color=style.MUTED, label="left out")
+        left.plot(known[own], before[own], **look, fillstyle="none", label=f"{name} before")
+        bars = BAR * after_std[own]
+        left.errorbar(known[own], after[own], bars, **look, capsize=4, label=f"{name} after")
+        bars = BAR * np.hypot(after_std[own], known_std[own])
+        right.errorbar(known[own], after[own] - known[own], bars, **look, capsize=4)
+    unused = shown & ~used
+    if unused.any():
+        left.plot(known[unused], before[unused], "x", color=style.MUTED, label="left out")
     for axes, label in ((left, "force of the sensor, N"), (right, "sensor minus known, N")):
         axes.set_xlabel("known force, N")
         axes.set_ylabel(label)
@@ -200,24 +191,6 @@ def known_components(load: LoadResult) -> NDArray[np.bool_]:
     known = np.isfinite(load.reference)
     size = np.linalg.norm(load.reference[known])
     return np.asarray(known & (np.abs(load.reference) >= LEAST_SHARE * size))
-
-
-def _points(loads: Sequence[LoadResult]) -> Any:
-    """The components that are known, of all loads: a record array (n,) of POINT."""
-    points = [
-        (
-            axis,
-            load.used,
-            load.reference[axis],
-            load.reference_std[axis],
-            load.before[axis],
-            load.after[axis],
-            np.nan_to_num(load.after_std[axis]),
-        )
-        for load in loads
-        for axis in np.flatnonzero(known_components(load))
-    ]
-    return np.array(points, POINT).view(np.recarray)
 
 
 def relaxation_figure(
@@ -250,60 +223,53 @@ def write_calibration_report(
 
     pictures: an image of each view, which the residuals are drawn over.  name: of the sensor.
     """
-    figures: dict[str, Callable[[], Figure]] = {}
+    figures = {}
     if any(len(item.pixels) for item in outcome.residuals):
-        draw = residual_figure
-        figures["residuals.png"] = lambda: draw(outcome.residuals, pictures)
-    return _write(folder, figures, source="images", **_found(outcome, name))
+        figures["residuals.png"] = residual_figure(outcome.residuals, pictures)
+    values = {"name": name, "method": outcome.method, "source": "images"}
+    return _write(folder, figures, outcome, outcome.estimates, values)
 
 
 def write_material_report(outcome: MaterialOutcome, folder: Path, name: str) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
-    figures = {"loads.png": lambda: material_figure(outcome.loads)} if outcome.loads else {}
-    loads: dict[str, Any] = {
+    figures = {"loads.png": material_figure(outcome.loads)} if outcome.loads else {}
+    values = {
+        "name": name,
+        "method": outcome.method,
+        "source": "loads",
         "loads": load_rows(outcome.loads),
         "load_headings": LOAD_HEADINGS,
     }
-    return _write(folder, figures, source="loads", **loads, **_found(outcome, name))
-
-
-def _found(outcome: CalibrationOutcome | MaterialOutcome, name: str) -> dict[str, Any]:
-    return {
-        "estimates": outcome.estimates,
-        "name": name,
-        "outcome": outcome,
-        "method": outcome.method,
-    }
+    return _write(folder, figures, outcome, outcome.estimates, values)
 
 
 def write_relaxation_report(report: RelaxationReport, folder: Path) -> Path:
     """Write the figure and index.html into the folder; returns the page's path."""
     curves = (report.time_s, report.reading, report.corrected)
-    figures = {"relaxation.png": lambda: relaxation_figure(*curves, report.reference)}
-    return _write(
-        folder,
-        figures,
-        estimates=report.estimates,
-        name=report.sensor.name,
-        outcome=report.outcome,
-        method="relaxation",
-        source="record",
-    )
+    figures = {"relaxation.png": relaxation_figure(*curves, report.reference)}
+    values = {"name": report.sensor.name, "method": "relaxation", "source": "record"}
+    return _write(folder, figures, report.outcome, report.estimates, values)
 
 
 def _write(
     folder: Path,
-    figures: Mapping[str, Callable[[], Figure]],
-    *,
+    figures: Mapping[str, Figure],
+    outcome: WithFindings,
     estimates: Sequence[Estimate],
-    **values: Any,
+    values: Mapping[str, Any],
 ) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    for file, draw in figures.items():
-        style.save_figure(draw(), folder / file)
-    captions = {file: CAPTIONS[file] for file in figures}
-    tables = {"captions": captions, "headings": HEADINGS, "estimates": estimate_rows(estimates)}
-    return style.write_page(folder / "index.html", "calibration.html.jinja", **values, **tables)
+    for file, figure in figures.items():
+        style.save_figure(figure, folder / file)
+    return style.write_page(
+        folder / "index.html",
+        "calibration.html.jinja",
+        outcome=outcome,
+        captions={file: CAPTIONS[file] for file in figures},
+        headings=HEADINGS,
+        estimates=estimate_rows(estimates),
+        **values,
+    )
 
 
 class EstimateRow(NamedTuple):
