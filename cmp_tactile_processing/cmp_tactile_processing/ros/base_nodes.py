@@ -218,7 +218,7 @@ class StageNode(ReportingNode):
     ) -> Publisher[Any]:
         """A reliable publisher; latched: late subscribers get the last `depth` messages."""
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+        qos = QoSProfile(depth=depth, durability=durability)
         return self.create_publisher(
             message_type,
             topic,

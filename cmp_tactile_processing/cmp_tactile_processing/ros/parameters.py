@@ -39,9 +39,9 @@ def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
     """The descriptor of a field made by `parameters.parameter`."""
     meta = item.metadata
     low, high, choices = meta["low"], meta["high"], meta["choices"]
-    descriptor = ParameterDescriptor(
-        description=with_unit(meta["description"], meta["unit"]), read_only=read_only
-    )
+    # ROS has no other place for the unit.
+    unit = f" [{meta['unit']}]" if meta["unit"] else ""
+    descriptor = ParameterDescriptor(description=meta["description"] + unit, read_only=read_only)
     if isinstance(item.default, tuple):
         descriptor.additional_constraints = numbers_text(item.default, meta)
     elif choices:
@@ -57,11 +57,6 @@ def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
     elif high is not None:
         descriptor.additional_constraints = f"at most {high}"
     return descriptor
-
-
-def with_unit(description: str, unit: str) -> str:
-    """A parameter's description, which ends in its unit: ROS has no other place for it."""
-    return f"{description} [{unit}]" if unit else description
 
 
 def unit_of(descriptor: ParameterDescriptor) -> str:
