@@ -15,7 +15,7 @@ from rosbags.serde import SerdeError
 
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
-from cmp_tactile_driver.bags.storage import BagStorage, is_bag_file, open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
@@ -152,7 +152,7 @@ class StoredResults:
 
         Raises BagError for what is no bag, ViewerError for one of several sensors.
         """
-        self._storage = storage or open_storage(path)
+        self._storage = storage or BagStorage(path)
         self._topics = _result_topics(path, self._storage.topics)
         self._reader = ResultReader(sensor, BitDepth(str(path)))
         places = self._storage.places(list(self._topics))
@@ -224,8 +224,7 @@ def _is_frame(topic: str) -> bool:
 
 def _bag(path: Path) -> BagStorage | None:
     """None for a folder of images or a video."""
-    whether = is_bag_file(path) if path.is_file() else path.is_dir() and is_bag(path)
-    return open_storage(path) if whether else None
+    return BagStorage(path) if is_bag(path) else None
 
 
 def _frames(

@@ -10,7 +10,7 @@ import pytest
 from waiting import wait_until
 
 from cmp_tactile_bringup.command import main
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.definitions import (
@@ -94,7 +94,7 @@ def test_stored_results_are_shown_as_they_are(results, playing, snapshots):
 
 def test_surfaces_alone_are_processed(results, playing, snapshots, tmp_path):
     surfaces = tmp_path / "surfaces"
-    storage = open_storage(results)
+    storage = BagStorage(results)
     (topic,) = (name for name in storage.topics if name.endswith("/surface"))
     with BagWriter(surfaces) as bag:
         bag.add_topic(topic, SURFACE, definition=simulation_definition(SURFACE))
@@ -119,7 +119,7 @@ def test_the_indenter_of_a_recording_is_where_its_truth_says(grasp_bag, results,
     wait_until(lambda: len(looker.snapshots) == 2, "a frame in contact")
     true = [
         simulation_typestore().deserialize_cdr(stored.data, stored.kind)
-        for stored in open_storage(grasp_bag).messages(["/sample_rig/truth/indenter_pose"])
+        for stored in BagStorage(grasp_bag).messages(["/sample_rig/truth/indenter_pose"])
     ]
     for pose, place in ((above, true[0].pose.position), (touch.pose, true[19].pose.position)):
         assert pose.position == (place.x, place.y, place.z)
@@ -189,7 +189,7 @@ def test_compressed_frames_are_shown_beside_recorded_results(
     bag = tmp_path / "recorded"
     with BagWriter(bag) as writer:
         for path, kind in ((grasp_bag, recording.COMPRESSED_IMAGE), (results, results_kind)):
-            storage = open_storage(path)
+            storage = BagStorage(path)
             found = storage.topics.items()
             topic = next(name for name, other in found if other == kind and "/truth/" not in name)
             writer.add_topic(topic, kind)

@@ -22,7 +22,7 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BAD_MESSAGE
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.measured import Status
@@ -78,7 +78,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
     fewer than two messages of it with a force that is not NaN.
     """
-    storage = open_storage(bag)
+    storage = BagStorage(bag)
     if storage.topics.get(topic) != WRENCH_STAMPED:
         there = sorted(name for name, kind in storage.topics.items() if kind == WRENCH_STAMPED)
         msg = (
@@ -151,7 +151,7 @@ def fixed_rotation(bag: Path, to: str, from_: str) -> Rotation | None:
 
 def _fixed_rotations(bag: Path) -> dict[str, dict[str, Rotation]]:
     """R_ab by frames a and b, both ways, of all fixed transforms."""
-    storage, edges = open_storage(bag), defaultdict[str, dict[str, Rotation]](dict)
+    storage, edges = BagStorage(bag), defaultdict[str, dict[str, Rotation]](dict)
     if storage.topics.get(TF_STATIC) != TF_MESSAGE:
         return edges
     store = get_typestore(Stores.ROS2_JAZZY)

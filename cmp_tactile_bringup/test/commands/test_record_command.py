@@ -22,7 +22,7 @@ from sensor_msgs.msg import Image
 from cmp_tactile_bringup.commands import running
 from cmp_tactile_bringup.recordings.library import required_sensor
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -60,7 +60,7 @@ def test_a_running_sensor_is_found_and_recorded(ros, tmp_path):
     assert f"       5  {ros.namespace}/wrench\n" in out
     assert f"       0  {ros.namespace}/force_field: no node published it\n" in out
     assert [item.stamp_ns for item in BagReader(bag).frames()] == [n * 10**9 for n in range(5)]
-    assert "/tf_static" in open_storage(bag).topics
+    assert "/tf_static" in BagStorage(bag).topics
     # How many there are, and so their order, depends on who publishes and on the machine.
     printed = out.replace(ros.namespace, "/sample_rig").replace("/compressed", "")
     for line in shown_after(TUTORIAL, SHOWN_AFTER):

@@ -20,7 +20,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.files import StoredMessage
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
@@ -115,7 +115,7 @@ class BagReader:
         topic.
         """
         self._path, self.name = path, str(path)
-        self._storage = open_storage(path)
+        self._storage = BagStorage(path)
         self._shape = shape
         self._typestore = simulation_typestore() if shape else get_typestore(Stores.ROS2_JAZZY)
         self.image_topic = _choose_topic(path, self._storage.topics, topic, surfaces=bool(shape))
@@ -326,36 +326,34 @@ def calibration_mismatch(origin: str, found: ViewCameraInfo, sensor: SensorDescr
     where the camera is calibrated, with K other than 0, and the sensor has one camera for the whole
     frame.  Models of a pinhole differ by their coefficients alone.
     """
-    difference = _size_difference(found, sensor) or _lens_difference(found, sensor)
-    if not difference:
-        return ""
-    return f"{origin}: {difference}: is {sensor.name} the description of this sensor?"
-
-
-def _size_difference(found: ViewCameraInfo, sensor: SensorDescription) -> str:
-    for field in ("width", "height"):
-        value, expected = getattr(found, field), getattr(sensor.image, field)
-        if value not in (0, expected):
-            return f"{field}: found {value}, expected {expected}"
+    for field, value, expected in _differences(found, sensor):
+        hint = f"is {sensor.name} the description of this sensor?"
+        return f"{origin}: {field}: found {value}, expected {expected}: {hint}"
     return ""
 
 
-def _lens_difference(found: ViewCameraInfo, sensor: SensorDescription) -> str:
+def _differences(
+    found: ViewCameraInfo, sensor: SensorDescription
+) -> Iterator[tuple[str, object, object]]:
+    """Field, value found and value expected."""
+    for field in ("width", "height"):
+        size, expected_size = getattr(found, field), getattr(sensor.image, field)
+        if size not in (0, expected_size):
+            yield field, size, expected_size
     camera = sensor.camera
     if camera is None or not found.K.any():
-        return ""
+        return
     model, K = ROS_MODEL[camera.model], whole_frame_info(sensor).K
     if found.model != model and ROS_MODEL["equidistant"] in (found.model, model):
-        return f"distortion_model: found {found.model or 'nothing'}, expected {model}"
+        yield "distortion_model", found.model or "nothing", model
     if not np.allclose(found.K, K, rtol=0, atol=MATRIX_TOLERANCE_PX):
-        return f"K: found {_numbers(found.K)}, expected {_numbers(K)}"
+        yield "K", _numbers(found.K), _numbers(K)
     expected = np.array(camera.distortion)
     length = max(found.D.size, expected.size)
     # Coefficients that are left out are 0.
     D, D_expected = (np.pad(D, (0, length - D.size)) for D in (found.D, expected))
     if not np.allclose(D, D_expected, rtol=0, atol=DISTORTION_TOLERANCE):
-        return f"D: found {_numbers(found.D)}, expected {_numbers(expected)}"
-    return ""
+        yield "D", _numbers(found.D), _numbers(expected)
 
 
 def _numbers(values: NDArray[np.float64]) -> str:

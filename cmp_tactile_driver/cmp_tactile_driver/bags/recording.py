@@ -82,12 +82,11 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
         msg = f"{path}: found no such file or folder, expected {kinds}"
         raise FrameSourceError(msg)
     check_folder(path)
-    is_image = path.is_file() and path.suffix.lower() in files.IMAGE_SUFFIXES
-    if is_image or (path.is_dir() and not is_bag(path)):
+    if is_bag(path):
+        return BagReader(path, topic, expected_size, shape)
+    if path.is_dir() or path.suffix.lower() in files.IMAGE_SUFFIXES:
         images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
         return ImageRecording(images, frame_id)
-    if path.is_dir() or is_bag_file(path):
-        return BagReader(path, topic, expected_size, shape)
     return ImageRecording(_video(path, expected_size), frame_id)
 
 
@@ -144,9 +143,11 @@ def check_folder(path: Path) -> None:
     raise FrameSourceError(msg)
 
 
-def is_bag(folder: Path) -> bool:
-    """Whether a folder holds files of a bag, as it may also without its metadata."""
-    return (folder / "metadata.yaml").exists() or bool(bag_files(folder))
+def is_bag(path: Path) -> bool:
+    """Whether it is a file of a bag, or a folder of them, perhaps without the bag's metadata."""
+    if path.is_file():
+        return is_bag_file(path)
+    return path.is_dir() and ((path / "metadata.yaml").exists() or bool(bag_files(path)))
 
 
 class RecordedSource:

@@ -10,7 +10,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -26,14 +26,6 @@ STORAGE_SUFFIXES = tuple(FORMATS)
 PACKED_SUFFIX = ".zstd"
 
 
-@dataclass(frozen=True)
-class _Metadata:
-    """What metadata.yaml says: names of the files, and numbers of messages by topic."""
-
-    files: tuple[str, ...] = ()
-    counts: dict[str, int] = field(default_factory=dict)
-
-
 class BagStorage:
     """A bag to read.
 
@@ -46,8 +38,15 @@ class BagStorage:
 
         Raises BagError for a path that is absent or no bag, and for a bag of which nothing is left.
         """
+        if not path.exists():
+            msg = f"{path}: found no such file or folder, expected a ROS 2 bag"
+            raise BagError(msg)
+        if path.is_file() and not is_bag_file(path):
+            kinds = f"a folder, {' or '.join(STORAGE_SUFFIXES)}"
+            msg = f"{path}: found a {path.suffix or 'nameless'} file, expected {kinds}"
+            raise BagError(msg)
         self._path = path
-        self._metadata = _read_metadata(path)
+        self._listed, self._counts = _read_metadata(path)
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
         self.loss = ""
         self._faults: list[str] = []
@@ -97,7 +96,7 @@ class BagStorage:
     def _losses(self, topics: Collection[str], found: Counter[str]) -> Iterator[str]:
         yield from self._faults
         reason = next((file.damage for file in self._files if file.damage), "")
-        stated = {topic: n for topic, n in self._metadata.counts.items() if topic in topics}
+        stated = {topic: n for topic, n in self._counts.items() if topic in topics}
         if reason:
             yield _damage(self._path, reason, found.total(), sum(stated.values()))
             return
@@ -118,7 +117,7 @@ class BagStorage:
         """The files of the bag that are there; BagError for none."""
         if self._path.is_file():
             return [self._path]
-        listed = [self._path / name for name in self._metadata.files]
+        listed = [self._path / name for name in self._listed]
         there = [path for path in listed if path.is_file()]
         if there:
             lost = "which metadata.yaml lists; its messages are missing"
@@ -148,17 +147,6 @@ class BagStorage:
         return target
 
 
-def open_storage(path: Path) -> BagStorage:
-    """Open a bag: a folder, or one .mcap or .db3 file.  Raises BagError as `BagStorage`."""
-    if not path.exists():
-        msg = f"{path}: found no such file or folder, expected a ROS 2 bag"
-        raise BagError(msg)
-    if path.is_file() and not is_bag_file(path):
-        msg = f"{path}: found a {path.suffix or 'nameless'} file, expected a folder, .mcap or .db3"
-        raise BagError(msg)
-    return BagStorage(path)
-
-
 def is_bag_file(path: Path) -> bool:
     """Whether a file is named as one of a bag is, also one that was compressed as a whole."""
     return Path(path.name.removesuffix(PACKED_SUFFIX)).suffix.lower() in STORAGE_SUFFIXES
@@ -174,19 +162,21 @@ def bag_files(folder: Path) -> list[Path]:
     return sorted(files, key=lambda file: (len(file.name), file.name))
 
 
-def _read_metadata(path: Path) -> _Metadata:
-    """Of a bag's folder; nothing where the file is absent or makes no sense."""
+def _read_metadata(path: Path) -> tuple[list[str], dict[str, int]]:
+    """Names of the files, and numbers of messages by topic, as metadata.yaml states them.
+
+    Nothing where it is absent or makes no sense.
+    """
+    counts: Counter[str] = Counter()
     try:
         text = (path / "metadata.yaml").read_text(encoding="utf-8")
         top: Any = yaml.safe_load(text)["rosbag2_bagfile_information"]
-        names = tuple(PurePath(name).name for name in top["relative_file_paths"])
-        counts: dict[str, int] = {}
+        names = [PurePath(name).name for name in top["relative_file_paths"]]
         for item in top["topics_with_message_count"]:
-            name = item["topic_metadata"]["name"]
-            counts[name] = counts.get(name, 0) + int(item["message_count"])
+            counts[item["topic_metadata"]["name"]] += int(item["message_count"])
     except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError):
-        return _Metadata()
-    return _Metadata(names, counts)
+        return [], {}
+    return names, counts
 
 
 def _damage(path: Path, reason: object, count: int, expected: int) -> str:

@@ -9,7 +9,8 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import Any, cast
@@ -186,22 +187,28 @@ class Tap:
     size: int = 1000
 
 
-@dataclass(frozen=True)
+@dataclass
 class RecordingProgress:
     """How far a recording is.
 
     messages: on the disk, by topic as it is in the bag.  dropped: by topic, because the queue was
     full, they could not be encoded or written or did not come.  problem: the last.  queued_bytes:
-    what waits.
+    what waits.  first_ns, last_ns: when the first and the latest message came.
     """
 
-    state: RecorderState
-    messages: dict[str, int]
-    dropped: dict[str, int]
-    problem: str
-    size: int
-    duration_s: float
-    queued_bytes: int
+    state: RecorderState = RecorderState.RECORDING
+    messages: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
+    problem: str = ""
+    size: int = 0
+    queued_bytes: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the latest message."""
+        return (self.last_ns - self.first_ns) * 1e-9
 
     @property
     def is_over(self) -> bool:
@@ -222,16 +229,10 @@ class BagRecorder:
         self._writer = writer
         self._queue: deque[tuple[Tap, int, Any, int]] = deque()
         self._limit_bytes = queue_bytes
-        self._queued_bytes = 0
         self._condition = threading.Condition()
         self._stopping = False
-        self._state = RecorderState.RECORDING
-        self._messages: Counter[str] = Counter()
+        self._progress = RecordingProgress()
         self._unsynced: Counter[str] = Counter()
-        self._dropped: Counter[str] = Counter()
-        self._problem = ""
-        self._first_ns = self._last_ns = 0
-        self._size = 0
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
@@ -239,30 +240,23 @@ class BagRecorder:
     def progress(self) -> RecordingProgress:
         """A snapshot; from any thread."""
         with self._condition:
-            return RecordingProgress(
-                self._state,
-                dict(self._messages),
-                dict(self._dropped),
-                self._problem,
-                self._size,
-                (self._last_ns - self._first_ns) * 1e-9,
-                self._queued_bytes,
-            )
+            return deepcopy(self._progress)
 
     def put(self, tap: Tap, log_ns: int, message: Any) -> None:
         """Hand a message over, which nobody may change any more."""
         size = max(len(getattr(message, "data", ())), tap.size)
         with self._condition:
-            if self._state is RecorderState.FAILED:
-                self._dropped[tap.topic] += 1
-            if self._state is not RecorderState.RECORDING or self._stopping:
+            progress = self._progress
+            if progress.has_failed:
+                progress.dropped[tap.topic] += 1
+            if progress.is_over or self._stopping:
                 return
-            queued = self._queued_bytes + size
+            queued = progress.queued_bytes + size
             if queued > self._limit_bytes or len(self._queue) >= MESSAGE_LIMIT:
                 self._drop(tap, 1, "dropped, because writing is too slow")
                 return
             self._queue.append((tap, log_ns, message, size))
-            self._queued_bytes = queued
+            progress.queued_bytes = queued
             self._condition.notify()
 
     def lost(self, tap: Tap, count: int) -> None:
@@ -278,8 +272,8 @@ class BagRecorder:
         self._thread.join()
 
     def _drop(self, tap: Tap, count: int, reason: object) -> None:
-        self._dropped[tap.topic] += count
-        self._problem = f"{tap.topic}: {reason}"
+        self._progress.dropped[tap.topic] += count
+        self._progress.problem = f"{tap.topic}: {reason}"
 
     def _run(self) -> None:
         problem = ""
@@ -292,14 +286,15 @@ class BagRecorder:
                 traceback.print_exc()
                 problem = problem or f"{type(error).__name__}: {error}"
         with self._condition:
+            progress = self._progress
             # What was written last may have found no room on the disk.
-            (self._dropped if problem else self._messages).update(self._unsynced)
-            self._size = self._writer.size
-            self._state = RecorderState.FAILED if problem else RecorderState.FINISHED
-            self._problem = problem or self._problem
-            self._dropped.update(tap.topic for tap, *_ in self._queue)
+            (progress.dropped if problem else progress.messages).update(self._unsynced)
+            progress.size = self._writer.size
+            progress.state = RecorderState.FAILED if problem else RecorderState.FINISHED
+            progress.problem = problem or progress.problem
+            progress.dropped.update(tap.topic for tap, *_ in self._queue)
+            progress.queued_bytes = 0
             self._queue.clear()
-            self._queued_bytes = 0
 
     def _write_all(self) -> None:
         sync_at = time.monotonic() + SYNC_PERIOD_S
@@ -323,8 +318,8 @@ class BagRecorder:
         """Close the chunk, and count what is in it."""
         self._writer.sync()
         with self._condition:
-            self._size = self._writer.size
-            self._messages += self._unsynced
+            self._progress.size = self._writer.size
+            self._progress.messages += self._unsynced
             self._unsynced.clear()
 
     def _write(self, tap: Tap, log_ns: int, message: Any, size: int) -> None:
@@ -334,12 +329,13 @@ class BagRecorder:
         except Exception as error:  # noqa: BLE001  one message must not end the recording
             with self._condition:
                 self._drop(tap, 1, error)
-                self._queued_bytes -= size
+                self._progress.queued_bytes -= size
             return
         tap.size = len(encoded.data)
         self._unsynced[encoded.topic] += 1
         self._writer.write(encoded.topic, log_ns, encoded.data)
         with self._condition:
-            self._queued_bytes -= size
-            self._first_ns = self._first_ns or log_ns
-            self._last_ns = max(self._last_ns, log_ns)
+            progress = self._progress
+            progress.queued_bytes -= size
+            progress.first_ns = progress.first_ns or log_ns
+            progress.last_ns = max(progress.last_ns, log_ns)

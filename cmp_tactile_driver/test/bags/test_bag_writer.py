@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import (
     BagRecorder,
     BagWriter,
@@ -109,7 +109,7 @@ def test_what_the_queue_cannot_hold_is_dropped_and_counted(tmp_path):
     assert recorder.progress.state is RecorderState.FINISHED
     assert recorder.progress.messages == {TOPIC: 3}
     assert recorder.progress.queued_bytes == 0
-    assert [m.time_ns for m in open_storage(tmp_path / "bag").messages([TOPIC])] == [1, 2, 3]
+    assert [m.time_ns for m in BagStorage(tmp_path / "bag").messages([TOPIC])] == [1, 2, 3]
     recorder.put(tap, 99, data)
     assert recorder.progress.messages == {TOPIC: 3}
 

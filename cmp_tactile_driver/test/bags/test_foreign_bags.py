@@ -37,7 +37,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recording import open_recording
-from cmp_tactile_driver.bags.storage import bag_files, open_storage
+from cmp_tactile_driver.bags.storage import BagStorage, bag_files
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, FrameSourceError
 
@@ -374,7 +374,7 @@ def test_messages_in_another_encoding_are_named(tmp_path, name, encoding, kind):
         schema = writer.register_schema(name, encoding, b"")
         writer.register_channel(TOPIC, encoding, schema)
         writer.finish()
-    assert open_storage(path).topics == {TOPIC: kind}
+    assert BagStorage(path).topics == {TOPIC: kind}
     # Report: ros2/rosbag2 1511; tried: "found no image among 1 entries".
     with pytest.raises(FrameSourceError, match=r"found run/, .*contains bags, such as .*/run/?$"):
         open_recording(tmp_path)

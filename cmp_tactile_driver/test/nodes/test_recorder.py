@@ -31,7 +31,7 @@ from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes import recorder as recorder_module
 from cmp_tactile_driver.nodes.recorder import Recorder
@@ -218,10 +218,10 @@ def test_log_times_are_those_of_a_simulated_clock(ros, output):
     wrenches.publish(WrenchStamped())
     ros.wait(lambda: sum(node.progress.messages.values()) == 2, "both")
     node.stop()
-    assert {m.time_ns for m in open_storage(output).messages([f"{ros.namespace}/wrench"])} == {
+    assert {m.time_ns for m in BagStorage(output).messages([f"{ros.namespace}/wrench"])} == {
         7 * 10**9
     }
-    assert {m.time_ns for m in open_storage(output).messages(["/tf_static"])} == {7 * 10**9}
+    assert {m.time_ns for m in BagStorage(output).messages(["/tf_static"])} == {7 * 10**9}
 
 
 def test_what_cannot_be_recorded_stops_the_constructor(ros, output, tmp_path):

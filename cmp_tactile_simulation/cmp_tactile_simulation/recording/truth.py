@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.files import StoredMessage
-from cmp_tactile_driver.bags.storage import open_storage
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
@@ -258,7 +258,7 @@ def recorded_frames(
     """
     prefix, types = recorded_topics(sensor)
     wanted = [prefix + topic for topic in topics or types]
-    storage, views = open_storage(bag), build_views(sensor)
+    storage, views = BagStorage(bag), build_views(sensor)
     if not storage.topics.keys() >= set(wanted):
         return
     for stamp_ns, messages in groupby(storage.messages(wanted), key=_time_ns):
