@@ -165,13 +165,7 @@ class StoredResults:
         """As `Frames.read`."""
         store = simulation_typestore()
         open_ones: dict[int, tuple[float, Snapshot]] = {}
-        line = self._timeline
-        part = line.part(TimeSpan(start=start_s))
-        places = line.places[part.start : part.stop]
-        for number, stored in zip(part, self._storage.read_all(places), strict=True):
-            if stored is None:
-                self.problem = self._storage.loss
-                continue
+        for stored in self._storage.read(self._timeline.part(TimeSpan(start=start_s))):
             field = self._topics[stored.topic]
             try:
                 message: Any = store.deserialize_cdr(stored.data, stored.kind)
@@ -180,11 +174,12 @@ class StoredResults:
             except (CmpTactileError, SerdeError, ValueError) as error:
                 self.problem = f"{stored.topic} at {stored.time_ns} ns: {error}"
                 continue
-            begun = line.times_s[number], Snapshot(stamp_ns)
+            begun = stored.time_s, Snapshot(stamp_ns)
             time_s, snapshot = open_ones.pop(stamp_ns, begun)
             open_ones[stamp_ns] = time_s, replace(snapshot, **{field: value})
             if len(open_ones) > MOST_OPEN:
                 yield open_ones.pop(next(iter(open_ones)))
+        self.problem = self._storage.loss or self.problem
         yield from open_ones.values()
 
 

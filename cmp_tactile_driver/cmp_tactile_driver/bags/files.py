@@ -45,8 +45,8 @@ class StoredMessage:
     """One message as it was recorded.
 
     time_ns: when it was received.  stamp_ns: of its header, if its type begins with one; 0 where it
-    has none.  where: for the reading of its file, which is the `file`th of its bag.  data: its CDR
-    bytes, empty until they are read.
+    has none.  where: for the reading of its file, which is the `file`th of its bag.  time_s: in its
+    recording, see `Timeline`.  data: its CDR bytes, empty until they are read.
     """
 
     topic: str
@@ -55,7 +55,13 @@ class StoredMessage:
     stamp_ns: int
     where: Any
     file: int = 0
+    time_s: float = 0.0
     data: bytes = b""
+
+    @property
+    def moment_ns(self) -> int:
+        """Its stamp; when it was received where it has none."""
+        return self.stamp_ns or self.time_ns
 
 
 def unpacked(data: bytes) -> bytes:

@@ -169,7 +169,7 @@ class BagReader:
 
     def calibration_mismatch(self, sensor: SensorDescription) -> str:
         """In what the first camera info that can be read differs from a description; or empty."""
-        places = [item for item in self._timeline.places if item.topic == self._info_topic]
+        places = [item for item in self._timeline.messages if item.topic == self._info_topic]
         for stored in self._storage.read(places):
             try:
                 info: Any = self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
@@ -191,20 +191,14 @@ class BagReader:
         """
         self._health = SourceHealth()
         self._expected_size = self._given_size
-        line = self._timeline
-        part = line.part(span)
         count = wrong_sizes = 0
-        places = line.places[part.start : part.stop]
-        for number, stored in zip(part, self._storage.read_all(places), strict=True):
-            if stored is None:
-                continue
-            times = line.times_s[number], line.stamps_ns[number]
+        for stored in self._storage.read(self._timeline.part(span)):
             if stored.topic == self._info_topic:
                 if self._is_camera_info(stored):
-                    yield RecordedCameraInfo(*times, stored.data)
+                    yield RecordedCameraInfo(stored.time_s, stored.moment_ns, stored.data)
                 continue
             try:
-                frame = self._read_frame(stored, times)
+                frame = self._read_frame(stored)
             except (FrameError, GeometryError) as error:
                 where = f"{self._path}: {self.image_topic} at {stored.time_ns} ns"
                 self._health = self._health.with_bad_frame(f"{where}: {error}")
@@ -231,7 +225,7 @@ class BagReader:
 
     def _used_bits(self) -> int:
         depth = BitDepth(say=str)
-        places = [item for item in self._timeline.places if item.topic == self.image_topic]
+        places = [item for item in self._timeline.messages if item.topic == self.image_topic]
         for stored in self._storage.read(places):
             with suppress(FrameError):
                 image_from_msg(self._read_message(stored), None, depth)
@@ -245,7 +239,8 @@ class BagReader:
             msg = f"not a {kind}: {error}"
             raise FrameError(msg) from None
 
-    def _read_frame(self, stored: StoredMessage, times: tuple[float, int]) -> Recorded:
+    def _read_frame(self, stored: StoredMessage) -> Recorded:
+        times = stored.time_s, stored.moment_ns
         message = self._read_message(stored)
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 10**9 + stamp.nanosec

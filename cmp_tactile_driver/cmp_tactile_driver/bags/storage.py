@@ -69,8 +69,8 @@ class BagStorage:
         self.loss = "; ".join(self._losses(topics, Counter(message.topic for message in found)))
         return found
 
-    def read_all(self, places: Sequence[StoredMessage]) -> Iterator[StoredMessage | None]:
-        """Messages of `places` with their bytes; None for one that is damaged, see `loss`."""
+    def read(self, places: Sequence[StoredMessage]) -> Iterator[StoredMessage]:
+        """Messages of `places` with their bytes; without those that are damaged, see `loss`."""
         failed = 0
         with ExitStack() as stack:
             opened: list[Any] = [stack.enter_context(file.opened()) for file in self._files]
@@ -81,13 +81,8 @@ class BagStorage:
                     failed += 1
                     count = len(places) - failed
                     self.loss = _damage(self._path, error, count, len(places))
-                    yield None
                     continue
                 yield replace(message, data=data)
-
-    def read(self, places: Sequence[StoredMessage]) -> Iterator[StoredMessage]:
-        """Those of `read_all` that are whole."""
-        return (item for item in self.read_all(places) if item is not None)
 
     def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
         """The messages of some topics in the order in which they were received."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from statistics import median
 
@@ -41,25 +41,25 @@ WHOLE = TimeSpan()
 class Timeline:
     """Messages in order.
 
-    times_s (n,): rising, 0 at the first frame and for what came before it.  stamps_ns (n,): of the
-    message; when it was received where it has none.  gaps: what was skipped, in one line; empty for
-    nothing.
+    Their times rise, and are 0 at the first frame and for what came before it.  gaps: what was
+    skipped, in one line; empty for nothing.
     """
 
-    places: tuple[StoredMessage, ...] = ()
-    times_s: tuple[float, ...] = ()
-    stamps_ns: tuple[int, ...] = ()
+    messages: tuple[StoredMessage, ...] = ()
     gaps: str = ""
 
     @property
     def duration(self) -> float:
         """Time of the last message, s."""
-        return self.times_s[-1] if self.times_s else 0.0
+        return self.messages[-1].time_s if self.messages else 0.0
 
-    def part(self, span: TimeSpan) -> range:
-        """The numbers of the messages in a part of the recording."""
-        first = bisect_left(self.times_s, span.start)
-        return range(first, max(first, bisect_left(self.times_s, span.end)))
+    def part(self, span: TimeSpan) -> tuple[StoredMessage, ...]:
+        """The messages in a part of the recording."""
+        first, end = (
+            bisect_left(self.messages, time_s, key=lambda message: message.time_s)
+            for time_s in (span.start, span.end)
+        )
+        return self.messages[first:end]
 
 
 def timeline(places: Sequence[StoredMessage], first_topic: str) -> Timeline:
@@ -84,9 +84,10 @@ def timeline(places: Sequence[StoredMessage], first_topic: str) -> Timeline:
     first = next((k for k, n in enumerate(ordered) if places[n].topic == first_topic), 0)
     gaps = [step / NS_PER_S for step, skip in zip(steps, skipped, strict=True) if skip]
     return Timeline(
-        tuple(places[number] for number in ordered),
-        tuple(max(0, time - times[first]) / NS_PER_S for time in times),
-        tuple(places[number].stamp_ns or places[number].time_ns for number in ordered),
+        tuple(
+            replace(places[number], time_s=max(0, time - times[first]) / NS_PER_S)
+            for number, time in zip(ordered, times, strict=True)
+        ),
         _gaps_text(gaps, places),
     )
 

@@ -112,14 +112,14 @@ def test_camera_infos_that_cannot_be_read_are_left_out_and_named(frame_bag, fram
     """Whoever publishes their bytes would fail by them."""
     reader = BagReader(frame_bag)
     assert reader.has_camera_info
-    stored = reader._storage.read_all
+    stored = reader._storage.read
 
     def cut(*args):
         for number, item in enumerate(stored(*args)):
             is_first_info = number < 2 and item.topic == "/rig/camera_info"
             yield replace(item, data=item.data[:40]) if is_first_info else item
 
-    monkeypatch.setattr(reader._storage, "read_all", cut)
+    monkeypatch.setattr(reader._storage, "read", cut)
     found = list(reader.messages())
     infos = [item for item in found if isinstance(item, RecordedCameraInfo)]
     assert (len(infos), len(found)) == (len(frames) - 1, 2 * len(frames) - 1)
