@@ -155,9 +155,9 @@ class StoredResults:
         self._storage = storage or BagStorage(path)
         self._topics = _result_topics(path, self._storage.topics)
         self._reader = ResultReader(sensor, BitDepth(str(path)))
-        places = self._storage.places(list(self._topics))
+        messages = self._storage.index(list(self._topics))
         first = next((topic for topic, field in self._topics.items() if field == "frame"), "")
-        self._timeline = timeline(places, first)
+        self._timeline = timeline(messages, first)
         self.length_s = self._timeline.duration
         self.problem = self._storage.loss or self._timeline.gaps
 

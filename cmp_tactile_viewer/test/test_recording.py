@@ -193,7 +193,7 @@ def test_compressed_frames_are_shown_beside_recorded_results(
             found = storage.topics.items()
             topic = next(name for name, other in found if other == kind and "/truth/" not in name)
             writer.add_topic(topic, kind)
-            for stored in storage.read(storage.places([topic])):
+            for stored in storage.read(storage.index([topic])):
                 writer.write(topic, stored.time_ns, stored.data)
     with closing(open_source(bag, sensor)) as source:
         shown = [snapshot for _, snapshot in source.frames.read(0.0)]

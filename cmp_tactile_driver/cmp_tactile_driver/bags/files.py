@@ -131,11 +131,11 @@ class McapBagFile:
                 size = path.stat().st_size
                 raise DamageError("found no MCAP in it" if size else "the file is empty")
         if not self._take_summary():
-            self.places(())
+            self.index(())
             if self.damage and not self._channels:
                 raise DamageError(self.damage)
 
-    def places(self, topics: Collection[str]) -> list[StoredMessage]:
+    def index(self, topics: Collection[str]) -> list[StoredMessage]:
         """The messages of some topics without their bytes, in the order they were written.
 
         What is damaged is passed over where its length is known.
@@ -309,7 +309,7 @@ class SqliteBagFile:
             raise DamageError(f"{error}{hint if self._has_log else ''}") from None
         self.topics = dict(self._topics.values())
 
-    def places(self, topics: Collection[str]) -> list[StoredMessage]:
+    def index(self, topics: Collection[str]) -> list[StoredMessage]:
         """As `McapBagFile`, up to the first damage."""
         self.damage = ""
         found = []

@@ -147,13 +147,12 @@ class Player:
         """Begin to play."""
         self._worker.start()
 
-    def pause(self) -> None:
-        """Send nothing more after the current message."""
-        self._set_paused(paused=True)
-
-    def resume(self) -> None:
-        """Go on where it was paused."""
-        self._set_paused(paused=False)
+    def set_paused(self, paused: bool) -> None:
+        """Send nothing more after the current message, or go on where it was paused."""
+        with self._condition:
+            self._paused = paused
+            self._steps = 0
+            self._condition.notify_all()
 
     def step(self) -> bool:
         """Send all up to the next frame at once; False where it is not paused."""
@@ -191,12 +190,6 @@ class Player:
         with self._condition:
             self._condition.notify_all()
         self._worker.stop()
-
-    def _set_paused(self, *, paused: bool) -> None:
-        with self._condition:
-            self._paused = paused
-            self._steps = 0
-            self._condition.notify_all()
 
     def _run(self) -> None:
         self._wait_for_gate()

@@ -165,12 +165,12 @@ class BagReader:
     @cached_property
     def _timeline(self) -> Timeline:
         topics = [topic for topic in (self.image_topic, self._info_topic) if topic]
-        return timeline(self._storage.places(topics), self.image_topic)
+        return timeline(self._storage.index(topics), self.image_topic)
 
     def calibration_mismatch(self, sensor: SensorDescription) -> str:
         """In what the first camera info that can be read differs from a description; or empty."""
-        places = [item for item in self._timeline.messages if item.topic == self._info_topic]
-        for stored in self._storage.read(places):
+        messages = [item for item in self._timeline.messages if item.topic == self._info_topic]
+        for stored in self._storage.read(messages):
             try:
                 info: Any = self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
             except BAD_MESSAGE:
@@ -225,8 +225,8 @@ class BagReader:
 
     def _used_bits(self) -> int:
         depth = BitDepth(say=str)
-        places = [item for item in self._timeline.messages if item.topic == self.image_topic]
-        for stored in self._storage.read(places):
+        messages = [item for item in self._timeline.messages if item.topic == self.image_topic]
+        for stored in self._storage.read(messages):
             with suppress(FrameError):
                 image_from_msg(self._read_message(stored), None, depth)
         return depth.bits

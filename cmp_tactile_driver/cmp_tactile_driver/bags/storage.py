@@ -57,36 +57,36 @@ class BagStorage:
         for file in self._files:
             self.topics = {**file.topics, **self.topics}
 
-    def places(self, topics: Collection[str]) -> list[StoredMessage]:
+    def index(self, topics: Collection[str]) -> list[StoredMessage]:
         """The messages of some topics without their bytes, in the order they were received."""
         found = [
             replace(message, file=number) if number else message
             for number, file in enumerate(self._files)
-            for message in file.places(topics)
+            for message in file.index(topics)
         ]
         # Those of one moment stay in the order in which they were written.
         found.sort(key=lambda message: message.time_ns)
         self.loss = "; ".join(self._losses(topics, Counter(message.topic for message in found)))
         return found
 
-    def read(self, places: Sequence[StoredMessage]) -> Iterator[StoredMessage]:
-        """Messages of `places` with their bytes; without those that are damaged, see `loss`."""
+    def read(self, messages: Sequence[StoredMessage]) -> Iterator[StoredMessage]:
+        """These messages with their bytes, without those that are damaged, see `loss`."""
         failed = 0
         with ExitStack() as stack:
             opened: list[Any] = [stack.enter_context(file.opened()) for file in self._files]
-            for message in places:
+            for message in messages:
                 try:
                     data = opened[message.file](message.where)
                 except DamageError as error:
                     failed += 1
-                    count = len(places) - failed
-                    self.loss = _damage(self._path, error, count, len(places))
+                    count = len(messages) - failed
+                    self.loss = _damage(self._path, error, count, len(messages))
                     continue
                 yield replace(message, data=data)
 
     def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
         """The messages of some topics in the order in which they were received."""
-        return self.read(self.places(topics))
+        return self.read(self.index(topics))
 
     def _losses(self, topics: Collection[str], found: Counter[str]) -> Iterator[str]:
         yield from self._faults

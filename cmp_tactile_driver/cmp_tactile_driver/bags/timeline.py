@@ -62,14 +62,14 @@ class Timeline:
         return self.messages[first:end]
 
 
-def timeline(places: Sequence[StoredMessage], first_topic: str) -> Timeline:
+def timeline(messages: Sequence[StoredMessage], first_topic: str) -> Timeline:
     """Put messages in order, given as they were received; time 0 is the first of `first_topic`."""
-    if not places:
+    if not messages:
         return Timeline()
-    stamps = _filled_stamps(places)
+    stamps = _filled_stamps(messages)
     ordered: list[int] = []
     begins = []
-    for part in _between_restarts(places, stamps):
+    for part in _between_restarts(messages, stamps):
         begins.append(len(ordered))
         ordered += sorted(part, key=lambda number: stamps[number])
     # In ns: a sum of seconds misses a frame at 0.2 s by its last digit.
@@ -81,43 +81,43 @@ def timeline(places: Sequence[StoredMessage], first_topic: str) -> Timeline:
     skipped = [number in restarts or step > longest for number, step in enumerate(steps)]
     passed = [usual_step if skip else step for step, skip in zip(steps, skipped, strict=True)]
     times = list(accumulate(passed, initial=0))
-    first = next((k for k, n in enumerate(ordered) if places[n].topic == first_topic), 0)
+    first = next((k for k, n in enumerate(ordered) if messages[n].topic == first_topic), 0)
     gaps = [step / NS_PER_S for step, skip in zip(steps, skipped, strict=True) if skip]
     return Timeline(
         tuple(
-            replace(places[number], time_s=max(0, time - times[first]) / NS_PER_S)
+            replace(messages[number], time_s=max(0, time - times[first]) / NS_PER_S)
             for number, time in zip(ordered, times, strict=True)
         ),
-        _gaps_text(gaps, places),
+        _gaps_text(gaps, messages),
     )
 
 
-def _filled_stamps(places: Sequence[StoredMessage]) -> list[int]:
+def _filled_stamps(messages: Sequence[StoredMessage]) -> list[int]:
     """Stamps; for a message without one, its neighbour's and the time between their receipts."""
-    stamped = [number for number, place in enumerate(places) if place.stamp_ns]
+    stamped = [number for number, message in enumerate(messages) if message.stamp_ns]
     if not stamped:
-        return [place.time_ns for place in places]
-    stamps = [place.stamp_ns for place in places]
-    for number, place in enumerate(places):
-        if place.stamp_ns:
+        return [message.time_ns for message in messages]
+    stamps = [message.stamp_ns for message in messages]
+    for number, message in enumerate(messages):
+        if message.stamp_ns:
             continue
         after = bisect_left(stamped, number)
-        near = places[stamped[max(after - 1, 0)]]
-        stamps[number] = near.stamp_ns + place.time_ns - near.time_ns
+        near = messages[stamped[max(after - 1, 0)]]
+        stamps[number] = near.stamp_ns + message.time_ns - near.time_ns
         if after < len(stamped):
             # Between its neighbours, whatever the receipts say.
-            latest_ns = max(near.stamp_ns, places[stamped[after]].stamp_ns)
+            latest_ns = max(near.stamp_ns, messages[stamped[after]].stamp_ns)
             stamps[number] = min(stamps[number], latest_ns)
     return stamps
 
 
-def _between_restarts(places: Sequence[StoredMessage], stamps: Sequence[int]) -> list[range]:
+def _between_restarts(messages: Sequence[StoredMessage], stamps: Sequence[int]) -> list[range]:
     """Parts in which the clock of the stamps runs on; it was set back between them.
 
     Where it was, stamps stay behind the receipts by as much.  A message that came late is alone
     behind, and belongs before those that came sooner.
     """
-    delays = [place.time_ns - stamp for place, stamp in zip(places, stamps, strict=True)]
+    delays = [message.time_ns - stamp for message, stamp in zip(messages, stamps, strict=True)]
     least_after = _least_until_jump(delays)
     parts = []
     begin, newest = 0, stamps[0]
@@ -141,12 +141,12 @@ def _least_until_jump(delays: Sequence[int]) -> list[int]:
     return least
 
 
-def _gaps_text(gaps: Sequence[float], places: Sequence[StoredMessage]) -> str:
+def _gaps_text(gaps: Sequence[float], messages: Sequence[StoredMessage]) -> str:
     """One line on times that are skipped, or on receipts that are no guide to the time."""
     if gaps:
         longest = max(gaps, key=abs)
         return f"skipped jumps of the stamps: {len(gaps)}, the largest {longest:.6g} s"
-    receipts = [place.time_ns for place in places]
+    receipts = [message.time_ns for message in messages]
     longest = max((b - a for a, b in pairwise(receipts)), default=0)
     if longest <= LONGEST_GAP_S * NS_PER_S:
         return ""

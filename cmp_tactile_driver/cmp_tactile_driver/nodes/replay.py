@@ -267,10 +267,7 @@ class Replay(ReportingNode):
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         player = self._require_player()
-        if request.data:
-            player.pause()
-        else:
-            player.resume()
+        player.set_paused(request.data)
         response.success = True
         response.message = player.progress.state.value
         return response

@@ -101,18 +101,18 @@ def test_paused_at_first_and_later():
     def send(message: RecordedFrame) -> None:
         sent.append(message.stamp_ns)
         if len(sent) == 3:
-            player.pause()
+            player.set_paused(True)
 
     player = Player([_Recording()], send, ReplayParameters(paused=True))
     player.start()
     time.sleep(0.1)
     assert sent == []
     assert player.progress.state is PlayerState.PAUSED
-    player.resume()
+    player.set_paused(False)
     _wait(lambda: len(sent) == 3)
     time.sleep(0.1)
     assert len(sent) == 3
-    player.resume()
+    player.set_paused(False)
     _wait_finished(player)
     assert sent == list(range(10))
 
@@ -191,7 +191,7 @@ def test_jump_goes_on_from_there(paused):
     if paused:
         _wait(player.step)
         _wait(lambda: sent == [0, 7])
-    player.resume()
+    player.set_paused(False)
     _wait_finished(player)
     assert sent == [0, 7, 8, 9]
 
