@@ -60,6 +60,7 @@ READABLE_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "Pa": ("kPa",
 DIGITS_BELOW_STD = 2
 FEWEST_DECIMALS, MOST_DECIMALS = 1, 6
 DECIMALS_WITHOUT_STD = 4
+LOAD_DECIMALS = 3
 LOAD_HEADINGS = ("Load", "", "Reference", "Before", "After", "Std", "Off", "")
 NO_RELAXATION = GelRelaxation(0.0, math.nan)
 
@@ -298,21 +299,21 @@ def _estimate_row(estimate: Estimate) -> EstimateRow:
     unit, factor = READABLE_UNITS.get(estimate.unit, (estimate.unit, 1.0))
     std = estimate.std * factor
     places = _decimals(std)
-
-    def text(value: float, sign: str = "") -> str:
-        return f"{value:{sign}.{places}f}" if math.isfinite(value) else "-"
-
     change = (estimate.after - estimate.before) * factor
     held = "held" if estimate.after == estimate.before else "partly"
     return EstimateRow(
         name=estimate.name,
-        before=text(estimate.before * factor),
-        after=text(estimate.after * factor),
-        change=text(change, "+") if change else "-",
-        std=text(std) if estimate.determined else "-",
+        before=_number(estimate.before * factor, places),
+        after=_number(estimate.after * factor, places),
+        change=_number(change, places, "+") if change else "-",
+        std=_number(std, places) if estimate.determined else "-",
         unit=unit,
         state="determined" if estimate.determined else held,
     )
+
+
+def _number(value: float, decimals: int, sign: str = "") -> str:
+    return f"{value:{sign}.{decimals}f}" if math.isfinite(value) else "-"
 
 
 def _decimals(std: float) -> int:
@@ -350,17 +351,13 @@ def load_rows(loads: Sequence[LoadResult]) -> list[LoadRow]:
 def _load_row(load: LoadResult, axis: int, *, first: bool) -> LoadRow:
     size = float(np.linalg.norm(load.reference[np.isfinite(load.reference)]))
     off = load.residual_after[axis] / size if size else math.nan
-
-    def force(values: NDArray[np.float64]) -> str:
-        return f"{values[axis]:.3f}" if math.isfinite(values[axis]) else "-"
-
     return LoadRow(
         name=load.name if first else "",
         component=AXES[axis],
-        reference=force(load.reference),
-        before=force(load.before),
-        after=force(load.after),
-        std=force(load.after_std),
+        reference=_number(load.reference[axis], LOAD_DECIMALS),
+        before=_number(load.before[axis], LOAD_DECIMALS),
+        after=_number(load.after[axis], LOAD_DECIMALS),
+        std=_number(load.after_std[axis], LOAD_DECIMALS),
         # Towards 0 or away from it: forces into the gel are negative.
         off=f"{100 * off * math.copysign(1, load.reference[axis]):+.1f} %",
         remark=f"left out: {load.reason}" if first and not load.used else "",
