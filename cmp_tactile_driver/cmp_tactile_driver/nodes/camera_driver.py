@@ -8,8 +8,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
@@ -120,10 +118,8 @@ class CameraDriver(ReportingNode, LifecycleNode):
             CameraInfo, "camera_info", image_qos()
         )
         self.start_reporting()
-        # Steady: a simulated clock may stand still.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         delay = self._camera_settings.reconnect_delay
-        self._retry = self.create_timer(delay, self._attempt_start, clock=steady, autostart=False)
+        self._retry = self.create_steady_timer(delay, self._attempt_start, autostart=False)
         if self._settings.autostart:
             self._attempt_start()
             if not self._retry.is_canceled():

@@ -16,8 +16,6 @@ from typing import Any
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -279,8 +277,7 @@ class Recorder(ReportingNode):
         self.create_service(SetBool, "~/record", self._on_record)
         if self._settings.autostart:
             self._start()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(SEARCH_PERIOD_S, self._look_for_topics, clock=steady)
+        self.create_steady_timer(SEARCH_PERIOD_S, self._look_for_topics)
         self.start_reporting(also_to=[self._status_publisher])
         self.warn_of_unknown_parameters()
         self.report()

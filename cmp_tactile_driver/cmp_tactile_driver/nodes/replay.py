@@ -10,8 +10,6 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -171,9 +169,7 @@ class Replay(ReportingNode):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/back", partial(self._on_jump, -JUMP_S))
         self.create_service(Trigger, "~/forward", partial(self._on_jump, JUMP_S))
-        # Steady: the clock of the recording stops with it.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(STATUS_CHECK_PERIOD, self._report_change, clock=steady)
+        self.create_steady_timer(STATUS_CHECK_PERIOD, self._report_change)
         self.start_reporting(also_to=[self._status_publisher])
         self.warn_of_unknown_parameters()
         self._player.start()

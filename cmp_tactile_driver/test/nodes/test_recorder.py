@@ -315,9 +315,10 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output):
             ros.wait(lambda: accounted(statuses.values) == 30, "what became of each frame")
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
+        code = process.wait(60)
         assert process.stderr is not None
         log = process.stderr.read()
+        assert code == 0, log
     assert statuses.last.level == DiagnosticStatus.ERROR
     assert statuses.last.message == f"{output}/bag.mcap: cannot be written: File too large"
     assert f"recording ended: {output}/bag.mcap: cannot be written" in log

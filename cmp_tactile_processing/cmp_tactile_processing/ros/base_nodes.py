@@ -13,12 +13,12 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
+from rclpy.timer import Timer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -70,9 +70,7 @@ class ReportingNode(WiredNode, ABC):
         """
         self._also_to = also_to
         self._diagnostics_publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # Steady: a paused simulation clock must not silence the diagnostics.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self.report, clock=steady)
+        self.create_steady_timer(DIAGNOSTICS_PERIOD_S, self.report)
 
     def report(self) -> None:
         """Report now."""
@@ -117,22 +115,32 @@ class ReportingNode(WiredNode, ABC):
                 return SetParametersResult(successful=False, reason=reason)
         return super().set_parameters_atomically(parameter_list)
 
+    def create_steady_timer(
+        self, period_s: float, callback: Callable[[], None], *, autostart: bool = True
+    ) -> Timer:
+        """A timer that goes on while a simulation or a recording, and its clock, are paused."""
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        return self.create_timer(period_s, callback, clock=steady, autostart=autostart)
+
     def create_service(self, *args: Any, **kwargs: Any) -> Any:
         """As Node's."""
         kwargs.setdefault("qos_profile", SERVICE_QOS)
         return super().create_service(*args, **kwargs)
 
 
+Wanted = tuple[int, float, str]
+"""Number of frames, longest wait for them in s, and the topics that they come from."""
+
+
 class FrameService(Generic[Frame]):
     """A Trigger service that collects frames, one request at a time.
 
-    name: the service's; busy: the answer while another request is open; wanted: gives number of
-    frames, longest wait in s, and the topics that they come from.  Once `take` has returned the
-    frames, whoever uses them answers by `finish`.
+    name: the service's; busy: the answer while another request is open.  Once `take` has returned
+    the frames, whoever uses them answers by `finish`.
     """
 
     def __init__(
-        self, node: Node, name: str, busy: str, wanted: Callable[[], tuple[int, float, str]]
+        self, node: ReportingNode, name: str, busy: str, wanted: Callable[[], Wanted]
     ) -> None:
         self._node, self._busy, self._wanted = node, busy, wanted
         self._frames: list[Frame] | None = None
@@ -183,8 +191,7 @@ class FrameService(Generic[Frame]):
         if executor is not None:
             # The last frame comes on another thread, which the executor does not see.
             outcome.add_done_callback(lambda _: executor.wake())
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self._node.create_timer(timeout_s, give_up, clock=steady)
+        timer = self._node.create_steady_timer(timeout_s, give_up)
         response.success, response.message = await outcome
         self._node.destroy_timer(timer)
         return response
