@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from enum import Enum
-from itertools import cycle
 from typing import TypeVar, cast
 
 from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage
@@ -216,20 +215,18 @@ class Player:
 
     def _play_from(self, start: float) -> bool:
         """Whether all was played; False where it was stopped or is to jump."""
-        durations, offset = cycle(item.duration for item in self._recordings), 0.0
         with closing(read_ahead(self._timeline(start), PREFETCH_DEPTH)) as items:
             for item in items:
                 if item is _Mark.RECORDING_OVER:
                     self._last_s = None
-                    offset += next(durations)
                 elif item is _Mark.ALL_OVER:
-                    self._passes, offset = self._passes + 1, 0.0
-                elif not self._play(item, offset):
+                    self._passes += 1
+                elif not self._play(*item):
                     return False
         return True
 
-    def _timeline(self, start: float) -> Iterator[RecordedMessage | _Mark]:
-        """All that is to be sent, again and again where it loops."""
+    def _timeline(self, start: float) -> Iterator[tuple[RecordedMessage, float] | _Mark]:
+        """All that is to be sent, and where its recording begins, s; again where it loops."""
         end = self._options.end or math.inf
         while True:
             sent, offset = 0, 0.0
@@ -237,7 +234,7 @@ class Player:
                 span = TimeSpan(max(0.0, start - offset), end - offset)
                 for message in recording.messages(span):
                     sent += 1
-                    yield message
+                    yield message, offset
                 offset += recording.duration
                 yield _Mark.RECORDING_OVER
             # Behind the end there is nothing to play, and nothing wrong.
