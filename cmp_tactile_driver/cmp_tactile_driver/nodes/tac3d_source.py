@@ -77,7 +77,8 @@ class Tac3dSource(StageNode):
         surface = Surface.from_positions(self.sensor.pattern.shape, reference, position)
         self._surface.publish(surface, header)
         if np.isfinite(wrench).all():
-            self._wrench.publish(_wrench_message(wrench, header))
+            message = WrenchStamped(header=header, wrench=conversions.ROS_MESSAGES.wrench(wrench))
+            self._wrench.publish(message)
         self.frame_out(header)
 
 
@@ -89,14 +90,6 @@ def _client() -> Any:
     except ImportError as error:
         msg = f"PyTac3D: found none ({error}), expected the vendor's client: pip install PyTac3D"
         raise FrameSourceError(msg) from None
-
-
-def _wrench_message(wrench: Any, header: Any) -> WrenchStamped:
-    message = WrenchStamped(header=header)
-    force, torque = message.wrench.force, message.wrench.torque
-    force.x, force.y, force.z = map(float, wrench[:3])
-    torque.x, torque.y, torque.z = map(float, wrench[3:])
-    return message
 
 
 def main() -> int:

@@ -130,6 +130,24 @@ def test_zstd_that_does_not_state_the_size_of_its_content(tmp_path, frames, comp
     _check_whole(BagReader(path), frames)
 
 
+def test_a_message_that_cannot_be_unpacked_hides_no_other_of_its_chunk(tmp_path, frames):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start("ros2", "other")
+        schema = writer.register_schema(IMAGE, "ros2msg", b"")
+        channel = writer.register_channel(TOPIC, "cdr", schema)
+        for number, (time_ns, message) in enumerate(_rows(frames)):
+            data = _without_content_size(bytes(STORE.serialize_cdr(message, IMAGE)))
+            writer.add_message(channel, time_ns, data[:-9] if number == 2 else data, time_ns)
+        writer.finish()
+    reader = BagReader(path)
+    found = [frame.stamp_ns for frame in reader.frames()]
+    times = made_bags.stamps(len(frames))
+    assert found == [*times[:2], *times[3:]]
+    assert f"{len(frames) - 1} messages can be read" in reader.health.problem
+
+
 def test_a_summary_that_is_cut_loses_nothing(tmp_path, frames):
     path = write_mcap(tmp_path / "bag.mcap", _rows(frames))
     path.write_bytes(path.read_bytes()[:-150])
