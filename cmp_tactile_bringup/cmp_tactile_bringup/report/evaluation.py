@@ -106,44 +106,42 @@ def evaluate(results: DemoResults) -> Evaluation:
     )
 
 
-def table_rows(
-    results: DemoResults, evaluation: Evaluation, limits: Limits = LIMITS
-) -> list[TableRow]:
+def table_rows(results: DemoResults, evaluation: Evaluation) -> list[TableRow]:
     """The table that is printed and shown on the page."""
     sent = f"{results.run.frames_sent} of {evaluation.frames_in}"
     return [
         TableRow("Frames played", sent),
-        *_count_rows(evaluation, limits),
-        *_error_rows(evaluation, limits),
-        *_force_rows(evaluation.force, limits),
+        *_count_rows(evaluation),
+        *_error_rows(evaluation),
+        *_force_rows(evaluation.force),
         *_run_rows(results),
     ]
 
 
-def _count_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
+def _count_rows(e: Evaluation) -> list[TableRow]:
     not_found = e.corners_expected - e.corners_found
     misnumbered = e.corners_misnumbered
     return [
-        _lost_row(e.lost_frames, limits),
+        _lost_row(e.lost_frames),
         TableRow("Corners found", f"{e.corners_found} of {e.corners_expected}"),
-        _checked("Corners not found", not_found, limits.corners_not_found, ""),
-        _checked("Corners wrongly numbered", misnumbered, limits.corners_misnumbered, ""),
+        _checked("Corners not found", not_found, LIMITS.corners_not_found, ""),
+        _checked("Corners wrongly numbered", misnumbered, LIMITS.corners_misnumbered, ""),
         TableRow("Markers in 3-D", f"{e.markers_found} of {e.markers_expected}"),
     ]
 
 
-def _error_rows(e: Evaluation, limits: Limits) -> list[TableRow]:
+def _error_rows(e: Evaluation) -> list[TableRow]:
     return [
-        _checked("Corner error, RMS", e.corner_rmse_px, limits.corner_rmse_px, "px", ".4f"),
+        _checked("Corner error, RMS", e.corner_rmse_px, LIMITS.corner_rmse_px, "px", ".4f"),
         TableRow("Corner error, 99 % below", f"{e.corner_p99_px:.4f} px"),
         TableRow("Corner error, largest", f"{e.corner_max_px:.4f} px"),
-        _checked("3-D error, mean", e.position_mean_um, limits.position_mean_um, "µm", ".2f"),
+        _checked("3-D error, mean", e.position_mean_um, LIMITS.position_mean_um, "µm", ".2f"),
         TableRow("Displacement error, mean", f"{e.displacement_mean_um:.2f} µm"),
     ]
 
 
-def _force_rows(force: ForceEvaluation, limits: Limits) -> list[TableRow]:
-    share, limit = force.normal_share * 1e2, limits.normal_force_percent
+def _force_rows(force: ForceEvaluation) -> list[TableRow]:
+    share, limit = force.normal_share * 1e2, LIMITS.normal_force_percent
     area = f"{force.area_rms * 1e6:.1f} mm², of up to {force.area_peak * 1e6:.1f}"
     flags = ", ".join(f"{name} in {count}" for name, count in force.flagged.items())
     return [
@@ -183,13 +181,11 @@ def _checked(name: str, value: float, limit: float, unit: str, form: str = "d") 
     return TableRow(name, f"{value:{form}} {unit}".strip(), f"≤ {limit} {unit}".strip(), passed)
 
 
-def _lost_row(lost: tuple[int, ...], limits: Limits) -> TableRow:
-    row = _checked("Frames lost", len(lost), limits.frames_lost, "")
-    if not lost:
-        return row
+def _lost_row(lost: tuple[int, ...]) -> TableRow:
+    row = _checked("Frames lost", len(lost), LIMITS.frames_lost, "")
     named = ", ".join(str(index) for index in lost[:NAMED_FRAMES])
     more = ", ..." if len(lost) > NAMED_FRAMES else ""
-    return replace(row, value=f"{row.value} (numbers {named}{more})")
+    return replace(row, value=f"{row.value} (numbers {named}{more})") if lost else row
 
 
 def _half_checkers(q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -295,7 +291,7 @@ class TruthErrors:
         return all(row.passed for row in self.rows())
 
     def rows(self) -> list[TableRow]:
-        """Mean distances with their limits."""
+        """Mean distances with their LIMITS."""
         mean = float(np.nanmean(self.position))
         far = float(np.nanpercentile(self.position, 99))
         rows = [

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.report.evaluation import LIMITS, Limits, evaluate, table_rows
+from cmp_tactile_bringup.report.evaluation import LIMITS, evaluate, table_rows
 from cmp_tactile_bringup.report.results import DemoResults
 
 CORNERS_PER_FRAME = 2 * 20 * 20
@@ -24,8 +24,8 @@ def with_grid(results: DemoResults, number: int, **changes) -> DemoResults:
     return changed(results, number, "left", **changes)
 
 
-def missed(results: DemoResults, limits: Limits = LIMITS) -> set[str]:
-    rows = table_rows(results, evaluate(results), limits)
+def missed(results: DemoResults) -> set[str]:
+    rows = table_rows(results, evaluate(results))
     return {row.name for row in rows if row.passed is False}
 
 
