@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import zipfile
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -119,14 +120,13 @@ class ForceFlags:
 
     def __init__(self) -> None:
         self._frames = self._unusable = 0
-        self._flagged: dict[ForceFlag, int] = {}
+        self._flagged: Counter[ForceFlag] = Counter()
 
     def add(self, force: ForceField) -> None:
         """Take the force field of a frame into account."""
         self._frames += 1
         self._unusable += bool(force.flags & UNUSABLE)
-        for flag in single_flags(force.flags):
-            self._flagged[flag] = self._flagged.get(flag, 0) + 1
+        self._flagged.update(single_flags(force.flags))
 
     @property
     def doubts(self) -> Iterator[str]:
@@ -168,19 +168,20 @@ class GridFaults:
 
     def __init__(self) -> None:
         self._frames = self._frames_with_fault = 0
-        self._faulty: dict[str, int] = {}
+        self._faulty: Counter[str] = Counter()
         self._last: dict[str, str] = {}
 
     def add(self, grids: dict[str, Grid | None]) -> None:
         """Take the grids of a frame, by view, into account."""
         self._frames += 1
-        before = sum(self._faulty.values())
+        has_fault = False
         for view, grid in grids.items():
             # Parts of the pattern may be hidden at any time.
             if grid is not None and grid.fault not in (GridFault.NONE, GridFault.PARTLY_HIDDEN):
-                self._faulty[view] = self._faulty.get(view, 0) + 1
+                self._faulty[view] += 1
                 self._last[view] = f"{grid.fault.value}: {grid.reason}"
-        self._frames_with_fault += sum(self._faulty.values()) > before
+                has_fault = True
+        self._frames_with_fault += has_fault
 
     @property
     def problem(self) -> str:
