@@ -171,11 +171,9 @@ class BagReader:
         """In what the first camera info that can be read differs from a description; or empty."""
         messages = [item for item in self._timeline.messages if item.topic == self._info_topic]
         for stored in self._storage.read(messages):
-            try:
-                info: Any = self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
-            except BAD_MESSAGE:
-                continue
-            return calibration_mismatch(stored.topic, camera_info_from_msg(info), sensor)
+            with suppress(FrameError):
+                info = camera_info_from_msg(self._read_message(stored))
+                return calibration_mismatch(stored.topic, info, sensor)
         return ""
 
     def frames(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
@@ -216,10 +214,11 @@ class BagReader:
     def _is_camera_info(self, stored: StoredMessage) -> bool:
         """Whether others will be able to read it, as they get the bytes that are there."""
         try:
-            self._typestore.deserialize_cdr(stored.data, CAMERA_INFO)
-        except BAD_MESSAGE as error:
-            text = f"{self._path}: {stored.topic} at {stored.time_ns} ns: not a {CAMERA_INFO}"
-            self._health = replace(self._health, problem=f"{text}: {error}")
+            self._read_message(stored)
+        except FrameError as error:
+            where = f"{self._path}: {stored.topic} at {stored.time_ns} ns"
+            problem = self._health.problem or f"{where}: {error}"
+            self._health = replace(self._health, problem=problem)
             return False
         return True
 
@@ -232,11 +231,10 @@ class BagReader:
         return depth.bits
 
     def _read_message(self, stored: StoredMessage) -> Any:
-        kind = stored.kind
         try:
-            return self._typestore.deserialize_cdr(stored.data, kind)
+            return self._typestore.deserialize_cdr(stored.data, stored.kind)
         except BAD_MESSAGE as error:
-            msg = f"not a {kind}: {error}"
+            msg = f"not a {stored.kind}: {error}"
             raise FrameError(msg) from None
 
     def _read_frame(self, stored: StoredMessage) -> Recorded:
