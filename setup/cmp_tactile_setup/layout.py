@@ -8,7 +8,6 @@ from __future__ import annotations
 import shlex
 import subprocess
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from cmp_tactile_setup.machine import is_below
@@ -29,68 +28,32 @@ def chosen_distribution(value: str) -> str:
     return distro
 
 
-@dataclass(frozen=True)
 class Layout:
     """Paths of one checkout; `root` is absolute and free of symbolic links.
 
     Each of the `DISTRIBUTIONS` has folders of its own, so that they lie side by side.
     """
 
-    root: Path
-    distro: str = DISTRIBUTIONS[0]
-
-    @property
-    def venv(self) -> Path:
-        """The virtual environment."""
-        return self._folder(".venv")
-
-    @property
-    def venv_python(self) -> Path:
-        """The virtual environment's interpreter."""
-        return self.venv / "bin" / "python"
-
-    @property
-    def venv_record(self) -> Path:
-        """What the virtual environment was made from, once it is complete."""
-        return self.venv / "cmp_tactile_wheels.json"
-
-    @property
-    def install(self) -> Path:
-        """Where the packages are installed."""
-        return self._folder("install")
-
-    @property
-    def build(self) -> Path:
-        """Where the packages are built."""
-        return self._folder("build")
-
-    @property
-    def logs(self) -> Path:
-        """Where the output of each step is kept."""
-        return self._folder("log")
-
-    @property
-    def build_record(self) -> Path:
-        """What the installed packages were built from, once they are complete."""
-        return self.install / "cmp_tactile_build.json"
-
-    @property
-    def environment_file(self) -> Path:
-        """What setup/env.sh sources."""
-        return self.install / "cmp_tactile_environment.sh"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the set-up that runs."""
-        return self.root / ".setup.lock"
+    def __init__(self, root: Path, distro: str = DISTRIBUTIONS[0]) -> None:
+        suffix = "" if distro == DISTRIBUTIONS[0] else f"-{distro}"
+        self.root, self.distro = root, distro
+        # Held by the set-up that runs.
+        self.lock = root / ".setup.lock"
+        self.venv = root / f".venv{suffix}"
+        self.venv_python = self.venv / "bin" / "python"
+        # Where the packages are built and installed, and the output of each step is kept.
+        self.build = root / f"build{suffix}"
+        self.install = root / f"install{suffix}"
+        self.logs = root / f"log{suffix}"
+        # What these were made from, once they are complete.
+        self.venv_record = self.venv / "cmp_tactile_wheels.json"
+        self.build_record = self.install / "cmp_tactile_build.json"
+        # What setup/env.sh sources.
+        self.environment_file = self.install / "cmp_tactile_environment.sh"
 
     def requirements(self, name: str) -> Path:
         """A requirements file of that name."""
         return self.root / "setup" / name
-
-    def _folder(self, name: str) -> Path:
-        suffix = "" if self.distro == DISTRIBUTIONS[0] else f"-{self.distro}"
-        return self.root / f"{name}{suffix}"
 
 
 _REPLACED_PATHS = (
