@@ -17,7 +17,7 @@ export ROS
 help: ## List the commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-7s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 
-build: ## Install ROS 2 if it is missing, and build the changed packages
+build: ## Install ROS 2 if it is missing, and build the packages if they have changed
 	@command -v "$(PYTHON)" >/dev/null || { \
 		echo "set-up: found no $(PYTHON), expected Python 3.10 to 3.14 (Debian, Ubuntu: sudo apt install python3)" >&2; \
 		exit 1; }

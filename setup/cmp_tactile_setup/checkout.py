@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-from cmp_tactile_setup import machine, steps, virtual_environment
+from cmp_tactile_setup import machine, steps, virtual_environment, workspace
 from cmp_tactile_setup.layout import (
     Layout,
     build_environment,
@@ -19,7 +19,6 @@ from cmp_tactile_setup.layout import (
     write_environment_file,
 )
 from cmp_tactile_setup.machine import RosInstallation, sourced_ros
-from cmp_tactile_setup.workspace import Workspace
 
 COMPILED = "cmp_tactile_processing"
 # Its sources count for the folder of the cache.
@@ -35,7 +34,7 @@ def prepare(layout: Layout) -> None:
     _check_chosen(os.environ.get("ROS", ""), ros)
     with _only_one(layout.lock):
         venv_is_current = virtual_environment.is_current(layout, ros)
-        if venv_is_current and Workspace.from_layout(layout, ros).is_finished():
+        if venv_is_current and workspace.is_current(layout, ros):
             return
         if not venv_is_current:
             _prepare_venv(layout, ros)
@@ -67,18 +66,15 @@ def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
 
 
 def _build(layout: Layout, ros: RosInstallation | None) -> None:
-    workspace = Workspace.from_layout(layout, ros)
+    machine.check_tools(for_venv=False, for_wheels=False)
     with_ros = ros is not None
     clean = clean_environment(os.environ, layout, with_ros)
     env = build_environment(layout, clean, with_ros)
-    changed = workspace.changed()
-    workspace.clear_outdated()
+    workspace.clear_outdated(layout, ros)
     with compiling_beside(layout, env):
-        if changed:
-            machine.check_tools(for_venv=False, for_wheels=False)
-            workspace.build(changed, env)
+        workspace.build(layout, ros, env)
         write_environment_file(layout, env, with_ros)
-        workspace.record_finished()
+        workspace.record_finished(layout, ros)
 
 
 @contextmanager

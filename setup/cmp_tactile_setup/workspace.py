@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,6 @@ SUITE = (
     "cmp_tactile_viewer",
     "cmp_tactile_bringup",
 )
-MOST_NAMED = 3
 UNDERLAY = ("composition_interfaces", "tf2_msgs", "tf2_ros_py")
 _MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
@@ -36,109 +33,80 @@ _REASONS = (
 )
 
 
-@dataclass(frozen=True)
-class Workspace:
-    """What is to be built: the packages, and the ROS 2 that they are built against.
+def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
+    """Whether the last build was completed, of these sources and for this ROS 2."""
+    return read_record(layout.build_record) == _record(layout, ros)
 
-    digests: of each package, by name, the hash of everything that its build depends on.  Installed
-    Python modules and shared files are links into the checkout, so their names count but not their
-    contents.
+
+def clear_outdated(layout: Layout, ros: RosInstallation | None) -> None:
+    """Remove what was built for another ROS 2 or has leftovers: the next build starts anew."""
+    built, wanted = read_record(layout.build_record), _record(layout, ros)
+    if any(built.get(key) != wanted[key] for key in ("built_against", "packages")):
+        for folder in (layout.build, layout.install):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def build(layout: Layout, ros: RosInstallation | None, env: Mapping[str, str]) -> None:
+    """Build what has changed.  Raises SetupError with the reason if that fails."""
+    layout.install.mkdir(exist_ok=True)
+    # A build that fails is not current, also once the sources are as they were before.
+    write_record(layout.build_record, {**_record(layout, ros), "sources": None})
+    log = layout.logs / "build.log"
+    command = [
+        *(str(layout.venv_python), "-m", "colcon", "--log-base", str(layout.logs), "build"),
+        *("--paths", *map(str, _folders(layout, ros))),
+        *("--build-base", str(layout.build), "--install-base", str(layout.install)),
+        "--symlink-install",
+        *("--event-handlers", "console_direct+"),
+        *("--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
+        *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
+        *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if ros is None else []),
+    ]
+    if not run_step("building the packages", command, log, env, layout.root):
+        raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
+    _link_command(layout)
+
+
+def record_finished(layout: Layout, ros: RosInstallation | None) -> None:
+    """Record that everything is built, and the environment written."""
+    write_record(layout.build_record, _record(layout, ros))
+
+
+def _folders(layout: Layout, ros: RosInstallation | None) -> list[Path]:
+    """Of the suite, and of those packages of the underlay that the sourced ROS 2 lacks."""
+    missing = (name for name in UNDERLAY if ros is None or ros.prefix_of(name) is None)
+    underlay = [layout.root / "underlay" / name for name in missing]
+    return [*underlay, *(layout.root / name for name in SUITE)]
+
+
+def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, Any]:
+    """What the packages are built from.
+
+    Installed Python modules and shared files are links into the checkout, so their names count but
+    not their contents.
     """
-
-    layout: Layout
-    flavour: str
-    from_wheels: bool
-    digests: Mapping[str, str]
-
-    @classmethod
-    def from_layout(cls, layout: Layout, ros: RosInstallation | None) -> Workspace:
-        """The suite, and those packages of the underlay that the sourced ROS 2 does not bring."""
-        missing = [name for name in UNDERLAY if ros is None or ros.prefix_of(name) is None]
-        digests = {}
-        for name in (*missing, *SUITE):
-            folder = _folder_of(layout, name)
-            digests[name] = digest(_sources(folder), _linked(folder), layout.root)
-        return cls(layout, _flavour(layout, ros), ros is None, digests)
-
-    def changed(self) -> list[str]:
-        """The packages that are not built, or that have changed since."""
-        built = self._built()
-        return [name for name, found in self.digests.items() if built.get(name) != found]
-
-    def is_finished(self) -> bool:
-        """Whether the last build was completed and recorded with its environment."""
-        record = read_record(self.layout.build_record)
-        return record.get("setup") == _setup_digest() and not self.changed()
-
-    def clear_outdated(self) -> None:
-        """Remove what was built for another ROS 2, so that the next build starts from nothing."""
-        if not self._built():
-            self.layout.build_record.unlink(missing_ok=True)
-            for folder in (self.layout.build, self.layout.install):
-                shutil.rmtree(folder, ignore_errors=True)
-
-    def build(self, changed: Sequence[str], env: Mapping[str, str]) -> None:
-        """Build packages. Raises SetupError with the reason if that fails."""
-        kept = {name: found for name, found in self._built().items() if name not in changed}
-        self._write_record(kept, finished=False)
-        self._colcon_build(changed, env)
-        _link_command(self.layout)
-
-    def record_finished(self) -> None:
-        """Record that everything is built, and the environment written."""
-        self._write_record(self.digests, finished=True)
-
-    def _built(self) -> dict[str, Any]:
-        """Digest by name of what is built; nothing if it is for another ROS 2 or has leftovers."""
-        record = read_record(self.layout.build_record)
-        built: dict[str, Any] = record.get("packages", {})
-        usable = record.get("flavour") == self.flavour
-        return built if usable and built.keys() <= self.digests.keys() else {}
-
-    def _write_record(self, packages: Mapping[str, str], finished: bool) -> None:
-        self.layout.install.mkdir(exist_ok=True)
-        record = {
-            "root": str(self.layout.root),
-            "flavour": self.flavour,
-            "packages": dict(packages),
-            "setup": _setup_digest() if finished else None,
-        }
-        write_record(self.layout.build_record, record)
-
-    def _colcon_build(self, selected: Sequence[str], env: Mapping[str, str]) -> None:
-        layout = self.layout
-        log = layout.logs / "build.log"
-        command = [
-            *(str(layout.venv_python), "-m", "colcon", "--log-base", str(layout.logs), "build"),
-            *("--paths", *(str(_folder_of(layout, name)) for name in self.digests)),
-            *("--packages-select", *selected),
-            *("--build-base", str(layout.build), "--install-base", str(layout.install)),
-            "--symlink-install",
-            *("--event-handlers", "console_direct+"),
-            *("--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
-            *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
-            *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if self.from_wheels else []),
-        ]
-        few = len(selected) <= MOST_NAMED
-        title = f"building {', '.join(selected) if few else f'{len(selected)} packages'}"
-        if not run_step(title, command, log, env, layout.root):
-            raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
+    folders = _folders(layout, ros)
+    contents = [path for folder in folders for path in _sources(folder)]
+    names = [path for folder in folders for path in _linked(folder)]
+    set_up = layout.root.glob("setup/cmp_tactile_setup/*.py")
+    return {
+        "root": str(layout.root),
+        "built_against": _built_against(layout, ros),
+        "packages": [folder.name for folder in folders],
+        "sources": digest([*contents, *set_up], names, layout.root),
+    }
 
 
-def _folder_of(layout: Layout, package: str) -> Path:
-    return layout.root / ("underlay" if package in UNDERLAY else "") / package
-
-
-def _flavour(layout: Layout, ros: RosInstallation | None) -> str:
-    """What the packages are built against: with another of it they must all be built again."""
+def _built_against(layout: Layout, ros: RosInstallation | None) -> str:
+    """With another of it the packages must all be built again."""
     if ros is not None:
         return f"{ros.distro} at {ros.prefix_of('rclpy')}"
     compiled_against = [
-        path.relative_to(layout.venv).as_posix()
+        path.name
         for pattern in ("ros_*", "numpy-*")
         for path in layout.venv.glob(f"lib/python3.*/site-packages/{pattern}.dist-info")
     ]
-    return hashlib.sha256("\n".join(sorted(compiled_against)).encode()).hexdigest()
+    return " ".join(sorted(compiled_against))
 
 
 def explain_build_failure(output: str, log: Path) -> str:
@@ -156,11 +124,6 @@ def _link_command(layout: Layout) -> None:
     link.parent.mkdir(exist_ok=True)
     if not link.is_symlink():
         link.symlink_to(Path("..") / command)
-
-
-def _setup_digest() -> str:
-    folder = Path(__file__).resolve().parent
-    return digest(folder.glob("*.py"), [], folder)
 
 
 def _sources(folder: Path) -> Iterator[Path]:

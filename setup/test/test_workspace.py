@@ -4,8 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from cmp_tactile_setup import workspace
 from cmp_tactile_setup.machine import RosInstallation
-from cmp_tactile_setup.workspace import UNDERLAY, Workspace, explain_build_failure
+from cmp_tactile_setup.steps import read_record
+from cmp_tactile_setup.workspace import UNDERLAY, explain_build_failure
 
 
 @pytest.fixture
@@ -14,42 +16,40 @@ def built(layout):
     layout.install.mkdir()
     for name in UNDERLAY:
         (layout.root / "underlay" / name).mkdir(parents=True)
-    Workspace.from_layout(layout, None).record_finished()
-    assert Workspace.from_layout(layout, None).is_finished()
+    workspace.record_finished(layout, None)
+    assert workspace.is_current(layout, None)
     return layout
 
 
-def changed(layout):
-    return Workspace.from_layout(layout, None).changed()
-
-
 @pytest.mark.parametrize(
-    ("path", "package"),
+    "path",
     [
-        ("cmp_tactile_msgs/package.xml", "cmp_tactile_msgs"),
-        ("cmp_tactile_msgs/CMakeLists.txt", "cmp_tactile_msgs"),
-        ("cmp_tactile_msgs/msg/Grid.msg", "cmp_tactile_msgs"),
-        ("cmp_tactile_msgs/srv/Reset.srv", "cmp_tactile_msgs"),
-        ("cmp_tactile_bringup/setup.py", "cmp_tactile_bringup"),
-        ("cmp_tactile_bringup/setup.cfg", "cmp_tactile_bringup"),
-        ("cmp_tactile_bringup/launch/new.launch.py", "cmp_tactile_bringup"),
-        ("cmp_tactile_driver/resource/rclcpp_components/x", "cmp_tactile_driver"),
-        ("underlay/tf2_msgs/msg/TFMessage.msg", "tf2_msgs"),
+        "cmp_tactile_msgs/package.xml",
+        "cmp_tactile_msgs/CMakeLists.txt",
+        "cmp_tactile_msgs/msg/Grid.msg",
+        "cmp_tactile_msgs/srv/Reset.srv",
+        "cmp_tactile_bringup/setup.py",
+        "cmp_tactile_bringup/setup.cfg",
+        "cmp_tactile_bringup/launch/new.launch.py",
+        "cmp_tactile_driver/resource/rclcpp_components/x",
+        "underlay/tf2_msgs/msg/TFMessage.msg",
+        "setup/cmp_tactile_setup/layout.py",
     ],
 )
-def test_a_change_that_needs_a_build(built, path, package):
+def test_a_change_that_needs_a_build(built, path):
     file = built.root / path
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("changed\n")
-    assert changed(built) == [package]
-    assert not Workspace.from_layout(built, None).is_finished()
+    assert not workspace.is_current(built, None)
+    workspace.clear_outdated(built, None)
+    assert built.install.is_dir()
 
 
 def test_an_edited_module_needs_no_build(built):
     """Installed modules are links into the checkout."""
     module = built.root / "cmp_tactile_bringup" / "cmp_tactile_bringup" / "command.py"
     module.write_text("print('edited')\n")
-    assert changed(built) == []
+    assert workspace.is_current(built, None)
 
 
 def test_a_build_that_failed_is_not_finished(built):
@@ -58,41 +58,41 @@ def test_a_build_that_failed_is_not_finished(built):
     before = message.read_text()
     message.write_text("uint32 rows\n")
     with pytest.raises(FileNotFoundError):  # there is no Python that could run colcon
-        Workspace.from_layout(built, None).build(changed(built), {})
+        workspace.build(built, None, {})
     message.write_text(before)
-    assert changed(built) == ["cmp_tactile_msgs"]
-    assert not Workspace.from_layout(built, None).is_finished()
-
-
-def test_a_changed_set_up_is_not_finished_but_builds_nothing(built, monkeypatch):
-    monkeypatch.setattr("cmp_tactile_setup.workspace._setup_digest", lambda: "another")
-    workspace = Workspace.from_layout(built, None)
-    assert not workspace.is_finished()
-    assert workspace.changed() == []
+    assert not workspace.is_current(built, None)
+    workspace.clear_outdated(built, None)
+    assert built.install.is_dir()
 
 
 def test_everything_is_built_again_for_another_ros(built, tmp_path):
     (tmp_path / "share" / "rclpy").mkdir(parents=True)
     (tmp_path / "share" / "rclpy" / "package.xml").touch()
-    workspace = Workspace.from_layout(built, RosInstallation("jazzy", (tmp_path,)))
-    assert workspace.changed() == list(workspace.digests)
+    ros = RosInstallation("jazzy", (tmp_path,))
+    assert not workspace.is_current(built, ros)
+    workspace.clear_outdated(built, ros)
+    assert not built.install.exists()
 
 
 def test_everything_is_built_again_for_other_wheels(built):
     """A library that is only imported may change; one that is compiled against may not."""
     site_packages = built.venv / "lib" / "python3.11" / "site-packages"
     (site_packages / "rich-15.0.0.dist-info").mkdir(parents=True)
-    assert changed(built) == []
+    assert workspace.is_current(built, None)
     (site_packages / "ros_rclpy-9.1.2.dist-info").mkdir()
-    assert len(changed(built)) == len(Workspace.from_layout(built, None).digests)
+    assert not workspace.is_current(built, None)
+    workspace.clear_outdated(built, None)
+    assert not built.install.exists()
 
 
 def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
     for name in ("tf2_msgs", "tf2_ros_py"):
         (tmp_path / "share" / name).mkdir(parents=True)
         (tmp_path / "share" / name / "package.xml").touch()
-    workspace = Workspace.from_layout(built, RosInstallation("jazzy", (Path("/none"), tmp_path)))
-    assert workspace.digests.keys() & set(UNDERLAY) == {"composition_interfaces"}
+    ros = RosInstallation("jazzy", (Path("/none"), tmp_path))
+    workspace.record_finished(built, ros)
+    packages = read_record(built.build_record)["packages"]
+    assert set(packages) & set(UNDERLAY) == {"composition_interfaces"}
 
 
 @pytest.mark.parametrize(
