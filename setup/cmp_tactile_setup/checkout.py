@@ -57,7 +57,8 @@ def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
         return
     if ros is None:
         machine.check_platform()
-        _restart_with_a_better_python(layout.distro)
+        if better := machine.better_python(layout.distro):
+            os.execv(better, [better, *sys.argv])  # noqa: S606
     machine.check_tools(for_venv=True, for_wheels=ros is None)
     if ros is None:
         virtual_environment.make_from_wheels(layout, clean)
@@ -96,22 +97,6 @@ def compiling_beside(layout: Layout, env: Mapping[str, str]) -> Iterator[None]:
         yield
         if not steps.wait_for_step("compiling what finds gridlines and forces", process, started):
             steps.say(f"the first start of the software will compile it (log: {log})")
-
-
-def _restart_with_a_better_python(distro: str) -> None:
-    """Go on with the interpreter that suits the wheels, where the running one is not that one."""
-    running = sys.version_info[:2]
-    supported = machine.is_supported_python(running)
-    preferred = machine.PREFERRED_PYTHONS.get(distro, running)
-    # make hands PYTHON on where the user has named one.
-    named = supported and os.environ.get("PYTHON")
-    other = None if preferred == running or named else machine.find_python(preferred)
-    if other is None and not supported:
-        other = machine.other_supported_python()
-        if other is None:
-            machine.check_python(running)
-    if other is not None:
-        os.execv(other, [other, *sys.argv])  # noqa: S606
 
 
 @contextmanager

@@ -59,15 +59,30 @@ def check_not_moved(root: Path, recorded_root: str | None) -> None:
         )
 
 
-def is_supported_python(version: tuple[int, int]) -> bool:
-    """Whether all locked wheels exist for this version of Python."""
-    return PYTHON_OLDEST <= version <= PYTHON_NEWEST
+def better_python(distro: str) -> str | None:
+    """Path of an interpreter that suits the wheels better than the running one, or None.
 
-
-def other_supported_python() -> str | None:
-    """Path of a supported interpreter, the newest that is there, or None."""
+    Raises SetupError if the running one is too old, and says if it is newer than the locked wheels:
+    it is tried, since wheels may be served for it by now.
+    """
+    running = sys.version_info[:2]
+    preferred = PREFERRED_PYTHONS.get(distro, PYTHON_NEWEST)
+    if PYTHON_OLDEST <= running <= PYTHON_NEWEST:
+        # make hands PYTHON on where the user has named one.
+        wanted = distro in PREFERRED_PYTHONS and not os.environ.get("PYTHON")
+        return find_python(preferred) if wanted and running != preferred else None
     minors = range(PYTHON_NEWEST[1], PYTHON_OLDEST[1] - 1, -1)
-    return next(filter(None, (find_python((3, minor)) for minor in minors)), None)
+    for version in (preferred, *((3, minor) for minor in minors)):
+        if found := find_python(version):
+            return found
+    supported = f"Python {_dotted(PYTHON_OLDEST)} to {_dotted(PYTHON_NEWEST)}"
+    if running < PYTHON_OLDEST:
+        raise SetupError(
+            f"Python {_dotted(running)} is too old: install one of {supported}, with its headers "
+            "and venv module"
+        )
+    say(f"warning: Python {_dotted(running)} is newer than {supported}: trying it")
+    return None
 
 
 def find_python(version: tuple[int, int]) -> str | None:
@@ -89,21 +104,6 @@ def _runs(python: str) -> bool:
     except OSError:
         return False
     return done.returncode == 0
-
-
-def check_python(version: tuple[int, int]) -> None:
-    """Raise SetupError for a Python that is too old; say where it is newer than the locked wheels.
-
-    A newer one is tried, since wheels may be served for it by now.
-    """
-    supported = f"Python {_dotted(PYTHON_OLDEST)} to {_dotted(PYTHON_NEWEST)}"
-    if version < PYTHON_OLDEST:
-        raise SetupError(
-            f"Python {_dotted(version)} is too old: install one of {supported}, with its headers "
-            "and venv module"
-        )
-    if version > PYTHON_NEWEST:
-        say(f"warning: Python {_dotted(version)} is newer than {supported}: trying it")
 
 
 def check_platform() -> None:

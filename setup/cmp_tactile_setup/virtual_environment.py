@@ -14,19 +14,28 @@ from cmp_tactile_setup import steps
 from cmp_tactile_setup.layout import Layout
 from cmp_tactile_setup.machine import RosInstallation
 
-_NETWORK = re.compile(
-    r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
-    r"|ReadTimeout|ConnectionResetError|Connection refused|Could not fetch URL|ProxyError|SSLError"
-)
 _INCLUDE_FOLDERS = """
 import json, numpy, sysconfig
 print(json.dumps([sysconfig.get_path("include"), numpy.get_include()]))
 """
-_NO_SPACE = re.compile(r"No space left on device")
-# What pip writes of a file that is not the one that was locked.
-_OTHER_FILE = re.compile(r"^ +(\S.*) from (\S+?)(?: \(.*\))?:\n +Expected sha256 ", re.MULTILINE)
-# And of a version that the registry has not, or not for this Python.
-_NO_FILE = re.compile(r"No matching distribution found for (\S+)")
+_OTHER_FILE = r"(?m)^ +(\S.*) from ([^\s#]+)\S*(?: \(.*\))?:\n +Expected sha256 "
+_NETWORK = (
+    r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
+    r"|ReadTimeout|ConnectionResetError|Connection refused|Could not fetch URL|ProxyError|SSLError"
+)
+# What pip writes, the clearest first, and what it means; {1}, {2}: the groups.
+_PIP_FAILURES = {
+    "No space left on device": "the disk is full: free 2 GB and run this again",
+    _OTHER_FILE: "{1}: found another sha256 of {2} than the locked one; nothing of this list was "
+    "installed. Run this again; if the error remains, check the index that pip uses",
+    _NETWORK: "the Python package registry cannot be reached: check the network, proxy and index "
+    "of pip, then run this again",
+    r"No matching distribution found for (\S+)": "{1}: found no file of it for Python {python} in "
+    "the registry of pip: use another Python, for example 'make build PYTHON=python3.12', or "
+    "another registry",
+    r"(?m)^ERROR: *(.*)$": "pip could not install the wheels: {1}",
+    "": "pip could not install the wheels: no reason given",
+}
 # Only what is locked is installed, and only as wheels: to install them runs nothing of theirs.
 # The lock is complete, so nothing is resolved: what a registry serves that day changes nothing.
 # The one library that has no wheel is built with the locked setuptools, not with a newer one.
@@ -134,29 +143,10 @@ def read_requirements(path: Path) -> list[tuple[str, str]]:
 
 def explain_pip_failure(output: str, log: Path) -> str:
     """One line on why pip failed, from its output."""
-    if _NO_SPACE.search(output):
-        return f"the disk is full: free 2 GB and run this again (log: {log})"
-    if other := _OTHER_FILE.search(output):
-        file = other[2].partition("#")[0]
-        return (
-            f"{other[1]}: found another sha256 of {file} than the locked one; nothing of this "
-            "list was installed. Run this again; if the error remains, check the index that pip "
-            f"uses (log: {log})"
-        )
-    if _NETWORK.search(output):
-        return (
-            "the Python package registry cannot be reached: check the network, proxy and index "
-            f"of pip, then run this again (log: {log})"
-        )
-    if missing := _NO_FILE.search(output):
-        return (
-            f"{missing[1]}: found no file of it for Python {sys.version.split()[0]} in the "
-            "registry of pip: use another Python, for example 'make build PYTHON=python3.12', or "
-            f"another registry (log: {log})"
-        )
-    errors = [line for line in output.splitlines() if line.startswith("ERROR:")]
-    reason = errors[0].removeprefix("ERROR:").strip() if errors else "no reason given"
-    return f"pip could not install the wheels: {reason} (log: {log})"
+    found = ((re.search(pattern, output), meaning) for pattern, meaning in _PIP_FAILURES.items())
+    match, meaning = next((match, meaning) for match, meaning in found if match)
+    reason = meaning.format(match[0], *match.groups(), python=sys.version.split()[0])
+    return f"{reason} (log: {log})"
 
 
 def _requirements(layout: Layout, ros: RosInstallation | None) -> list[Path]:
@@ -240,31 +230,26 @@ def _output_of(layout: Layout, arguments: Sequence[str], env: Mapping[str, str])
     return done.stdout if done.returncode == 0 else None
 
 
-def repair_text(text: str, python_include: str, numpy_include: str, tinyxml2: str) -> str:
-    """The text of a CMake file with the build machine's paths replaced by this machine's."""
-    text = _NUMPY_INCLUDE.sub(lambda _: numpy_include, text)
-    text = _PYTHON_INCLUDE.sub(lambda _: python_include, text)
-    return _TINYXML2.sub(lambda _: tinyxml2, text)
-
-
 def repair_prefix(prefix: Path, python_include: str, numpy_include: str) -> list[Path]:
-    """Repair `share/*/cmake/*.cmake` below `prefix`; returns the files that were changed.
+    """Replace the build machine's paths in `share/*/cmake/*.cmake` below `prefix` by this one's.
 
+    Returns the files that were changed.
     A second call changes nothing. Each file is replaced in one step, so that an interruption
     leaves the old or the new file, never half of one.
     """
-    tinyxml2 = _installed_tinyxml2(prefix)
+    # The library as the wheel bundles it, or its bare name for the linker to find.
+    tinyxml2 = sorted(prefix.glob("lib/python3.*/site-packages/*.libs/libtinyxml2*.so*"))
+    here = {
+        _NUMPY_INCLUDE: numpy_include,
+        _PYTHON_INCLUDE: python_include,
+        _TINYXML2: str(tinyxml2[0]) if tinyxml2 else "tinyxml2",
+    }
     changed = []
     for path in sorted(prefix.glob("share/*/cmake/*.cmake")):
-        before = path.read_text(encoding="utf-8")
-        after = repair_text(before, python_include, numpy_include, tinyxml2)
+        before = after = path.read_text(encoding="utf-8")
+        for built_at, place in here.items():
+            after = built_at.sub(place.replace("\\", r"\\"), after)
         if after != before:
             steps.replace_file(path, after)
             changed.append(path)
     return changed
-
-
-def _installed_tinyxml2(prefix: Path) -> str:
-    """The library as the wheel bundles it, or its bare name for the linker to find."""
-    bundled = sorted(prefix.glob("lib/python3.*/site-packages/*.libs/libtinyxml2*.so*"))
-    return str(bundled[0]) if bundled else "tinyxml2"

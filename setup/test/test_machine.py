@@ -63,26 +63,51 @@ def test_ordinary_paths_are_accepted(path):
         machine.check_checkout_path(Path(path + " "))
 
 
-def test_an_old_python_is_refused_and_a_new_one_tried_with_a_warning(capsys):
+def add_python(tools: Path, minor: int, status: int = 0) -> None:
+    (tools / f"python3.{minor}").write_text(f"#!/bin/sh\nexit {status}\n")
+    (tools / f"python3.{minor}").chmod(0o755)
+
+
+@pytest.fixture
+def running(monkeypatch):
+    """Sets the Python that the set-up seems to run on."""
+    monkeypatch.delenv("PYTHON", raising=False)
+    return lambda *version: monkeypatch.setattr(machine.sys, "version_info", (*version, 0))
+
+
+def test_an_old_python_is_refused_and_a_new_one_tried_with_a_warning(tools, running, capsys):
+    add_python(tools, 15)
+    running(3, 9)
     with pytest.raises(SetupError, match=r"3\.9 is too old: .* 3\.10 to 3\.14"):
-        machine.check_python((3, 9))
+        machine.better_python("kilted")
     assert not capsys.readouterr().out
-    machine.check_python((3, 15))
+    running(3, 15)
+    assert machine.better_python("kilted") is None
     assert "Python 3.15 is newer than Python 3.10 to 3.14" in capsys.readouterr().out
 
 
-def test_the_newest_supported_python_in_path_is_found(tools):
-    assert machine.other_supported_python() is None
-    for minor in (9, 10, 12, 15):
-        (tools / f"python3.{minor}").write_text("#!/bin/sh\n")
-        (tools / f"python3.{minor}").chmod(0o755)
-    assert machine.other_supported_python() == str(tools / "python3.12")
+@pytest.mark.parametrize("minor", [9, 15])
+def test_the_newest_supported_python_in_path_takes_the_place_of_another(tools, running, minor):
+    for there in (9, 10, 12, 13, 15):
+        add_python(tools, there)
+    running(3, minor)
+    assert machine.better_python("kilted") == str(tools / "python3.13")
+    assert machine.better_python("jazzy") == str(tools / "python3.12")
+
+
+def test_jazzy_has_its_own_python_unless_the_user_names_one(tools, running, monkeypatch):
+    running(3, 11)
+    assert machine.better_python("jazzy") is None
+    add_python(tools, 12)
+    assert machine.better_python("kilted") is None
+    assert machine.better_python("jazzy") == str(tools / "python3.12")
+    monkeypatch.setenv("PYTHON", "python3.11")
+    assert machine.better_python("jazzy") is None
 
 
 def test_an_interpreter_of_pyenv_is_found_although_its_script_in_path_fails(tools, tmp_path):
     """pyenv's script in PATH ends with 127 unless the user has switched that version on."""
-    (tools / "python3.12").write_text("#!/bin/sh\nexit 127\n")
-    (tools / "python3.12").chmod(0o755)
+    add_python(tools, 12, status=127)
     assert machine.find_python((3, 12)) is None
     for version in ("3.12.1", "3.12.7", "3.11.9"):
         minor = version.rpartition(".")[0]
