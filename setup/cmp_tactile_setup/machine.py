@@ -24,11 +24,8 @@ PREFERRED_PYTHONS = {"jazzy": (3, 12)}
 GLIBC_OLDEST = (2, 28)
 CMAKE_OLDEST = (3, 20)
 _UNSAFE_IN_PATH = re.compile(r"[\s:;\"'`$#&|<>()*?\[\]{}!\\]")
-_TOO_OLD = frozenset(
-    ("ardent", "bouncy", "crystal", "dashing", "eloquent", "foxy", "galactic", "humble", "iron")
-)
-
-
+# Distributions are named in the order of the alphabet.
+_OLDEST_ROS = "jazzy"
 # What it is, the commands that may be it, the variable that names another, and the packages of
 # Debian and of Fedora that have it.
 _TOOLS = (
@@ -207,7 +204,7 @@ def sourced_ros(env: Mapping[str, str], root: Path) -> RosInstallation | None:
     installation = RosInstallation(distro, prefixes)
     if not distro or installation.prefix_of("rclpy") is None:
         return None
-    if distro in _TOO_OLD:
+    if distro < _OLDEST_ROS:
         raise SetupError(
             f"ROS 2 '{distro}' is too old: source Jazzy or newer, or open a shell without ROS 2 "
             "to use wheels"
