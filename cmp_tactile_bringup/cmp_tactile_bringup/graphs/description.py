@@ -118,15 +118,6 @@ def argument_list(arguments: Iterable[Argument]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def argument_rows(arguments: Iterable[Argument]) -> Iterator[str]:
-    """The rows of a Markdown table of arguments."""
-    yield "| argument | default | allowed | meaning |\n|---|---|---|---|"
-    for item in arguments:
-        default = f"`{item.default_text}`" if item.default_text else "empty"
-        allowed = ", ".join(item.allowed) or TYPES[type(item.default)]
-        yield f"| `{item.name}` | {default} | {allowed} | {item.description} |"
-
-
 # What a user may set of every graph.
 RUN_ARGUMENTS = (
     Argument("params_file", "ROS parameter file, which takes precedence; empty for none"),
@@ -295,11 +286,6 @@ class GraphFunction:
     def arguments(self) -> tuple[Argument, ...]:
         """All that a user may set."""
         return (*self.own_arguments, *RUN_ARGUMENTS)
-
-    @property
-    def summary(self) -> str:
-        """The first line of the function's description."""
-        return (self.function.__doc__ or "").strip().partition("\n")[0]
 
     def load(self, given: Mapping[str, Value] | None = None) -> Graph:
         """The graph with these arguments.

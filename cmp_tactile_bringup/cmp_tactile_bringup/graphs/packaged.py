@@ -1,26 +1,19 @@
-"""The packaged graphs `sensor`, `simulate`, `replay` and `gripper`.
-
-`python3 -m cmp_tactile_bringup.graphs.packaged docs/launch_arguments.md` renews what follows the
-marker line of that file.
-"""
+"""The packaged graphs `sensor`, `simulate`, `replay` and `gripper`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from math import cos, sin
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import (
-    LAUNCH_ARGUMENTS,
-    RUN_ARGUMENTS,
     Argument,
     Component,
     Graph,
     GraphFunction,
     Value,
-    argument_rows,
     graph,
     load_graph_file,
 )
@@ -35,9 +28,7 @@ from cmp_tactile_bringup.graphs.one_sensor import (
     sensor_components,
 )
 from cmp_tactile_processing.cache.files import expanded_path
-from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section
 
-MARKER = "<!-- made by cmp_tactile_bringup.graphs.packaged from here on -->"
 # Height of the letters at two fingers, which are seen from farther away than one sensor, m.
 FINGER_TEXT_M = 0.001
 
@@ -154,33 +145,3 @@ def find_graph(name_or_path: str) -> GraphFunction:
 def load_graph(name_or_path: str, given: Mapping[str, Value] | None = None) -> Graph:
     """That graph with these arguments; raises GraphError as `find_graph` and its `load` do."""
     return find_graph(name_or_path).load(given)
-
-
-def as_markdown() -> str:
-    """Tables of the arguments of the launch files."""
-    sections = [line for name, found in GRAPHS.items() for line in _section(name, found)]
-    common = ["## Of all launch files\n", *argument_rows((*RUN_ARGUMENTS, *LAUNCH_ARGUMENTS)), ""]
-    return "\n".join([*sections, *common])
-
-
-def _section(name: str, found: GraphFunction) -> Iterator[str]:
-    yield f"## {name}.launch.py\n\n{found.summary}\n"
-    arguments = found.own_arguments
-    yield from argument_rows(item for item in arguments if not item.name.startswith("right_"))
-    lefts = {item.name: item.default for item in arguments if item.name.startswith("left_")}
-    if lefts:
-        yield "\nThose of the right finger are the same, with these defaults:\n"
-        rights = (item for item in arguments if item.name.startswith("right_"))
-        yield from argument_rows(
-            item for item in rights if item.default != lefts[item.name.replace("right_", "left_")]
-        )
-    yield ""
-
-
-def renew(path: Path) -> str:
-    """The text of the file with its tables made again."""
-    return with_generated_section(path, MARKER, as_markdown())
-
-
-if __name__ == "__main__":
-    renew_file(renew)

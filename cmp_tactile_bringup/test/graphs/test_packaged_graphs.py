@@ -1,6 +1,7 @@
 """The packaged graphs: what each is made of, RViz's settings for them, and their documents."""
 
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -13,12 +14,13 @@ from cmp_tactile_bringup.graphs.description import (
     parameters_of_nodes,
     with_recordings,
 )
-from cmp_tactile_bringup.graphs.packaged import GRAPHS, MARKER, load_graph, renew
+from cmp_tactile_bringup.graphs.packaged import GRAPHS, load_graph
 from cmp_tactile_bringup.graphs.rviz import rviz_settings, rviz_settings_file
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "launch.md"
 ARGUMENTS = ROOT / "docs" / "launch_arguments.md"
+TABLE = runpy.run_path(str(ROOT / "docs" / "argument_table.py"))
 CHAIN = {
     "surface_visualizer",
     "force_reconstructor",
@@ -273,8 +275,8 @@ def test_rviz_shows_both_fingers_in_the_frame_they_are_mounted_on():
 
 
 def test_the_document_lists_the_arguments_of_the_graphs():
-    assert ARGUMENTS.read_text(encoding="utf-8") == renew(ARGUMENTS), (
-        "run: python3 -m cmp_tactile_bringup.graphs.packaged docs/launch_arguments.md"
+    assert ARGUMENTS.read_text(encoding="utf-8") == TABLE["renew"](ARGUMENTS), (
+        "run: setup/run python3 docs/argument_table.py docs/launch_arguments.md"
     )
 
 
@@ -290,7 +292,7 @@ def test_the_commands_of_all_documents_can_be_given_as_they_stand():
     """No argument that is not there; a camera has a sensor."""
     count = 0
     for path in (path for pattern in DOCUMENTS for path in ROOT.glob(pattern)):
-        prose = path.read_text(encoding="utf-8").partition(MARKER)[0].replace("\\\n", " ")
+        prose = path.read_text(encoding="utf-8").partition(TABLE["MARKER"])[0].replace("\\\n", " ")
         for name, given in re.findall(
             r"ros2 launch cmp_tactile_bringup ([a-z]+)\.launch\.py(.*)", prose
         ):
