@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from cmp_tactile_bringup.offline.imported import Agreement
-    from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome, Task
+    from cmp_tactile_bringup.offline.jobs import Job, Outcome
     from cmp_tactile_bringup.offline.processor import Result
     from cmp_tactile_bringup.terminal import OnStage
     from cmp_tactile_driver.sources.markers import MarkerRecording
@@ -131,7 +131,7 @@ class Process(Command):
 
     def run(self) -> int:
         """Process all inputs; returns 1 where one, or frames of one, could not be used."""
-        from cmp_tactile_bringup.offline.jobs import plan_jobs
+        from cmp_tactile_bringup.offline.jobs import Options, plan_jobs
         from cmp_tactile_bringup.offline.outputs import require_parquet
         from cmp_tactile_bringup.terminal import output_console
 
@@ -140,7 +140,8 @@ class Process(Command):
             misuse(f"--end: found {self.end:g} s, expected --start or later")
         if self.parquet:
             require_parquet()
-        jobs = plan_jobs(self.inputs, self.output)
+        options = Options(**{item.name: getattr(self, item.name) for item in fields(Options)})
+        jobs = plan_jobs(self.inputs, self.output, options, overwrite=self.overwrite)
         console = output_console(stderr=True)
         if len(jobs) < len(self.inputs):
             console.print(
@@ -153,30 +154,24 @@ class Process(Command):
         return int(not all(complete))
 
 
-def _options(arguments: Process) -> Options:
-    from cmp_tactile_bringup.offline.jobs import Options
-
-    return Options(**{item.name: getattr(arguments, item.name) for item in fields(Options)})
-
-
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
     from cmp_tactile_bringup.errors import TaskError
-    from cmp_tactile_bringup.offline.jobs import Task
     from cmp_tactile_bringup.terminal import shown_stages
 
-    options, tasks, complete = _options(arguments), list[Task](), list[bool]()
+    ready: list[Job] = []
+    complete: list[bool] = []
     for job in jobs:
         sensor = _sensor_of(job, arguments.sensor)
         if isinstance(sensor, Exception):
             complete.append(_report(console, job, sensor))
         else:
-            tasks.append(Task(replace(job, sensor=sensor), options, arguments.overwrite))
-    with shown_stages() as on_stage, closing(_run(tasks, arguments, on_stage)) as results:
-        for number, result in results:
+            ready.append(replace(job, sensor=sensor))
+    with shown_stages() as on_stage, closing(_run(ready, arguments, on_stage)) as results:
+        for job, result in results:
             if arguments.debug and isinstance(result, TaskError):
                 console.print(result.trace, markup=False, highlight=False)
-            complete.append(_report(console, tasks[number].job, result))
+            complete.append(_report(console, job, result))
             if len(jobs) > 1:
                 on_stage("all recordings", len(complete) / len(jobs))
     return complete
@@ -192,15 +187,15 @@ def _sensor_of(job: Job, given: str | None) -> str | Exception:
         return error
 
 
-def _run(tasks: list[Task], arguments: Process, on_stage: OnStage) -> Generator[Result, None, None]:
+def _run(jobs: list[Job], arguments: Process, on_stage: OnStage) -> Generator[Result, None, None]:
     from cmp_tactile_bringup.offline.processor import run_here, run_in_processes, run_on_cluster
 
-    jobs = min(arguments.jobs or _default_jobs(), len(tasks))
-    if tasks and arguments.scheduler:
-        return run_on_cluster(tasks, arguments.scheduler)
-    if jobs > 1:
-        return run_in_processes(tasks, jobs)
-    return run_here(tasks, on_stage)
+    processes = min(arguments.jobs or _default_jobs(), len(jobs))
+    if jobs and arguments.scheduler:
+        return run_on_cluster(jobs, arguments.scheduler)
+    if processes > 1:
+        return run_in_processes(jobs, processes)
+    return run_here(jobs, on_stage)
 
 
 def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
@@ -232,17 +227,16 @@ class _Import(Command):
 
     def write(self, imports: Sequence[tuple[MarkerRecording, SensorDescription]]) -> int:
         """Write the files of each recording of a sensor, and print what they are."""
-        from cmp_tactile_bringup.offline.imported import SUFFIXES, write_import
+        from cmp_tactile_bringup.offline.imported import plan_import, write_import
         from cmp_tactile_bringup.offline.outputs import check_free
         from cmp_tactile_bringup.terminal import output_console, print_line
 
         console, output = output_console(), expanded_path(self.output)
-        for recording, _ in imports:
-            if not self.overwrite:
-                check_free(output, recording.name, SUFFIXES)
-        output.mkdir(parents=True, exist_ok=True)
-        for recording, sensor in imports:
-            found = write_import(recording, sensor, output)
+        plans = [plan_import(item, output, overwrite=self.overwrite) for item, _ in imports]
+        for job in plans:
+            check_free(job)
+        for (recording, sensor), job in zip(imports, plans, strict=True):
+            found = write_import(recording, sensor, job)
             _report_import(recording, sensor, output, console)
             if found.agreement is not None:
                 _report_agreement(recording.name, found.agreement, console)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_bringup.offline.jobs import Job, Options
 from cmp_tactile_bringup.offline.outputs import (
     WRENCH_STAMPED,
     NamedMessage,
-    ResultBag,
-    csv_table,
+    result_files,
+    whole_results,
 )
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_driver.bags.reader import RecordedSurface
@@ -34,7 +33,6 @@ from cmp_tactile_processing.sensor.description import (
 Array = NDArray[np.float64]
 
 NS_PER_S = 10**9
-SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 REFERENCE = "markers at rest, as the sensor reports them"
 
@@ -63,24 +61,26 @@ class Agreement:
     left: Array
 
 
-def write_import(recording: MarkerRecording, sensor: SensorDescription, folder: Path) -> Imported:
-    """Write NAME.mcap, NAME_wrench.csv and NAME.yaml; each is there whole or not at all."""
+def plan_import(recording: MarkerRecording, folder: Path, *, overwrite: bool) -> Job:
+    """What is to be written of a recording."""
+    options = Options(reference=REFERENCE)
+    return Job(recording.name, recording.name, str(folder), recording.name, options, overwrite)
+
+
+def write_import(recording: MarkerRecording, sensor: SensorDescription, job: Job) -> Imported:
+    """Write NAME.mcap, NAME_wrench.csv and NAME.yaml; each is there whole or not at all.
+
+    Raises OutputError where they are there and the job does not replace them.
+    """
     ours, flags = [], results.ForceFlags()
-    with TemporaryDirectory(prefix=".", dir=folder) as beside:
-        with ExitStack() as stack:
-            path = Path(beside) / f"{recording.name}.mcap"
-            bag = stack.enter_context(ResultBag(path, sensor, (), REFERENCE))
-            table = Path(beside) / f"{recording.name}_wrench.csv"
-            append_row = stack.enter_context(csv_table(table))
+    with whole_results(job) as folder:
+        with result_files(folder, job, sensor) as append:
             for number, (frame, field) in enumerate(_frames(recording, sensor)):
                 own = _own_messages(recording, number, making.gel_frame(sensor))
-                bag.append(frame, PipelineResult(None, None, frame.content, field), own)
-                append_row(results.table_row(frame.stamp_ns, frame.time_s, field, ""))
+                append(frame, PipelineResult(None, None, frame.content, field), more=own)
                 ours.append(field.wrench[:3])
                 flags.add(field)
-        write_sensor_description(Path(beside) / f"{recording.name}.yaml", sensor)
-        for made in sorted(Path(beside).iterdir()):
-            made.replace(folder / made.name)
+        write_sensor_description(folder / f"{job.name}.yaml", sensor)
     found = None
     if isinstance(recording, Tac3dRecording):
         found = agreement(np.array(ours), recording.wrench[:, :3])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ from cmp_tactile_processing.sensor.description import find_sensor_description
 AUTOMATIC = ("when_still", "at_start")
 MAIN_SUFFIXES = (".mcap", "_wrench.csv", ".yaml")
 OPTIONAL_SUFFIXES = ("_wrench.parquet", ".npz")
-FIRST_FRAMES = re.compile(r"first-([1-9]\d{0,3})")
 
 RECORDING_SUFFIXES = (*STORAGE_SUFFIXES, *IMAGE_SUFFIXES, *VIDEO_SUFFIXES)
 
@@ -51,8 +49,8 @@ class Options:
     @property
     def reference_frames(self) -> int:
         """How many frames of the beginning make the reference; 0: none."""
-        match = FIRST_FRAMES.fullmatch(self.reference)
-        return int(match[1]) if match else 0
+        kind, _, number = self.reference.partition("-")
+        return int(number) if kind == "first" else 0
 
     @property
     def suffixes(self) -> tuple[str, ...]:
@@ -67,30 +65,24 @@ class Options:
 
 @dataclass(frozen=True)
 class Job:
-    """One recording and the folder of its results; all paths may be sent to another machine.
+    """One recording, how it is to be processed, and the folder of its results.
 
-    label: as the user named the recording.  sensor: file of the description, once chosen.
-    name: what the names of the files that are made begin with.
+    All paths may be sent to another machine.  label: as the user named the recording.  name: what
+    the names of the files that are made begin with.  overwrite: whether they replace others.
+    sensor: file of the description, once chosen.
     """
 
     label: str
     source: str
     folder: str
     name: str
+    options: Options
+    overwrite: bool = False
     sensor: str = ""
 
     def path(self, suffix: str) -> Path:
         """A file of the results."""
         return Path(self.folder) / f"{self.name}{suffix}"
-
-
-@dataclass(frozen=True)
-class Task:
-    """A job with its sensor chosen, and how it is to be done."""
-
-    job: Job
-    options: Options
-    overwrite: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,7 +99,9 @@ class Outcome:
     reference: str = ""
 
 
-def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
+def plan_jobs(
+    sources: Sequence[Path], folder: Path, options: Options, *, overwrite: bool = False
+) -> list[Job]:
     """One job per recording; one that is named twice is processed once.
 
     Raises OutputError where two recordings want the same files, and where results would lie among
@@ -124,7 +118,7 @@ def plan_jobs(sources: Sequence[Path], folder: Path) -> list[Job]:
             msg = f"{source}: found the same name as {jobs[name].label}, expected {expected}"
             raise OutputError(msg)
         home = expanded_path(folder).absolute()
-        job = Job(str(source), str(place), str(home), name)
+        job = Job(str(source), str(place), str(home), name, options, overwrite)
         if place.resolve() in (home.resolve(), job.path(".mcap").resolve()):
             msg = f"{source}: found --output {folder}, expected a folder outside the recording"
             raise OutputError(msg)

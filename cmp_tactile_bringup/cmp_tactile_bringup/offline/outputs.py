@@ -10,7 +10,6 @@ import csv
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from rosbags.interfaces import (
 )
 
 from cmp_tactile_bringup.errors import OutputError
-from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job, Options
+from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_bringup.terminal import installed_version
@@ -63,6 +62,8 @@ LATCHED = Qos(
 Row = Sequence[float | str]
 # Name below the sensor's namespace, type, message.
 NamedMessage = tuple[str, str, Any]
+# Takes a frame, what it showed, what is wrong with its stamp, and more messages about it.
+Append = Callable[..., None]
 
 
 def software_version() -> str:
@@ -70,11 +71,10 @@ def software_version() -> str:
     return f"cmp_tactile {installed_version('cmp_tactile_processing')}, {compiled_digest()}"
 
 
-def check_free(folder: Path, name: str, suffixes: Iterable[str]) -> None:
-    """Raise OutputError where one of the files to be written is there already."""
-    for suffix in suffixes:
-        path = folder / f"{name}{suffix}"
-        if path.exists():
+def check_free(job: Job) -> None:
+    """Raise OutputError where results are there and the job does not replace them."""
+    for path in map(job.path, job.options.suffixes):
+        if path.exists() and not job.overwrite:
             msg = f"{path}: exists already; --overwrite replaces it"
             raise OutputError(msg)
 
@@ -85,17 +85,16 @@ def partial_folder(job: Job) -> Path:
 
 
 @contextmanager
-def whole_results(job: Job, options: Options, *, overwrite: bool) -> Iterator[Path]:
+def whole_results(job: Job) -> Iterator[Path]:
     """A folder for the files of a job: they move to their places when all are written.
 
     What an interrupted run left there is removed; another run that writes them is waited for.
-    Raises OutputError where results are there and overwrite does not allow to replace them.
+    Raises OutputError as `check_free` does.
     """
     partial = partial_folder(job)
     partial.parent.mkdir(parents=True, exist_ok=True)
     with locked(partial.with_suffix(".lock")):
-        if not overwrite:
-            check_free(Path(job.folder), job.name, options.suffixes)
+        check_free(job)
         if partial.exists():
             shutil.rmtree(partial)
         partial.mkdir()
@@ -220,39 +219,36 @@ def require_parquet() -> None:
         raise OutputError(msg) from None
 
 
-class Outputs(ExitStack):
-    """All files of a job; a context manager."""
+@contextmanager
+def result_files(folder: Path, job: Job, sensor: SensorDescription) -> Iterator[Append]:
+    """Writes bag and tables of a job into a folder; appends to all of them at once."""
+    options, table = job.options, folder / f"{job.name}_wrench.csv"
+    bag = ResultBag(
+        folder / f"{job.name}.mcap",
+        sensor,
+        options.grids_of(tuple(sensor.views)),
+        options.reference,
+    )
+    with ExitStack() as files:
+        files.enter_context(bag)
+        append_row = files.enter_context(csv_table(table))
+        arrays = None
+        if options.arrays:
+            arrays = files.enter_context(results.ArrayLog(folder / f"{job.name}.npz"))
 
-    def __init__(self, folder: Path, job: Job, sensor: SensorDescription, options: Options) -> None:
-        super().__init__()
-        # What is open already is closed where another cannot be opened.
-        with ExitStack() as stack:
-            grids = options.grids_of(tuple(sensor.views))
-            path = folder / f"{job.name}.mcap"
-            bag = ResultBag(path, sensor, grids, options.reference)
-            self._bag = stack.enter_context(bag)
-            shutil.copyfile(job.sensor, folder / f"{job.name}.yaml")
-            if options.parquet:
-                # Once the table is closed, unless that is after an error.
-                stack.push(partial(_add_parquet, folder / job.name))
-            self._append_row = stack.enter_context(csv_table(folder / f"{job.name}_wrench.csv"))
-            self._arrays: results.ArrayLog | None = None
-            if options.arrays:
-                self._arrays = stack.enter_context(results.ArrayLog(folder / f"{job.name}.npz"))
-            self.push(stack.pop_all())
+        def append(
+            frame: Recorded,
+            result: PipelineResult,
+            stamp_fault: str = "",
+            more: Iterable[NamedMessage] = (),
+        ) -> None:
+            bag.append(frame, result, more)
+            append_row(results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault))
+            if arrays is not None:
+                arrays.append(_arrays(frame.stamp_ns, result))
 
-    def append(self, frame: Recorded, result: PipelineResult, stamp_fault: str) -> None:
-        """Write what came of the next frame."""
-        self._bag.append(frame, result)
-        row = results.table_row(frame.stamp_ns, frame.time_s, result.force, stamp_fault)
-        self._append_row(row)
-        if self._arrays is not None:
-            self._arrays.append(_arrays(frame.stamp_ns, result))
-
-
-def _add_parquet(results: Path, error: object, *_: object) -> None:
-    if error is None:
-        table = Path(f"{results}_wrench.csv")
+        yield append
+    if options.parquet:
         write_parquet(table, table.with_suffix(".parquet"))
 
 

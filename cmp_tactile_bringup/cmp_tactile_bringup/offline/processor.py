@@ -28,8 +28,8 @@ import joblib
 
 import cmp_tactile_processing
 from cmp_tactile_bringup.errors import ClusterError, OutputError, TaskError
-from cmp_tactile_bringup.offline.jobs import Job, Options, Outcome, Task
-from cmp_tactile_bringup.offline.outputs import Outputs, partial_folder, whole_results
+from cmp_tactile_bringup.offline.jobs import Job, Outcome
+from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal import OnStage, error_line, processor_name
@@ -56,7 +56,7 @@ STAMP_FAULTS = {
 # Of all frames, what may be missing without a word.
 MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
-Result = tuple[int, Outcome | TaskError]
+Result = tuple[Job, Outcome | TaskError]
 LOCK_WAIT_S = 1.0
 SECONDS_TO_CONNECT = 10
 SECONDS_FOR_WORKERS = 30
@@ -74,15 +74,18 @@ def _unreported(_what: str, _share: float) -> None:
 class Processor:
     """Processes one recording, from its first frame and with nothing known of another one."""
 
-    def __init__(self, job: Job, options: Options) -> None:
+    def __init__(self, job: Job) -> None:
         """Raises DescriptionError for the sensor, FrameSourceError and FrameError for the rest."""
-        self._job, self._options = job, options
+        self._job, self._options = job, job.options
         self._sensor = SensorDescription.load(Path(job.sensor))
         self._recording: Recording = open_recording_of(
-            self._sensor, Path(job.source), topic=options.topic, frame_rate=options.frame_rate
+            self._sensor,
+            Path(job.source),
+            topic=job.options.topic,
+            frame_rate=job.options.frame_rate,
         )
         # Up to the first good frame, before any work is done for the others.
-        next(_frames_of(self._recording), None)
+        next(self._frames_within(WHOLE), None)
 
     def run(self, folder: Path, on_share: Callable[[float], None]) -> Outcome:
         """Process every frame and write the files into a folder.
@@ -97,7 +100,8 @@ class Processor:
         count, is_surface = 0, False
         begin_s = self._options.start
         length_s = max(min(self._options.end, self._recording.duration) - begin_s, SHORTEST_S)
-        with Outputs(folder, self._job, self._sensor, self._options) as files:
+        shutil.copyfile(self._job.sensor, folder / f"{self._job.name}.yaml")
+        with result_files(folder, self._job, self._sensor) as append:
             for frame in self._frames():
                 stamp_fault = stamps.add(frame)
                 if stamp_fault == diagnostics.Stamp.BACK.value:
@@ -105,7 +109,7 @@ class Processor:
                     pipeline.reset()
                 result = pipeline.process(frame.content, frame.stamp_ns)
                 watch.add(result)
-                files.append(frame, result, stamp_fault)
+                append(frame, result, stamp_fault)
                 count, is_surface = count + 1, isinstance(frame, RecordedSurface)
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_share((frame.time_s - begin_s) / length_s)
@@ -125,7 +129,20 @@ class Processor:
         return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
     def _frames(self) -> Iterator[Recorded]:
-        return _frames_between(self._recording, self._options.start, self._options.end)
+        """The frames that are asked for.  Raises FrameSourceError where there is none."""
+        start_s, end_s, count = self._options.start, self._options.end, 0
+        for frame in self._frames_within(TimeSpan(start_s, end_s)):
+            count += 1
+            yield frame
+        if not count:
+            msg = (
+                f"{self._recording.name}: found no frame from {start_s:g} to {end_s:g} s, "
+                f"expected times from 0 to {self._recording.duration:.3f} s"
+            )
+            raise FrameSourceError(msg)
+
+    def _frames_within(self, span: TimeSpan) -> Iterator[Recorded]:
+        return (item for item in self._recording.messages(span) if isinstance(item, Recorded))
 
     def _take_reference(self, pipeline: Pipeline) -> None:
         wanted = self._options.reference_frames
@@ -202,36 +219,14 @@ class _Stamps:
             )
 
 
-def _frames_of(recording: Recording, span: TimeSpan = WHOLE) -> Iterator[Recorded]:
-    return (item for item in recording.messages(span) if isinstance(item, Recorded))
-
-
-def _frames_between(recording: Recording, start_s: float, end_s: float) -> Iterator[Recorded]:
-    """The frames from start_s up to end_s, in seconds from the first one.
-
-    Raises FrameSourceError where there is none.
-    """
-    count = 0
-    for frame in _frames_of(recording, TimeSpan(start_s, end_s)):
-        count += 1
-        yield frame
-    if not count:
-        msg = (
-            f"{recording.name}: found no frame from {start_s:g} to {end_s:g} s, "
-            f"expected times from 0 to {recording.duration:.3f} s"
-        )
-        raise FrameSourceError(msg)
-
-
-def run_task(task: Task, on_stage: OnStage) -> Outcome:
+def run_job(job: Job, on_stage: OnStage) -> Outcome:
     """Make the results of a job.
 
     Raises CmpTactileError or OSError where that is not possible; nothing new is then written.
     """
-    source = recorded_source(Path(task.job.source), on_stage)
-    job, options = replace(task.job, source=str(source)), task.options
-    with whole_results(job, options, overwrite=task.overwrite) as folder:
-        processor = Processor(job, options)
+    source = recorded_source(Path(job.source), on_stage)
+    with whole_results(job) as folder:
+        processor = Processor(replace(job, source=str(source)))
         compile_elsewhere(Path(job.sensor), on_stage)
         try:
             return processor.run(folder, partial(on_stage, job.label))
@@ -244,10 +239,10 @@ def run_task(task: Task, on_stage: OnStage) -> Outcome:
             raise OutputError(msg) from error
 
 
-def run_guarded(task: Task, on_stage: OnStage = _unreported) -> Outcome | TaskError:
-    """As `run_task`; no error of the task leaves this."""
+def run_guarded(job: Job, on_stage: OnStage = _unreported) -> Outcome | TaskError:
+    """As `run_job`; no error of the job leaves this."""
     try:
-        return run_task(task, on_stage)
+        return run_job(job, on_stage)
     except Exception as error:  # noqa: BLE001  the others are to be processed all the same
         line = error_line(error, "; --debug shows where").removeprefix("error: ")
         failure = TaskError(line)
@@ -282,73 +277,70 @@ def compile_elsewhere(sensor: Path, on_stage: OnStage) -> None:
             done.touch()
 
 
-def run_here(tasks: Sequence[Task], on_stage: OnStage) -> Generator[Result, None, None]:
-    """Run the tasks in this process."""
-    for number, task in enumerate(tasks):
-        yield number, run_guarded(task, on_stage)
+def run_here(jobs: Sequence[Job], on_stage: OnStage) -> Generator[Result, None, None]:
+    """Run the jobs in this process."""
+    for job in jobs:
+        yield job, run_guarded(job, on_stage)
 
 
-def run_in_processes(tasks: Sequence[Task], processes: int) -> Generator[Result, None, None]:
-    """Run the tasks in so many processes, each with one thread of BLAS, numba and OpenCV.
+def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, None, None]:
+    """Run the jobs in so many processes, each with one thread of BLAS, numba and OpenCV.
 
-    Where one of them dies, all end: the tasks that are not finished have failed.
+    Where one of them dies, all end: the jobs that are not finished have failed.
     """
     # A worker would look for its modules in the current folder first; beside a recording,
     # anybody's may lie.  Python 3.10 does not know the variable.
     os.environ["PYTHONSAFEPATH"] = "1"
-    left = set(range(len(tasks)))
+    left = list(jobs)
     try:
         with joblib.parallel_config("loky", n_jobs=processes, inner_max_num_threads=1):
             results = joblib.Parallel(return_as="generator_unordered", batch_size=1)(
-                joblib.delayed(_run_numbered)(number, task) for number, task in enumerate(tasks)
+                joblib.delayed(_run_in_process)(job) for job in jobs
             )
-            for number, result in results:
-                left.remove(number)
-                yield number, result
+            for job, result in results:
+                left.remove(job)
+                yield job, result
     except BrokenProcessPool:
         reason = "a process ended early: was there enough memory? Try fewer --jobs"
-        for number in sorted(left):
-            yield number, TaskError(f"{tasks[number].job.label}: {reason}")
+        for job in left:
+            yield job, TaskError(f"{job.label}: {reason}")
     finally:
         # A process that is killed leaves its own; what another run writes stays.
-        for number in left:
-            folder = partial_folder(tasks[number].job)
+        for job in left:
+            folder = partial_folder(job)
             with suppress(OSError), locked(folder.with_suffix(".lock"), LOCK_WAIT_S):
                 shutil.rmtree(folder, ignore_errors=True)
 
 
-def _run_numbered(number: int, task: Task) -> Result:
+def _run_in_process(job: Job) -> Result:
     import cv2
 
     cv2.setNumThreads(1)
-    return number, run_guarded(task)
+    return job, run_guarded(job)
 
 
-def run_on_cluster(tasks: Sequence[Task], address: str) -> Generator[Result, None, None]:
-    """Run the tasks on the workers of the dask scheduler at an address.
+def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Result, None, None]:
+    """Run the jobs on the workers of the dask scheduler at an address.
 
     Its workers need this software and, under the same paths, the recordings, the sensor
     description and the folder of the results.  joblib's own backend for dask waits without end for
-    a task whose worker dies, so the tasks are given to dask itself.  Those that have begun go on
+    a job whose worker dies, so the jobs are given to dask itself.  Those that have begun go on
     to their end after an interrupt.
     Raises ClusterError without a scheduler or worker.
     """
     with _connected(address) as client:
         from distributed import as_completed
 
-        for task in tasks:
-            Path(task.job.folder).mkdir(parents=True, exist_ok=True)
-        futures = {
-            client.submit(_run_on_worker, task, pure=False): number
-            for number, task in enumerate(tasks)
-        }
+        for job in jobs:
+            Path(job.folder).mkdir(parents=True, exist_ok=True)
+        futures = {client.submit(_run_on_worker, job, pure=False): job for job in jobs}
         for future in as_completed(list(futures)):
-            number, error = futures[future], future.exception()
+            job, error = futures[future], future.exception()
             if error is None:
-                yield number, future.result()
+                yield job, future.result()
             else:
                 reason = f"on the cluster: {type(error).__name__}: {error}"
-                yield number, TaskError(f"{tasks[number].job.label}: {reason}")
+                yield job, TaskError(f"{job.label}: {reason}")
 
 
 def _connected(address: str) -> Any:
@@ -371,9 +363,9 @@ def _connected(address: str) -> Any:
     return client
 
 
-def _run_on_worker(task: Task) -> Outcome | TaskError:
-    # It was made by who sent the task; results written elsewhere would never be found.
-    if not Path(task.job.folder).is_dir():
+def _run_on_worker(job: Job) -> Outcome | TaskError:
+    # It was made by who sent the job; results written elsewhere would never be found.
+    if not Path(job.folder).is_dir():
         expected = "expected a file system that all machines share, with the same paths"
-        return TaskError(f"{task.job.folder}: found no such folder on a worker, {expected}")
-    return run_guarded(task)
+        return TaskError(f"{job.folder}: found no such folder on a worker, {expected}")
+    return run_guarded(job)

@@ -13,7 +13,7 @@ from ros_graph import stamps_of
 from rosbags.highlevel import AnyReader
 
 from cmp_tactile_bringup.offline import processor
-from cmp_tactile_bringup.offline.jobs import plan_jobs
+from cmp_tactile_bringup.offline.jobs import Options, plan_jobs
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.pipeline import Pipeline
@@ -265,5 +265,5 @@ def test_numbers_after_a_point_are_no_suffix(tmp_path):
     files = [tmp_path / name for name in ("a_0.5N.mcap", "b.v2.PNG", "c_0.1.mp4", "d_0.5N")]
     for file in files:
         file.touch()
-    names = [job.name for job in plan_jobs([*folders, *files], tmp_path / "out")]
+    names = [job.name for job in plan_jobs([*folders, *files], tmp_path / "out", Options())]
     assert names == [*(folder.name for folder in folders), "a_0.5N", "b.v2", "c_0.1", "d_0.5N"]
