@@ -59,6 +59,11 @@ LATCHED = Qos(
     liveliness_lease_duration=FOREVER,
     avoid_ros_namespace_conventions=False,
 )
+# Of a surface, by their names there.
+SURFACE_ARRAYS = (
+    *("reference", "position", "displacement", "status", "ray_gap"),
+    *("row_position", "col_position"),
+)
 Row = Sequence[float | str]
 # Name below the sensor's namespace, type, message.
 NamedMessage = tuple[str, str, Any]
@@ -259,15 +264,7 @@ def _arrays(stamp_ns: int, result: PipelineResult) -> dict[str, NDArray[Any]]:
     for name, grid in (("left", result.left), ("right", result.right)):
         if grid is not None:
             values |= {f"{name}_{key}": array for key, array in results.grid_arrays(grid).items()}
-    values |= {
-        "reference": surface.reference,
-        "position": surface.position,
-        "displacement": surface.displacement,
-        "status": surface.status,
-        "ray_gap": surface.ray_gap,
-        "row_position": surface.row_position,
-        "col_position": surface.col_position,
-        **results.force_arrays(result.force),
-    }
+    values |= {name: getattr(surface, name) for name in SURFACE_ARRAYS}
+    values |= results.force_arrays(result.force)
     single = np.float32
     return {k: v.astype(single) if v.dtype == np.float64 else v for k, v in values.items()}

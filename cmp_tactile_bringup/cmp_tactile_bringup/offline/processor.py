@@ -16,7 +16,7 @@ import sys
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
@@ -26,7 +26,6 @@ from typing import Any
 
 import joblib
 
-import cmp_tactile_processing
 from cmp_tactile_bringup.errors import ClusterError, OutputError, TaskError
 from cmp_tactile_bringup.offline.jobs import Job, Outcome
 from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
@@ -37,7 +36,7 @@ from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_processing.cache.compiled import source_digest
+from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.processes import python_command
@@ -255,18 +254,17 @@ def compile_elsewhere(sensor: Path, on_stage: OnStage) -> None:
 
     Raises OutputError where that process fails.
     """
-    folder = Path(os.environ["NUMBA_CACHE_DIR"])
-    with suppress(OSError):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if not folder.is_dir() or not os.access(folder, os.W_OK):
-        return  # nothing is kept: numba says so itself
     # What numba compiles again for: sources, Python, type of processor.
-    sources = source_digest(Path(cmp_tactile_processing.__file__).parent)
-    facts = f"{sources}\0{sys.version}\0{processor_name()}\0{version('numba')}"
-    done = folder / f"pipeline-{digest(facts)[:16]}"
+    facts = f"{compiled_digest()}\0{sys.version}\0{processor_name()}\0{version('numba')}"
+    done = Path(os.environ["NUMBA_CACHE_DIR"], f"pipeline-{digest(facts)[:16]}")
     if done.exists():
         return
-    with locked(done.with_suffix(".lock")):
+    with ExitStack() as until_compiled:
+        try:
+            done.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            until_compiled.enter_context(locked(done.with_suffix(".lock")))
+        except OSError:
+            return  # nothing is kept: numba says so itself
         if not done.exists():
             on_stage(COMPILING, 0.0)
             command = python_command("cmp_tactile_processing.prepare", str(sensor))

@@ -13,9 +13,9 @@ import shutil
 import stat
 import tempfile
 import time
+import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import IO
 
 from cmp_tactile_processing.errors import DescriptionError
 
@@ -104,14 +104,16 @@ def atomic_path(path: Path, mode: int | None = None) -> Iterator[Path]:
     A link is followed.  mode: permissions; None: those of a file that was there.
     """
     target = path.resolve()
-    handle, name = tempfile.mkstemp(".partial", f".{target.name}.", target.parent)
-    os.close(handle)
-    beside = Path(name)
+    beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
     try:
+        beside.touch(exist_ok=False)
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
-        beside.chmod(_mode(target) if mode is None else mode)
+        if mode is not None:
+            beside.chmod(mode)
+        elif target.exists():
+            shutil.copymode(target, beside)
         beside.replace(target)
     except BaseException:
         with contextlib.suppress(OSError):
@@ -134,47 +136,30 @@ def write_whole(path: Path, content: str | bytes) -> None:
         raise DescriptionError(msg) from None
 
 
-def _mode(target: Path) -> int:
-    """Permissions of the file there, or those of a new one."""
-    try:
-        return stat.S_IMODE(target.stat().st_mode)
-    except FileNotFoundError:
-        # The only way to read the mask is to set it.
-        mask = os.umask(0o077)
-        os.umask(mask)
-        return 0o666 & ~mask
-
-
 @contextlib.contextmanager
 def locked(path: Path, wait_s: float = math.inf) -> Iterator[None]:
     """Hold a lock between processes; it ends with the process, and its file is removed.
 
     Raises TimeoutError where another process still holds it after wait_s.
     """
-    with _locked_file(path, time.monotonic() + wait_s):
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-
-
-def _locked_file(path: Path, last_s: float) -> IO[str]:
+    last_s = time.monotonic() + wait_s
     while True:
-        file = path.open("w")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if os.fstat(file.fileno()).st_nlink:
-                return file
-            file.close()  # its last holder has removed it: this locks nothing
-        except BlockingIOError:
-            file.close()
-            if time.monotonic() >= last_s:
-                msg = f"{path}: locked by another process"
-                raise TimeoutError(msg) from None
-            time.sleep(SECONDS_BETWEEN_TRIES)
-        except BaseException:
-            file.close()
-            raise
+        with path.open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if time.monotonic() >= last_s:
+                    msg = f"{path}: locked by another process"
+                    raise TimeoutError(msg) from None
+            else:
+                # Where its last holder has removed the file, this locks nothing.
+                if os.fstat(file.fileno()).st_nlink:
+                    try:
+                        yield
+                    finally:
+                        path.unlink(missing_ok=True)
+                    return
+        time.sleep(SECONDS_BETWEEN_TRIES)
 
 
 def digest(content: str | bytes) -> str:

@@ -8,10 +8,10 @@ frame 2 ms of processor time, and gain nothing.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
-from functools import cache
+from contextlib import ContextDecorator
+from functools import cached_property
 from threading import Lock
 from typing import TypeVar
 
@@ -24,16 +24,23 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class _Limit:
-    """Limit on the threads of BLAS and OpenCV, which holds for the whole process."""
+class OneThread(ContextDecorator):
+    """Within it, also as a decorator, BLAS and OpenCV work on the caller's thread alone.
+
+    The limit holds for the whole process.  Threads may overlap in it: as many as before are allowed
+    when the last one has left.
+    """
 
     def __init__(self) -> None:
-        # Finding the libraries takes milliseconds, limiting those that were found microseconds.
-        self._controller = ThreadpoolController().select(user_api="blas")
         self._lock = Lock()
         self._inside = 0
 
-    def enter(self) -> None:
+    @cached_property
+    def _controller(self) -> ThreadpoolController:
+        # Finding the libraries takes milliseconds, limiting those that were found microseconds.
+        return ThreadpoolController().select(user_api="blas")
+
+    def __enter__(self) -> None:
         with self._lock:
             if not self._inside:
                 self._limited = self._controller.limit(limits=1)
@@ -41,7 +48,7 @@ class _Limit:
                 cv2.setNumThreads(1)
             self._inside += 1
 
-    def leave(self) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._lock:
             self._inside -= 1
             if not self._inside:
@@ -49,23 +56,12 @@ class _Limit:
                 cv2.setNumThreads(self._of_opencv)
 
 
-@cache
-def _limit() -> _Limit:
-    return _Limit()
+_ONE_THREAD = OneThread()
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Within it BLAS and OpenCV work on the caller's thread alone.
-
-    Threads may overlap in it: as many as before are allowed when the last one has left.
-    """
-    limit = _limit()
-    limit.enter()
-    try:
-        yield
-    finally:
-        limit.leave()
+def one_thread() -> OneThread:
+    """The one such limit of this process."""
+    return _ONE_THREAD
 
 
 class ViewThreads:
