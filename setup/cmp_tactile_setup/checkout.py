@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import sys
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -85,7 +84,6 @@ def compiling_beside(layout: Layout, env: Mapping[str, str]) -> Iterator[None]:
     Each user's first start of the software would do it otherwise. Where it fails, that does it and
     says why.
     """
-    started = time.monotonic()
     sources = [str(layout.root / name) for name in (COMPILED, COMPILED_TOO)]
     paths = [*sources, *filter(None, [env.get("PYTHONPATH")])]
     prefix = str(layout.install / COMPILED)
@@ -95,7 +93,7 @@ def compiling_beside(layout: Layout, env: Mapping[str, str]) -> Iterator[None]:
     log = layout.logs / "compile.log"
     with steps.started_command(command, log, changed, layout.root) as process:
         yield
-        if not steps.wait_for_step("compiling what finds gridlines and forces", process, started):
+        if not steps.wait_for_step("compiling what finds gridlines and forces", process):
             steps.say(f"the first start of the software will compile it (log: {log})")
 
 

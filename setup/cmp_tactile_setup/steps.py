@@ -32,9 +32,8 @@ def run_step(
 
     An interruption (Ctrl-C) ends the command, too.
     """
-    started = time.monotonic()
     with started_command(command, log, env, cwd) as process:
-        return wait_for_step(title, process, started)
+        return wait_for_step(title, process)
 
 
 @contextmanager
@@ -60,10 +59,10 @@ def started_command(
             process.wait()
 
 
-def wait_for_step(title: str, process: subprocess.Popen[bytes], started: float) -> bool:
-    """Show the title and the time since `started` until the process ends; True if it succeeds."""
+def wait_for_step(title: str, process: subprocess.Popen[bytes]) -> bool:
+    """Show the title and the time until the process ends; True if it succeeds."""
     terminal = sys.stdout.isatty()
-    next_sign = time.monotonic() - started + _SIGN_OF_LIFE_S
+    started, next_sign = time.monotonic(), _SIGN_OF_LIFE_S
     if not terminal:
         say(f"{title} ...")
     while process.poll() is None:

@@ -268,10 +268,6 @@ class LoadedComponent:
         """
         return self.spinner.failure or str(getattr(self.node, "failure", ""))
 
-    def report(self, error: BaseException) -> None:
-        """Log the traceback; the same one again and again only once in five seconds."""
-        self.errors.report(self.node, error)
-
 
 class Spinner:
     """A thread that spins and destroys nodes: those of one sensor together, any other by itself.
@@ -408,7 +404,7 @@ class Spinner:
             if error is not None:
                 for component in self._components:
                     if component.node is node:
-                        component.report(error)
+                        component.errors.report(node, error)
 
     def _has_job(self) -> bool:
         return not self._jobs.empty()

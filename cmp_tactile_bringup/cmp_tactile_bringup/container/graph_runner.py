@@ -66,7 +66,8 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
             for part in others
         }  # fmt: skip
         with (
-            _viewer_of(graph),
+            # Not missed where it ends by itself, as for a port that is taken: the sensors run on.
+            _running(_page(graph)),
             _running(commands) as processes,
             running_container([arguments[0], *ros_args], CONTAINER, first.namespace) as container,
         ):
@@ -136,20 +137,14 @@ def _running(commands: Mapping[str, Sequence[str]]) -> Iterator[Processes]:
                 process.terminate()
 
 
-@contextmanager
-def _viewer_of(graph: Graph) -> Iterator[None]:
-    """The page of a graph, where it has one.
-
-    It is not missed where it ends by itself, as for a port that is taken: the sensors run on.
-    """
-    commands = {}
-    if graph.viewer is not None:
-        # JSON's texts are YAML's: a token may be a number.
-        given = (f"{name}:={json.dumps(value)}" for name, value in graph.viewer.items())
-        words = [word for setting in given for word in ("-p", setting)]
-        commands["page"] = python_command(VIEWER, END_WITH_STDIN, "--ros-args", *words)
-    with _running(commands):
-        yield
+def _page(graph: Graph) -> dict[str, Sequence[str]]:
+    """The command of a graph's page, where it has one."""
+    if graph.viewer is None:
+        return {}
+    # JSON's texts are YAML's: a token may be a number.
+    given = (f"{name}:={json.dumps(value)}" for name, value in graph.viewer.items())
+    words = [word for setting in given for word in ("-p", setting)]
+    return {"page": python_command(VIEWER, END_WITH_STDIN, "--ros-args", *words)}
 
 
 def _run(

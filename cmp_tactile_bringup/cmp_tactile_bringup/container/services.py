@@ -107,14 +107,17 @@ class ContainerServices:
             self._executor.spin()
 
     def _served(self, callback: Callable[[Any, Any], None]) -> Callable[[Any, Any], Any]:
-        """Answers every request, with what was raised where the callback cannot."""
+        """Answers every request; loading and unloading with what was raised where they failed."""
 
         def work(request: Any, response: Any, done: Future[None]) -> None:
             try:
                 callback(request, response)
+            except ComponentError as error:
+                response.error_message = str(error)
+                self.node.get_logger().error(str(error))
             except Exception as error:  # noqa: BLE001  whoever asks gets an answer
-                self.node.get_logger().error(traceback.format_exc())
                 response.error_message = f"{type(error).__name__}: {error}"
+                self.node.get_logger().error(traceback.format_exc())
             done.set_result(None)
             with suppress(Exception):  # the container ends meanwhile
                 self._executor.wake()
@@ -128,22 +131,13 @@ class ContainerServices:
         return answer
 
     def _on_load(self, request: Any, response: Any) -> None:
-        try:
-            response.unique_id = self._container.load(_component(request))
-        except ComponentError as error:
-            response.error_message = str(error)
-            self.node.get_logger().error(f"cannot load {error}")
-            return
+        response.unique_id = self._container.load(_component(request))
         response.success = True
         response.full_node_name = self._container.list()[response.unique_id].full_name
         self.node.get_logger().info(f"loaded {response.full_node_name}, id {response.unique_id}")
 
     def _on_unload(self, request: Any, response: Any) -> None:
-        try:
-            self._container.unload(request.unique_id)
-        except ComponentError as error:
-            response.error_message = str(error)
-            return
+        self._container.unload(request.unique_id)
         response.success = True
 
     def _on_list(self, _request: Any, response: Any) -> None:

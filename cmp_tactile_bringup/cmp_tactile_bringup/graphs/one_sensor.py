@@ -56,15 +56,21 @@ class SensorArgument(Argument):
     sources: tuple[str, ...] = SOURCES
 
 
-def _of_node(parameters: Any, name: str, *sources: str, argument: str = "") -> SensorArgument:
-    """An argument with default, description and choices of a parameter of a node."""
-    item = parameters.__dataclass_fields__[name]
-    what, mark, rest = item.metadata["description"].partition(";")
-    unit = f", {item.metadata['unit']}" if item.metadata["unit"] else ""
-    description, choices = f"{what}{unit}{mark}{rest}", item.metadata["choices"]
-    return SensorArgument(argument or name, description, item.default, choices, sources or SOURCES)
+def _of_node(
+    parameters: Any, names: Sequence[str], *sources: str, prefix: str = ""
+) -> Iterator[SensorArgument]:
+    """Arguments with default, description and choices of parameters of a node."""
+    for name in names:
+        item = parameters.__dataclass_fields__[name]
+        what, mark, rest = item.metadata["description"].partition(";")
+        unit = f", {item.metadata['unit']}" if item.metadata["unit"] else ""
+        description, choices = f"{what}{unit}{mark}{rest}", item.metadata["choices"]
+        yield SensorArgument(prefix + name, description, item.default, choices, sources or SOURCES)
 
 
+# Parameters of replay and camera that are arguments of a graph.
+OF_REPLAY = ("topic", "rate", "start", "end", "loop", "paused", "publish_clock")
+OF_CAMERA = ("device", "pixel_format", "colour")
 SENSOR_ARGUMENTS = (
     SensorArgument(
         "source",
@@ -117,17 +123,9 @@ SENSOR_ARGUMENTS = (
         "grasp",
         sources=(REPLAY,),
     ),
-    _of_node(ReplayParameters, "topic", REPLAY),
-    _of_node(ReplayParameters, "rate", REPLAY),
-    _of_node(ReplayParameters, "start", REPLAY),
-    _of_node(ReplayParameters, "end", REPLAY),
-    _of_node(ReplayParameters, "loop", REPLAY),
-    _of_node(ReplayParameters, "paused", REPLAY),
-    _of_node(ReplayParameters, "publish_clock", REPLAY),
-    _of_node(CameraParameters, "device", CAMERA),
-    _of_node(CameraParameters, "pixel_format", CAMERA),
-    _of_node(CameraParameters, "colour", CAMERA),
-    _of_node(CameraDriverParameters, "camera_info_url", CAMERA),
+    *_of_node(ReplayParameters, OF_REPLAY, REPLAY),
+    *_of_node(CameraParameters, OF_CAMERA, CAMERA),
+    *_of_node(CameraDriverParameters, ("camera_info_url",), CAMERA),
     SensorArgument(
         "frame_queue",
         "frames to process if they come too quickly: every frame, or only the newest; auto: newest "
@@ -142,8 +140,7 @@ SENSOR_ARGUMENTS = (
         "0 0 0 0 0 0",
     ),
     SensorArgument("record", "folder for a recorded bag, which must not exist; empty for none"),
-    _of_node(RecorderParameters, "topics", argument="record_topics"),
-    _of_node(RecorderParameters, "compression", argument="record_compression"),
+    *_of_node(RecorderParameters, ("topics", "compression"), prefix="record_"),
 )
 DEFAULTS = {item.name: item.default for item in SENSOR_ARGUMENTS}
 
@@ -345,8 +342,8 @@ def _source(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Compon
         return
     names = {
         SIMULATED: ("source", "frame_rate", "autoplay"),
-        CAMERA: ("source", "frame_rate", "device", "pixel_format", "colour", "camera_info_url"),
-        REPLAY: ("topic", "rate", "start", "end", "loop", "paused", "publish_clock"),
+        CAMERA: ("source", "frame_rate", "camera_info_url", *OF_CAMERA),
+        REPLAY: OF_REPLAY,
     }
     given: dict[str, Value] = {name: settings[name] for name in names[source]}
     if source == SIMULATED:
