@@ -5,15 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 import subprocess
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-_POLL_S = 0.2
-_SIGN_OF_LIFE_S = 30.0
+_SIGN_OF_LIFE_S = 15.0
 
 
 class SetupError(Exception):
@@ -61,22 +59,16 @@ def started_command(
 
 def wait_for_step(title: str, process: subprocess.Popen[bytes]) -> bool:
     """Show the title and the time until the process ends; True if it succeeds."""
-    terminal = sys.stdout.isatty()
-    started, next_sign = time.monotonic(), _SIGN_OF_LIFE_S
-    if not terminal:
-        say(f"{title} ...")
-    while process.poll() is None:
-        elapsed = time.monotonic() - started
-        if terminal:
-            print(f"\rset-up: {title} ... {elapsed:.0f} s", end="", flush=True)
-        elif elapsed > next_sign:
-            say(f"{title} ... {elapsed:.0f} s")
-            next_sign += _SIGN_OF_LIFE_S
-        time.sleep(_POLL_S)
-    if terminal:
-        print("\r\033[K", end="")
-    outcome = "done" if process.returncode == 0 else "FAILED"
-    say(f"{title}: {outcome} in {time.monotonic() - started:.0f} s")
+    started = time.monotonic()
+    say(f"{title} ...")
+    while True:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_SIGN_OF_LIFE_S)
+        elapsed = f"{time.monotonic() - started:.0f} s"
+        if process.returncode is not None:
+            break
+        say(f"{title} ... {elapsed}")
+    say(f"{title}: {'FAILED' if process.returncode else 'done'} in {elapsed}")
     return process.returncode == 0
 
 

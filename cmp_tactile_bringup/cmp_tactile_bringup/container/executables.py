@@ -26,8 +26,7 @@ def component_container() -> int:
     stop = StopSignal()
     _prepare_for_threads()
     from cmp_tactile_bringup.container.services import running_container
-    from cmp_tactile_processing.errors import printable
-    from cmp_tactile_processing.ros.process import JoinError, leave_process
+    from cmp_tactile_processing.ros.process import JoinError, leave_process, report_error
 
     if stop.by_signal:
         return 0
@@ -37,8 +36,7 @@ def component_container() -> int:
             container.context.on_shutdown(stop.set)
             stop.wait()
     except JoinError as error:
-        sys.stderr.write(printable(f"error: {error}") + "\n")
-        return 1
+        return report_error(error)
     return leave_process(0, container.threads_before)
 
 

@@ -28,9 +28,9 @@ from cmp_tactile_bringup.graphs.description import (
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.running import RunningLine
 from cmp_tactile_bringup.terminal import shown_stages
-from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.processes import StopSignal, python_command
-from cmp_tactile_processing.ros.process import leave_process, split_ros_args
+from cmp_tactile_processing.ros.process import leave_process, report_error, split_ros_args
 
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
@@ -73,7 +73,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         ):
             code = _run(container, first, stop, processes, watch=options.watch)
     except CmpTactileError as error:
-        return _failed(str(error))
+        return report_error(error)
     return leave_process(code, container.threads_before)
 
 
@@ -82,11 +82,6 @@ def _wait_for_end_of_stdin(stop: StopSignal) -> None:
     while os.read(sys.stdin.fileno(), 1):
         pass
     stop.set()
-
-
-def _failed(reason: str) -> int:
-    sys.stderr.write(printable(f"error: {reason}") + "\n")
-    return 1
 
 
 def _load(options: argparse.Namespace) -> Graph:
@@ -188,7 +183,7 @@ def _run(
             if watch and loaded.is_set():
                 loaded.clear()
                 shown.enter_context(RunningLine(graph, on_quit=stop.set))
-    return _failed(failures[0]) if failures and not stop.by_signal else 0
+    return report_error(failures[0]) if failures and not stop.by_signal else 0
 
 
 def _parser() -> argparse.ArgumentParser:

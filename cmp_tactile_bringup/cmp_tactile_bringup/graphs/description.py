@@ -57,15 +57,15 @@ class Argument:
         """The default as a command line gives it."""
         return as_text(self.default)
 
-    def convert(self, given: Value, label: str = "") -> Any:
+    def convert(self, given: Value) -> Any:
         """The value, of the argument's type also where it is given as a text.
 
-        label: stands before errors.  Raises GraphError for any other value.
+        Raises GraphError for any other value.
         """
         kind, value = type(self.default), given
         # Names of files may be in another encoding, which messages of ROS cannot contain.
         if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
-            msg = f"{label}argument {self.name}: found {given!r}, expected text in UTF-8"
+            msg = f"argument {self.name}: found {given!r}, expected text in UTF-8"
             raise GraphError(msg)
         if isinstance(value, str) and kind is not str:
             value = _value_of(value)
@@ -74,7 +74,7 @@ class Argument:
         if type(value) is kind and not (self.choices and value not in self.choices):
             return value
         expected = f"one of {', '.join(self.choices)}" if self.choices else f"a {TYPES[kind]}"
-        msg = f"{label}argument {self.name}: found {given!r}, expected {expected}"
+        msg = f"argument {self.name}: found {given!r}, expected {expected}"
         raise GraphError(msg)
 
 
@@ -85,22 +85,18 @@ def _value_of(text: str) -> Any:
         return None
 
 
-def argument_values(
-    declared: Sequence[Argument], given: Mapping[str, Value], label: str = ""
-) -> dict[str, Any]:
+def argument_values(declared: Sequence[Argument], given: Mapping[str, Value]) -> dict[str, Any]:
     """The value of each declared argument.
 
-    label: stands before errors.  Raises GraphError for a wrong value, or a name that is not
-    declared.
+    Raises GraphError for a wrong value, or a name that is not declared.
     """
     names = [argument.name for argument in declared]
     for name in given:
         if name not in names:
-            allowed = ", ".join(names)
-            near = did_you_mean(name, names)
-            msg = f"{label}found argument {name!r}, expected one of: {allowed}{near}"
+            allowed, near = ", ".join(names), did_you_mean(name, names)
+            msg = f"found argument {name!r}, expected one of: {allowed}{near}"
             raise GraphError(msg)
-    return {item.name: item.convert(given.get(item.name, item.default), label) for item in declared}
+    return {item.name: item.convert(given.get(item.name, item.default)) for item in declared}
 
 
 def as_text(value: Value) -> str:
@@ -293,14 +289,20 @@ class GraphFunction:
         given: values by name; texts, as a command line gives them, are converted to the argument's
         type.  Raises GraphError for arguments, names and parameter file that cannot be used.
         """
-        values = argument_values(self.arguments, given or {}, self.label)
+        try:
+            return self._load(argument_values(self.arguments, given or {}))
+        except GraphError as error:
+            msg = f"{self.label}{error}"
+            raise GraphError(msg) from None
+
+    def _load(self, values: Mapping[str, Any]) -> Graph:
         own = {item.name: values[item.name] for item in self.own_arguments}
         found = Graph(tuple(self.function(own)))
         names = [component.full_name for component in found.components]
         twice = [name for number, name in enumerate(names) if name in names[:number]]
         if twice or not names:
             wrong = f"{twice[0]!r} twice" if twice else "no component"
-            msg = f"{self.label}found {wrong}, expected components with different names"
+            msg = f"found {wrong}, expected components with different names"
             raise GraphError(msg)
         if values["params_file"]:
             file = expanded_path(values["params_file"])

@@ -66,10 +66,6 @@ SHORTEST_S = 1e-3
 """Length of a recording of one image."""
 
 
-def _unreported(_what: str, _share: float) -> None:
-    """Takes what nobody looks at."""
-
-
 class Processor:
     """Processes one recording, from its first frame and with nothing known of another one."""
 
@@ -238,7 +234,7 @@ def run_job(job: Job, on_stage: OnStage) -> Outcome:
             raise OutputError(msg) from error
 
 
-def run_guarded(job: Job, on_stage: OnStage = _unreported) -> Outcome | TaskError:
+def run_guarded(job: Job, on_stage: OnStage = lambda *_: None) -> Outcome | TaskError:
     """As `run_job`; no error of the job leaves this."""
     try:
         return run_job(job, on_stage)

@@ -198,8 +198,7 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
             executor.add_node(node)
             executor.spin()
     except (CmpTactileError, ParameterException) as error:
-        sys.stderr.write(printable(f"error: {error}") + "\n")
-        return 1
+        return report_error(error)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:
@@ -213,6 +212,12 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
             node.destroy_node()
         rclpy.try_shutdown()
     return leave_process(0, before)
+
+
+def report_error(error: object) -> int:
+    """Write one line on what is wrong to stderr; returns the exit code, 1."""
+    sys.stderr.write(printable(f"error: {error}") + "\n")
+    return 1
 
 
 def leave_process(code: int, threads_before: frozenset[threading.Thread]) -> int:
