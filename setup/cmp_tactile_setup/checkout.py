@@ -17,7 +17,6 @@ from cmp_tactile_setup.layout import (
     clean_environment,
     write_environment_file,
 )
-from cmp_tactile_setup.machine import RosInstallation, sourced_ros
 
 COMPILED = "cmp_tactile_processing"
 # Its sources count for the folder of the cache.
@@ -26,55 +25,41 @@ COMPILED_TOO = "cmp_tactile_simulation"
 
 def prepare(layout: Layout) -> None:
     """Bring the checkout up to date for the layout's distribution. Raises SetupError."""
-    machine.check_checkout_path(layout.root)
     for record in (layout.venv_record, layout.build_record):
         machine.check_not_moved(layout.root, steps.read_record(record).get("root"))
-    ros = sourced_ros(os.environ, layout.root)
-    _check_chosen(os.environ.get("ROS", ""), ros)
     with _only_one(layout.lock):
-        venv_is_current = virtual_environment.is_current(layout, ros)
-        if venv_is_current and workspace.is_current(layout, ros):
+        venv_is_current = virtual_environment.is_current(layout)
+        if venv_is_current and workspace.is_current(layout):
             return
+        clean = clean_environment(os.environ, layout)
         if not venv_is_current:
-            _prepare_venv(layout, ros)
-        _build(layout, ros)
+            _prepare_venv(layout, clean)
+        _build(layout, build_environment(layout, clean))
     steps.say("ready: 'make help' lists the commands, '. setup/env.sh' gives you a shell for ROS 2")
 
 
-def _check_chosen(distro: str, ros: RosInstallation | None) -> None:
-    if distro and ros is not None and ros.distro != distro:
-        raise steps.SetupError(
-            f"ROS={distro} asks for {distro}, but this shell has sourced ROS 2 '{ros.distro}': "
-            "open a shell without ROS 2 to use wheels, or unset the variable ROS"
-        )
-
-
-def _prepare_venv(layout: Layout, ros: RosInstallation | None) -> None:
-    clean = clean_environment(os.environ, layout, with_ros=ros is not None)
-    if not virtual_environment.needs_another(layout, ros):
-        virtual_environment.update_wheels(layout, clean)
+def _prepare_venv(layout: Layout, env: Mapping[str, str]) -> None:
+    if not virtual_environment.needs_another(layout):
+        virtual_environment.update_wheels(layout, env)
         return
-    if ros is None:
+    if layout.ros is None:
         machine.check_platform()
         if better := machine.better_python(layout.distro):
             os.execv(better, [better, *sys.argv])  # noqa: S606
-    machine.check_tools(for_venv=True, for_wheels=ros is None)
-    if ros is None:
-        virtual_environment.make_from_wheels(layout, clean)
+    machine.check_tools(for_venv=True, for_wheels=layout.ros is None)
+    if layout.ros is None:
+        virtual_environment.make_from_wheels(layout, env)
     else:
-        virtual_environment.make_beside_ros(layout, ros, clean)
+        virtual_environment.make_beside_ros(layout, layout.ros, env)
 
 
-def _build(layout: Layout, ros: RosInstallation | None) -> None:
+def _build(layout: Layout, env: Mapping[str, str]) -> None:
     machine.check_tools(for_venv=False, for_wheels=False)
-    with_ros = ros is not None
-    clean = clean_environment(os.environ, layout, with_ros)
-    env = build_environment(layout, clean, with_ros)
-    workspace.clear_outdated(layout, ros)
+    workspace.clear_outdated(layout)
     with compiling_beside(layout, env):
-        workspace.build(layout, ros, env)
-        write_environment_file(layout, env, with_ros)
-        workspace.record_finished(layout, ros)
+        workspace.build(layout, env)
+        write_environment_file(layout, env)
+        workspace.record_finished(layout)
 
 
 @contextmanager
@@ -116,7 +101,9 @@ def main(script: str) -> int:
     """
     root = Path(script).resolve().parent.parent
     try:
-        prepare(Layout(root, chosen_distribution(os.environ.get("ROS", ""))))
+        machine.check_checkout_path(root)
+        ros = machine.sourced_ros(os.environ, root)
+        prepare(Layout(root, chosen_distribution(os.environ.get("ROS", ""), ros), ros))
     except steps.SetupError as error:
         print(f"set-up: {error}", file=sys.stderr)
         return 1

@@ -10,20 +10,28 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from cmp_tactile_setup.machine import is_below
+from cmp_tactile_setup.machine import RosInstallation, is_below
 from cmp_tactile_setup.steps import SetupError, replace_file
 
 # The distributions that wheels exist for; the first is what a checkout is set up for by default.
 DISTRIBUTIONS = ("kilted", "jazzy")
 
 
-def chosen_distribution(value: str) -> str:
-    """The distribution that the variable ROS names. Raises SetupError if there is none of it."""
+def chosen_distribution(value: str, ros: RosInstallation | None) -> str:
+    """The distribution that the variable ROS names.
+
+    Raises SetupError if there are no wheels of it, or another ROS 2 is sourced.
+    """
     distro = value or DISTRIBUTIONS[0]
     if distro not in DISTRIBUTIONS:
         raise SetupError(
             f"ROS={value}: found no wheels for it, expected {' and '.join(DISTRIBUTIONS)}; unset "
             "the variable ROS, or set it to one of these"
+        )
+    if value and ros is not None and ros.distro != value:
+        raise SetupError(
+            f"ROS={value} asks for {value}, but this shell has sourced ROS 2 '{ros.distro}': "
+            "open a shell without ROS 2 to use wheels, or unset the variable ROS"
         )
     return distro
 
@@ -32,11 +40,14 @@ class Layout:
     """Paths of one checkout; `root` is absolute and free of symbolic links.
 
     Each of the `DISTRIBUTIONS` has folders of its own, so that they lie side by side.
+    ros: the ROS 2 that is sourced; None for wheels.
     """
 
-    def __init__(self, root: Path, distro: str = DISTRIBUTIONS[0]) -> None:
+    def __init__(
+        self, root: Path, distro: str = DISTRIBUTIONS[0], ros: RosInstallation | None = None
+    ) -> None:
         suffix = "" if distro == DISTRIBUTIONS[0] else f"-{distro}"
-        self.root, self.distro = root, distro
+        self.root, self.distro, self.ros = root, distro, ros
         # Held by the set-up that runs.
         self.lock = root / ".setup.lock"
         self.venv = root / f".venv{suffix}"
@@ -85,9 +96,9 @@ _OF_OTHER_ROS = (
 )
 
 
-def clean_environment(env: Mapping[str, str], layout: Layout, with_ros: bool) -> dict[str, str]:
-    """`env` without the traces of other builds and, unless `with_ros`, of other ROS 2."""
-    dropped = {*_OF_OTHER_BUILDS, *(() if with_ros else _OF_OTHER_ROS)}
+def clean_environment(env: Mapping[str, str], layout: Layout) -> dict[str, str]:
+    """`env` without the traces of other builds and, with wheels, of other ROS 2."""
+    dropped = {*_OF_OTHER_BUILDS, *(_OF_OTHER_ROS if layout.ros is None else ())}
     clean = {name: value for name, value in env.items() if name not in dropped}
     for name in {*_REPLACED_PATHS, "LD_LIBRARY_PATH"} & clean.keys():
         entries = [e for e in clean[name].split(":") if e and not is_below(e, layout.root)]
@@ -95,12 +106,12 @@ def clean_environment(env: Mapping[str, str], layout: Layout, with_ros: bool) ->
     return clean
 
 
-def build_environment(layout: Layout, clean: Mapping[str, str], with_ros: bool) -> dict[str, str]:
+def build_environment(layout: Layout, clean: Mapping[str, str]) -> dict[str, str]:
     """The environment in which colcon finds the virtual environment first, and ROS 2 in it."""
     env = dict(clean)
     env["VIRTUAL_ENV"] = str(layout.venv)
     env["PATH"] = f"{layout.venv / 'bin'}:{clean.get('PATH', '/usr/bin:/bin')}"
-    if not with_ros:
+    if layout.ros is None:
         bundled = sorted(layout.venv.glob("lib/python3.*/site-packages/ros_*.libs"))
         env["AMENT_PREFIX_PATH"] = env["CMAKE_PREFIX_PATH"] = str(layout.venv)
         env["LD_LIBRARY_PATH"] = ":".join(str(path) for path in (layout.venv / "lib", *bundled))
@@ -109,7 +120,7 @@ def build_environment(layout: Layout, clean: Mapping[str, str], with_ros: bool) 
     return env
 
 
-def write_environment_file(layout: Layout, build_env: Mapping[str, str], with_ros: bool) -> None:
+def write_environment_file(layout: Layout, build_env: Mapping[str, str]) -> None:
     """Write the file that `setup/env.sh` sources.
 
     With wheels it holds the finished variables, so that it costs nothing to source; beside a ROS 2
@@ -118,7 +129,7 @@ def write_environment_file(layout: Layout, build_env: Mapping[str, str], with_ro
     sourcing = [f". {shlex.quote(str(layout.install / 'setup.sh'))}"]
     lines = [
         f"CMP_TACTILE_BUILT_AT={shlex.quote(str(layout.root))}",
-        *(sourcing if with_ros else _finished_lines(layout, build_env)),
+        *(_finished_lines(layout, build_env) if layout.ros is None else sourcing),
         *_prepend("PATH", f"{layout.install / 'bin'}:{layout.venv / 'bin'}"),
         f"export VIRTUAL_ENV={shlex.quote(str(layout.venv))}",
     ]

@@ -61,22 +61,22 @@ _NUMPY_INCLUDE = re.compile(
 _TINYXML2 = re.compile(r"/usr/lib64/libtinyxml2\.so")
 
 
-def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
+def is_current(layout: Layout) -> bool:
     """Whether the virtual environment is complete and what this checkout wants.
 
     The interpreter that it was made with may be another than the running one, but must still be
     there: an upgrade of the system can have put a newer one in its place.
     """
     record = steps.read_record(layout.venv_record)
-    return record == _record(layout, ros) and layout.venv_python.exists()
+    return record == _record(layout) and layout.venv_python.exists()
 
 
-def needs_another(layout: Layout, ros: RosInstallation | None) -> bool:
+def needs_another(layout: Layout) -> bool:
     """Whether the environment must be made again, rather than only be given other libraries."""
-    if ros is not None or not layout.venv_python.exists():
+    if layout.ros is not None or not layout.venv_python.exists():
         return True
     recorded = steps.read_record(layout.venv_record)
-    wanted = _record(layout, ros)
+    wanted = _record(layout)
     kept = wanted.keys() - {"requirements"}
     return any(recorded.get(key) != wanted[key] for key in kept)
 
@@ -94,7 +94,7 @@ def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
     """Bring the libraries in the virtual environment to the required versions."""
     # An update that is interrupted leaves no record, so that the next one starts again.
     layout.venv_record.unlink(missing_ok=True)
-    build_tools, wheels = ([*AS_LOCKED, "-r", str(path)] for path in _requirements(layout, None))
+    build_tools, wheels = ([*AS_LOCKED, "-r", str(path)] for path in _requirements(layout))
     _pip_install(layout, ["--use-pep517", *build_tools], "installing the build tools", env)
     # uv takes a sixth of pip's time. Where it fails, pip has the last word and says why.
     if not _uv_install(layout, wheels, "installing wheels", env):
@@ -105,7 +105,7 @@ def update_wheels(layout: Layout, env: Mapping[str, str]) -> None:
             f"numpy in {layout.venv} does not work: run 'make clean' and try again"
         )
     repair_prefix(layout.venv, *json.loads(folders))
-    steps.write_record(layout.venv_record, _record(layout, None))
+    steps.write_record(layout.venv_record, _record(layout))
 
 
 def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]) -> None:
@@ -117,7 +117,7 @@ def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]
     _make_venv(layout, env, ["--system-site-packages"])
     missing = [
         requirement
-        for path in _requirements(layout, ros)
+        for path in _requirements(layout)
         for requirement, module in read_requirements(path)
         if _output_of(layout, ["-c", f"import {module}"], env) is None
     ]
@@ -128,7 +128,7 @@ def make_beside_ros(layout: Layout, ros: RosInstallation, env: Mapping[str, str]
         constraints.write_text(numpy or "", encoding="utf-8")
         title = f"installing {len(missing)} libraries"
         _pip_install(layout, ["-c", str(constraints), *missing], title, env)
-    steps.write_record(layout.venv_record, _record(layout, ros))
+    steps.write_record(layout.venv_record, _record(layout))
 
 
 def read_requirements(path: Path) -> list[tuple[str, str]]:
@@ -149,19 +149,19 @@ def explain_pip_failure(output: str, log: Path) -> str:
     return f"{reason} (log: {log})"
 
 
-def _requirements(layout: Layout, ros: RosInstallation | None) -> list[Path]:
-    if ros is not None:
+def _requirements(layout: Layout) -> list[Path]:
+    if layout.ros is not None:
         return [layout.requirements("requirements-with-ros.txt")]
     names = ("locked-build.txt", f"locked-{layout.distro}.txt")
     return [layout.requirements(name) for name in names]
 
 
-def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, str]:
+def _record(layout: Layout) -> dict[str, str]:
     return {
         "root": str(layout.root),
         "python": str(layout.venv_python.resolve()),
-        "requirements": steps.digest(_requirements(layout, ros), [], layout.root),
-        "ros": "wheels" if ros is None else ros.distro,
+        "requirements": steps.digest(_requirements(layout), [], layout.root),
+        "ros": "wheels" if layout.ros is None else layout.ros.distro,
     }
 
 

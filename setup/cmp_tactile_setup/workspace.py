@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_setup.layout import Layout
-from cmp_tactile_setup.machine import RosInstallation
 from cmp_tactile_setup.steps import SetupError, digest, read_record, run_step, write_record
 
 SUITE = (
@@ -33,74 +32,75 @@ _REASONS = (
 )
 
 
-def is_current(layout: Layout, ros: RosInstallation | None) -> bool:
+def is_current(layout: Layout) -> bool:
     """Whether the last build was completed, of these sources and for this ROS 2."""
-    return read_record(layout.build_record) == _record(layout, ros)
+    return read_record(layout.build_record) == _record(layout)
 
 
-def clear_outdated(layout: Layout, ros: RosInstallation | None) -> None:
+def clear_outdated(layout: Layout) -> None:
     """Remove what was built for another ROS 2 or has leftovers: the next build starts anew."""
-    built, wanted = read_record(layout.build_record), _record(layout, ros)
+    built, wanted = read_record(layout.build_record), _record(layout)
     if any(built.get(key) != wanted[key] for key in ("built_against", "packages")):
         for folder in (layout.build, layout.install):
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def build(layout: Layout, ros: RosInstallation | None, env: Mapping[str, str]) -> None:
+def build(layout: Layout, env: Mapping[str, str]) -> None:
     """Build what has changed.  Raises SetupError with the reason if that fails."""
     layout.install.mkdir(exist_ok=True)
     # A build that fails is not current, also once the sources are as they were before.
-    write_record(layout.build_record, {**_record(layout, ros), "sources": None})
+    write_record(layout.build_record, {**_record(layout), "sources": None})
     log = layout.logs / "build.log"
     command = [
         *(str(layout.venv_python), "-m", "colcon", "--log-base", str(layout.logs), "build"),
-        *("--paths", *map(str, _folders(layout, ros))),
+        *("--paths", *map(str, _folders(layout))),
         *("--build-base", str(layout.build), "--install-base", str(layout.install)),
         "--symlink-install",
         *("--event-handlers", "console_direct+"),
         *("--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
         *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
-        *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if ros is None else []),
+        *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if layout.ros is None else []),
     ]
     if not run_step("building the packages", command, log, env, layout.root):
         raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
     _link_command(layout)
 
 
-def record_finished(layout: Layout, ros: RosInstallation | None) -> None:
+def record_finished(layout: Layout) -> None:
     """Record that everything is built, and the environment written."""
-    write_record(layout.build_record, _record(layout, ros))
+    write_record(layout.build_record, _record(layout))
 
 
-def _folders(layout: Layout, ros: RosInstallation | None) -> list[Path]:
+def _folders(layout: Layout) -> list[Path]:
     """Of the suite, and of those packages of the underlay that the sourced ROS 2 lacks."""
+    ros = layout.ros
     missing = (name for name in UNDERLAY if ros is None or ros.prefix_of(name) is None)
     underlay = [layout.root / "underlay" / name for name in missing]
     return [*underlay, *(layout.root / name for name in SUITE)]
 
 
-def _record(layout: Layout, ros: RosInstallation | None) -> dict[str, Any]:
+def _record(layout: Layout) -> dict[str, Any]:
     """What the packages are built from.
 
     Installed Python modules and shared files are links into the checkout, so their names count but
     not their contents.
     """
-    folders = _folders(layout, ros)
+    folders = _folders(layout)
     contents = [path for folder in folders for path in _sources(folder)]
     names = [path for folder in folders for path in _linked(folder)]
     set_up = layout.root.glob("setup/cmp_tactile_setup/*.py")
     return {
         "root": str(layout.root),
-        "built_against": _built_against(layout, ros),
+        "built_against": _built_against(layout),
         "packages": [folder.name for folder in folders],
         "sources": digest([*contents, *set_up], names, layout.root),
     }
 
 
-def _built_against(layout: Layout, ros: RosInstallation | None) -> str:
+def _built_against(layout: Layout) -> str:
     """With another of it the packages must all be built again."""
-    if ros is not None:
-        return f"{ros.distro} at {ros.prefix_of('rclpy')}"
+    if layout.ros is not None:
+        return f"{layout.ros.distro} at {layout.ros.prefix_of('rclpy')}"
     compiled_against = [
         path.name
         for pattern in ("ros_*", "numpy-*")

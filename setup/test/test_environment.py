@@ -11,6 +11,7 @@ from cmp_tactile_setup.layout import (
     clean_environment,
     write_environment_file,
 )
+from cmp_tactile_setup.machine import RosInstallation
 
 
 @pytest.fixture
@@ -26,8 +27,8 @@ def ready(layout, checkout):
         f"export LD_LIBRARY_PATH={layout.install}/a/lib:$LD_LIBRARY_PATH\n"
     )
     clean = {"PATH": "/usr/bin:/bin"}
-    env = build_environment(layout, clean, with_ros=False)
-    write_environment_file(layout, env, with_ros=False)
+    env = build_environment(layout, clean)
+    write_environment_file(layout, env)
     return layout
 
 
@@ -78,8 +79,8 @@ def test_ros_chooses_among_environments_that_lie_side_by_side(ready):
     jazzy = Layout(ready.root, "jazzy")
     jazzy.install.mkdir()
     (jazzy.install / "setup.sh").write_text(f"export PYTHONPATH={jazzy.install}/a/python\n")
-    env = build_environment(jazzy, {"PATH": "/usr/bin:/bin"}, with_ros=False)
-    write_environment_file(jazzy, env, with_ros=False)
+    env = build_environment(jazzy, {"PATH": "/usr/bin:/bin"})
+    write_environment_file(jazzy, env)
     for value, chosen in (("jazzy", jazzy), ("kilted", ready), ("", ready)):
         for script in ("setup/run sh -c 'echo $PYTHONPATH'", ". setup/env.sh && echo $PYTHONPATH"):
             result = shell("bash", script, ready.root, ROS=value)
@@ -112,10 +113,11 @@ def test_a_moved_checkout_says_so(ready, tmp_path):
 
 
 def test_beside_ros_its_own_setup_file_is_sourced(ready):
+    ready.ros = RosInstallation("jazzy", ())
     clean = {"PATH": "/usr/bin:/bin", "AMENT_PREFIX_PATH": "/opt/ros/jazzy"}
-    env = build_environment(ready, clean, with_ros=True)
+    env = build_environment(ready, clean)
     assert env["AMENT_PREFIX_PATH"] == "/opt/ros/jazzy"
-    write_environment_file(ready, env, with_ros=True)
+    write_environment_file(ready, env)
     script = ". setup/env.sh && echo $AMENT_PREFIX_PATH ${ROS_AUTOMATIC_DISCOVERY_RANGE:-unset}"
     result = shell("bash", script, ready.root, AMENT_PREFIX_PATH="/opt/ros/jazzy")
     assert result.stdout == f"{ready.install}/a:/opt/ros/jazzy unset\n", result.stderr
@@ -131,20 +133,21 @@ def test_a_build_inherits_nothing_of_another_ros(layout):
         "MAKEFLAGS": "-j4 --jobserver-auth=3,4",
         "LD_LIBRARY_PATH": f"{layout.install}/a/lib:/usr/local/cuda/lib64",
     }
-    assert clean_environment(env, layout, with_ros=False) == {
+    assert clean_environment(env, layout) == {
         "HOME": "/home/lab",
         "LD_LIBRARY_PATH": "/usr/local/cuda/lib64",
     }
 
 
 def test_a_build_beside_ros_keeps_it_without_an_earlier_build(layout):
+    layout.ros = RosInstallation("jazzy", ())
     env = {
         "ROS_DISTRO": "jazzy",
         "AMENT_PREFIX_PATH": f"{layout.install}/a:/opt/ros/jazzy",
         "PYTHONPATH": "/opt/ros/jazzy/lib",
         "MAKEFLAGS": "-j4",
     }
-    assert clean_environment(env, layout, with_ros=True) == {
+    assert clean_environment(env, layout) == {
         "ROS_DISTRO": "jazzy",
         "AMENT_PREFIX_PATH": "/opt/ros/jazzy",
         "PYTHONPATH": "/opt/ros/jazzy/lib",

@@ -31,11 +31,11 @@ def complete(layout):
         {
             "root": str(layout.root),
             "python": str(layout.venv_python.resolve()),
-            "requirements": virtual_environment._record(layout, None)["requirements"],
+            "requirements": virtual_environment._record(layout)["requirements"],
             "ros": "wheels",
         },
     )
-    assert virtual_environment.is_current(layout, None)
+    assert virtual_environment.is_current(layout)
     return layout
 
 
@@ -43,15 +43,15 @@ def complete(layout):
 def test_changed_requirements_are_noticed(complete, name):
     locked = complete.requirements(f"locked-{name}.txt")
     locked.write_text(locked.read_text() + "another-library==1.0\n")
-    assert not virtual_environment.is_current(complete, None)
-    assert not virtual_environment.needs_another(complete, None)
+    assert not virtual_environment.is_current(complete)
+    assert not virtual_environment.needs_another(complete)
 
 
 def test_distributions_lie_side_by_side(complete):
     """What is there for one says nothing of another, and no two share a folder."""
     others = [Layout(complete.root, distro) for distro in DISTRIBUTIONS[1:]]
     for other in others:
-        assert not virtual_environment.is_current(other, None)
+        assert not virtual_environment.is_current(other)
     for part in ("venv", "install", "build", "logs"):
         folders = {getattr(layout, part) for layout in (complete, *others)}
         assert len(folders) == len(DISTRIBUTIONS)
@@ -253,9 +253,9 @@ def test_another_place_or_interpreter_needs_another_environment(complete):
     for key in ("root", "python", "ros"):
         record = read_record(complete.venv_record)
         write_record(complete.venv_record, {**record, key: "another"})
-        assert virtual_environment.needs_another(complete, None)
+        assert virtual_environment.needs_another(complete)
         write_record(complete.venv_record, record)
-    assert not virtual_environment.needs_another(complete, None)
+    assert not virtual_environment.needs_another(complete)
 
 
 @pytest.mark.parametrize("name", ["python3.99", "nowhere"])
@@ -264,8 +264,8 @@ def test_an_interpreter_that_was_upgraded_or_removed_is_noticed(complete, tmp_pa
     (tmp_path / "python3.99").touch()
     complete.venv_python.unlink()
     complete.venv_python.symlink_to(tmp_path / name)
-    assert not virtual_environment.is_current(complete, None)
-    assert virtual_environment.needs_another(complete, None)
+    assert not virtual_environment.is_current(complete)
+    assert virtual_environment.needs_another(complete)
 
 
 @pytest.mark.parametrize(

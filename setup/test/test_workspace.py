@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from cmp_tactile_setup import workspace
+from cmp_tactile_setup.layout import Layout
 from cmp_tactile_setup.machine import RosInstallation
 from cmp_tactile_setup.steps import read_record
 from cmp_tactile_setup.workspace import UNDERLAY, explain_build_failure
@@ -16,8 +17,8 @@ def built(layout):
     layout.install.mkdir()
     for name in UNDERLAY:
         (layout.root / "underlay" / name).mkdir(parents=True)
-    workspace.record_finished(layout, None)
-    assert workspace.is_current(layout, None)
+    workspace.record_finished(layout)
+    assert workspace.is_current(layout)
     return layout
 
 
@@ -40,8 +41,8 @@ def test_a_change_that_needs_a_build(built, path):
     file = built.root / path
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("changed\n")
-    assert not workspace.is_current(built, None)
-    workspace.clear_outdated(built, None)
+    assert not workspace.is_current(built)
+    workspace.clear_outdated(built)
     assert built.install.is_dir()
 
 
@@ -49,7 +50,7 @@ def test_an_edited_module_needs_no_build(built):
     """Installed modules are links into the checkout."""
     module = built.root / "cmp_tactile_bringup" / "cmp_tactile_bringup" / "command.py"
     module.write_text("print('edited')\n")
-    assert workspace.is_current(built, None)
+    assert workspace.is_current(built)
 
 
 def test_a_build_that_failed_is_not_finished(built):
@@ -58,19 +59,19 @@ def test_a_build_that_failed_is_not_finished(built):
     before = message.read_text()
     message.write_text("uint32 rows\n")
     with pytest.raises(FileNotFoundError):  # there is no Python that could run colcon
-        workspace.build(built, None, {})
+        workspace.build(built, {})
     message.write_text(before)
-    assert not workspace.is_current(built, None)
-    workspace.clear_outdated(built, None)
+    assert not workspace.is_current(built)
+    workspace.clear_outdated(built)
     assert built.install.is_dir()
 
 
 def test_everything_is_built_again_for_another_ros(built, tmp_path):
     (tmp_path / "share" / "rclpy").mkdir(parents=True)
     (tmp_path / "share" / "rclpy" / "package.xml").touch()
-    ros = RosInstallation("jazzy", (tmp_path,))
-    assert not workspace.is_current(built, ros)
-    workspace.clear_outdated(built, ros)
+    other = Layout(built.root, ros=RosInstallation("jazzy", (tmp_path,)))
+    assert not workspace.is_current(other)
+    workspace.clear_outdated(other)
     assert not built.install.exists()
 
 
@@ -78,10 +79,10 @@ def test_everything_is_built_again_for_other_wheels(built):
     """A library that is only imported may change; one that is compiled against may not."""
     site_packages = built.venv / "lib" / "python3.11" / "site-packages"
     (site_packages / "rich-15.0.0.dist-info").mkdir(parents=True)
-    assert workspace.is_current(built, None)
+    assert workspace.is_current(built)
     (site_packages / "ros_rclpy-9.1.2.dist-info").mkdir()
-    assert not workspace.is_current(built, None)
-    workspace.clear_outdated(built, None)
+    assert not workspace.is_current(built)
+    workspace.clear_outdated(built)
     assert not built.install.exists()
 
 
@@ -89,8 +90,8 @@ def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
     for name in ("tf2_msgs", "tf2_ros_py"):
         (tmp_path / "share" / name).mkdir(parents=True)
         (tmp_path / "share" / name / "package.xml").touch()
-    ros = RosInstallation("jazzy", (Path("/none"), tmp_path))
-    workspace.record_finished(built, ros)
+    other = Layout(built.root, ros=RosInstallation("jazzy", (Path("/none"), tmp_path)))
+    workspace.record_finished(other)
     packages = read_record(built.build_record)["packages"]
     assert set(packages) & set(UNDERLAY) == {"composition_interfaces"}
 
