@@ -119,12 +119,7 @@ def _up_of(mount: str) -> list[float]:
     return [round(part, 6) for part in up]
 
 
-GRAPHS: dict[str, GraphFunction] = {
-    "sensor": sensor,
-    "simulate": simulate,
-    "replay": replay,
-    "gripper": gripper,
-}
+GRAPHS = {item.function.__name__: item for item in (sensor, simulate, replay, gripper)}
 
 
 def find_graph(name_or_path: str) -> GraphFunction:

@@ -9,11 +9,11 @@ import hashlib
 import logging
 import math
 import os
+import secrets
 import shutil
 import stat
 import tempfile
 import time
-import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -104,9 +104,9 @@ def atomic_path(path: Path, mode: int | None = None) -> Iterator[Path]:
     A link is followed.  mode: permissions; None: those of a file that was there.
     """
     target = path.resolve()
-    beside = target.with_name(f".{target.name}.{uuid.uuid4().hex}.partial")
+    beside = target.with_name(f".{target.name}.{secrets.token_hex(4)}.partial")
+    beside.touch(exist_ok=False)
     try:
-        beside.touch(exist_ok=False)
         yield beside
         with beside.open("rb") as file:
             os.fsync(file.fileno())
