@@ -281,7 +281,7 @@ class Spinner:
         self._wiring = Wiring()
         self._context = context
         self._lock = threading.Lock()
-        self._components: list[LoadedComponent] = []
+        self._components: dict[Node, LoadedComponent] = {}
         self._jobs: SimpleQueue[tuple[Callable[[], None], Future[None]]] = SimpleQueue()
         self._executor = executors.SingleThreadedExecutor(context=context)
         self._ends = self._has_ended = False
@@ -339,17 +339,16 @@ class Spinner:
         if node is None or self._ends:
             self.remove(component)
             return
-        self._components.append(component)
+        self._components[node] = component
         self._executor.add_node(node)
         if isinstance(node, WiredNode):
             node.attach()
 
     def remove(self, component: LoadedComponent) -> None:
         """Destroy a component; a job."""
-        if component in self._components:
-            self._components.remove(component)
         node, component.node = component.node, None
         if node is not None:
+            self._components.pop(node, None)
             if isinstance(node, WiredNode):
                 node.detach()
             self._executor.remove_node(node)
@@ -361,9 +360,7 @@ class Spinner:
     def _run(self) -> None:
         try:
             while self._context.ok() and not self._ends:
-                with suppress(executors.ConditionReachedException):
-                    self._spin()
-                self._do_jobs()
+                self._spin_once()
         except (executors.ExternalShutdownException, executors.ShutdownException):
             pass
         except Exception as error:  # noqa: BLE001  not of a callback, so it cannot go on
@@ -373,7 +370,7 @@ class Spinner:
         finally:
             self._ends = True
             self._wiring.close()
-            for component in list(self._components):
+            for component in list(self._components.values()):
                 self.remove(component)
             with self._lock:
                 self._has_ended = True
@@ -389,22 +386,23 @@ class Spinner:
             finally:
                 done.set_result(None)
 
-    def _spin(self) -> None:
-        """Until there is a job, which ConditionReachedException says."""
-        while True:
+    def _spin_once(self) -> None:
+        """Wait for a callback and run it, or for jobs and do them."""
+        try:
             # The bound method is passed, not a lambda: equal arguments keep the generator.
             task, _, node = self._executor.wait_for_ready_callbacks(None, None, self._has_job)
-            with self._wiring.lock:
-                error = _error_of(task)
-            if error is None:
-                error = task.exception()
-            else:
-                # What is no Exception passes through: the executor would keep the task.
-                task.cancel()
-            if error is not None:
-                for component in self._components:
-                    if component.node is node:
-                        component.errors.report(node, error)
+        except executors.ConditionReachedException:
+            self._do_jobs()
+            return
+        with self._wiring.lock:
+            error = _error_of(task)
+        if error is None:
+            error = task.exception()
+        else:
+            # What is no Exception passes through: the executor would keep the task.
+            task.cancel()
+        if error is not None and node in self._components:
+            self._components[node].errors.report(node, error)
 
     def _has_job(self) -> bool:
         return not self._jobs.empty()
