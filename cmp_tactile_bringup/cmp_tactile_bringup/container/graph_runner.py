@@ -26,7 +26,7 @@ from cmp_tactile_bringup.graphs.description import (
     with_recordings,
 )
 from cmp_tactile_bringup.graphs.packaged import find_graph
-from cmp_tactile_bringup.graphs.running import RunningLine
+from cmp_tactile_bringup.graphs.running import RunningLine, pressed_keys
 from cmp_tactile_bringup.terminal import shown_stages
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.processes import StopSignal, python_command
@@ -182,7 +182,8 @@ def _run(
             ]
             if watch and loaded.is_set():
                 loaded.clear()
-                shown.enter_context(RunningLine(graph, on_quit=stop.set))
+                line = shown.enter_context(RunningLine(graph, on_quit=stop.set))
+                shown.enter_context(pressed_keys(line.on_key))
     return report_error(failures[0]) if failures and not stop.by_signal else 0
 
 

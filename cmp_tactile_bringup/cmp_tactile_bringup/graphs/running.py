@@ -60,14 +60,10 @@ class RunningLine(Listener):
         out: TextIO | None = None,
         on_quit: Callable[[], object] = lambda: None,
     ) -> None:
-        """Begins with what the user may do next.
-
-        Keys of a terminal call services.  on_quit: what q does.
-        """
+        """Begins with what the user may do next.  on_quit: what the key q does."""
         super().__init__("running_line")
         self._graph, self._out = graph, out or sys.stdout
         self._on_quit = on_quit
-        self._keys, self._has_keys = pressed_keys(self._on_key), takes_keys(sys.stdin)
         self._calls = key_calls(graph)
         self._clients: dict[str, Any] = {}
         self._paused = any(item.parameters.get("paused") for item in graph.components)
@@ -75,28 +71,18 @@ class RunningLine(Listener):
         self._arrivals: deque[float] = deque(maxlen=FRAMES_OF_RATE)
         self._shown = -APPENDED_S
 
-    def __enter__(self) -> RunningLine:
-        super().__enter__()
-        self._keys.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        try:
-            self._keys.__exit__(*error)
-        finally:
-            super().__exit__(*error)
-
     def _subscribe(self) -> None:
         self._out.write(next_steps(self._graph))
         namespace = _namespace(self._graph)
-        if self._has_keys:
+        if takes_keys(sys.stdin):
             self._out.write(f"Keys: {keys_line(self._calls)}\n")
             for key, call in self._calls.items():
                 kind = SetBool if key == PAUSE else Trigger
                 self._clients[key] = self.node.create_client(kind, call.service)
         self.node.create_subscription(ForceField, f"{namespace}/force_field", self._on_force, 10)
 
-    def _on_key(self, key: str) -> None:
+    def on_key(self, key: str) -> None:
+        """Call the service of a key."""
         if key == QUIT:
             self._on_quit()
         elif key in self._clients:
