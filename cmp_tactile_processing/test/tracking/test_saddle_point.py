@@ -124,6 +124,26 @@ def test_a_blob_within_the_window_moves_the_corner_little(checkers):
     assert np.linalg.norm(moved) < FLAWED_PRINT_PX
 
 
+def test_a_grain_at_the_corner_shows_in_its_deviation(checkers):
+    """Where no model of a corner fits: a grain of 4 px moves the saddle point by up to 1 px.
+
+    So large an error also shows against the neighbours; alone it is within four deviations.
+    """
+    image = checkers(n=3)
+    grey, middle = image.render(1.0), image.corners()[4]
+    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]]
+    ratio = []
+    for away in (1.0, 2.0, 3.0):
+        for angle in np.arange(16) * np.pi / 8:
+            at = middle + away * np.array([np.cos(angle), np.sin(angle)])
+            grain = np.hypot(x - at[0], y - at[1]) <= 2
+            found = fitted(image, np.where(grain, 20, grey).astype(np.uint8))
+            if np.isfinite(found.std[4]) and not found.modelled[4]:
+                ratio.append((found.position[4] - middle) / found.std[4])
+    assert len(ratio) > 10
+    assert np.sqrt(np.mean(np.square(ratio))) < 4
+
+
 def returning(image, share):
     """Share of starts, `share` sides away in 16 directions, that come back to their corner."""
     grey = image.render(1.0)

@@ -57,6 +57,9 @@ MOST_STEPS = 8
 ARRIVED_PX, FIRST_ARRIVED_PX, SAME_BLUR, CLEAN = 0.004, 0.03, 0.1, 1.3
 # A corner that the model takes farther from the saddle point is none, in window radii.
 FARTHEST = 0.15
+# Where the model does not fit, dirt, a flaw or a sharp bend pulls the saddle point: by so much, in
+# sides (0.013 to 0.022 among 700 such corners of six random sensors).
+UNMODELLED = 0.02
 # The blur of a corner's edges is expected to be that of the corners before it, of which the last
 # one counts by LATEST_SHARE, within a standard deviation of its logarithm; once some are known.
 # So is the slope of the light: a blurred edge alone could as well be one.
@@ -316,7 +319,8 @@ def refine_by_model(
 
     image: grey levels (H, W) and which of them are unknown, (H, W) or (0, 0) where none is;
     saddles: position (n, 2), hessian (n, 3), std (n,), modelled (n,), pull (n, 2, 4).  Saddle
-    points that the model does not fit stay as they are.  blur: expected of the first corner, px.
+    points that the model does not fit stay, with a larger deviation.  blur: expected of the first
+    corner, px.
     """
     position, hessian, std, modelled, pull = saddles
     disc, pixels, _, _, p = work
@@ -340,7 +344,9 @@ def refine_by_model(
         set_profile(pixels, count, 1, p)
         set_light(pixels, seen, p)
         dx, dy, variance = _converge(work, count, prior, std[n])
-        if np.isfinite(dx):
+        if not np.isfinite(dx):
+            std[n] = np.hypot(std[n], UNMODELLED * prior.side)
+        else:
             position[n, 0] += dx
             position[n, 1] += dy
             modelled[n] = True
