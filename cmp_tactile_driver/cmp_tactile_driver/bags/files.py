@@ -19,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Message, Schema
+from mcap.records import Channel, Chunk, Schema
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
@@ -28,6 +28,8 @@ HEAD_BYTES = 12
 """Of a message: what names the encoding, and the stamp of a header that it begins with."""
 
 RECORD_HEAD = struct.Struct("<BQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+CHUNK_HEAD = struct.Struct("<QQQI")
 NO_CHUNK = 0
 # One in use, and those that others overlap in time.
 KEPT_CHUNKS = 4
@@ -112,6 +114,14 @@ class _Where(NamedTuple):
     length: int
 
 
+class _Part(NamedTuple):
+    """Records of a stream from `first` on: of the chunk that begins there in the file, or none."""
+
+    stream: IO[bytes]
+    chunk: int
+    first: int
+
+
 class McapBagFile:
     """One file.
 
@@ -143,9 +153,9 @@ class McapBagFile:
         self.damage = ""
         found: list[StoredMessage] = []
         with self._path.open("rb") as file:
-            for stream, chunk, record in self._all_records(file):
+            for part, record in self._all_records(file):
                 try:
-                    found += self._take(stream, chunk, record, topics)
+                    found += self._take(part, record, topics)
                 except Exception as error:  # noqa: BLE001, PERF203  damaged bytes raise anything
                     self.damage = f"the record at byte {record.begin} cannot be read: {error}"
         return found
@@ -164,22 +174,21 @@ class McapBagFile:
 
             yield read
 
-    def _all_records(self, file: IO[bytes]) -> Iterator[tuple[IO[bytes], int, _Record]]:
-        """Those up to the end of the data: the stream and the chunk that each is in, and itself."""
+    def _all_records(self, file: IO[bytes]) -> Iterator[tuple[_Part, _Record]]:
+        """Those up to the end of the data, and where they are."""
         for record in self._readable(file, self._path.stat().st_size, len(MCAP0_MAGIC)):
             if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
             if record.opcode != Opcode.CHUNK:
-                yield file, NO_CHUNK, record
+                yield _Part(file, NO_CHUNK, 0), record
                 continue
             try:
-                data = _chunk_records(file, record.begin)
+                part, end = _part_of_chunk(file, record)
             except DamageError as error:
                 self.damage = str(error)
                 continue
-            stream = BytesIO(data)
-            for inner in self._readable(stream, len(data)):
-                yield stream, record.begin, inner
+            for inner in self._readable(part.stream, end, part.first):
+                yield part, inner
         self.damage = self.damage or "the file has no end; its recorder did not close it"
 
     def _readable(self, stream: IO[bytes], end: int, begin: int = 0) -> Iterator[_Record]:
@@ -190,24 +199,26 @@ class McapBagFile:
             self.damage = str(error)
 
     def _take(
-        self, stream: IO[bytes], chunk: int, record: _Record, topics: Collection[str]
+        self, part: _Part, record: _Record, topics: Collection[str]
     ) -> Iterator[StoredMessage]:
         """Learn a schema or channel; give a message of a topic that is wanted."""
-        reading = ReadDataStream(stream)
+        reading = ReadDataStream(part.stream)
         if record.opcode == Opcode.SCHEMA:
             self._add_schema(Schema.read(reading))
         elif record.opcode == Opcode.CHANNEL:
             self._add_channel(Channel.read(reading))
         elif record.opcode == Opcode.MESSAGE:
-            message = Message.read(reading, record.length)
-            channel = self._channels.get(message.channel_id)
+            number, _, received_ns, _ = MESSAGE_HEAD.unpack(reading.read(MESSAGE_HEAD.size))
+            channel = self._channels.get(number)
             if channel is None or channel.topic not in topics:
                 return
-            length = len(message.data)
-            where = _Where(chunk, record.begin + record.length - length, length)
-            stamp_ns = head_stamp_ns(unpacked(message.data))
-            kind = self._kind(channel)
-            yield StoredMessage(channel.topic, kind, message.log_time, stamp_ns, where)
+            begin, length = record.begin + MESSAGE_HEAD.size, record.length - MESSAGE_HEAD.size
+            head = part.stream.read(min(length, HEAD_BYTES))
+            if head.startswith(ZSTD_MAGIC):
+                head = unpacked(head + part.stream.read(length - len(head)))
+            where = _Where(part.chunk, begin - part.first, length)
+            kind, stamp_ns = self._kind(channel), head_stamp_ns(head)
+            yield StoredMessage(channel.topic, kind, received_ns, stamp_ns, where)
 
     def _take_summary(self) -> bool:
         """Whether the file ends with a summary that names all channels."""
@@ -263,6 +274,22 @@ def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[_Record]:
             raise DamageError(msg)
         yield _Record(opcode, begin, length)
         begin += length
+
+
+def _part_of_chunk(file: IO[bytes], chunk: _Record) -> tuple[_Part, int]:
+    """The records of a chunk and where they end; they are read only where they are compressed."""
+    file.seek(chunk.begin + CHUNK_HEAD.size)
+    reading = ReadDataStream(file)
+    try:
+        compression = reading.read_prefixed_string()
+        reading.read8()
+    except Exception:  # noqa: BLE001  damaged bytes raise anything
+        msg = f"the chunk at byte {chunk.begin} is incomplete"
+        raise DamageError(msg) from None
+    if not compression:
+        return _Part(file, chunk.begin, file.tell()), chunk.begin + chunk.length
+    data = _chunk_records(file, chunk.begin)
+    return _Part(BytesIO(data), chunk.begin, 0), len(data)
 
 
 def _chunk_records(file: IO[bytes], begin: int) -> bytes:
