@@ -17,7 +17,7 @@ from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.nodes.health import GridHealth
-from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, FrameService, StageNode
+from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, Answer, FrameService, StageNode
 from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
 from cmp_tactile_processing.ros.messages.making import view_frame
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
@@ -128,9 +128,9 @@ class GridlineTracker(StageNode):
         self._health.add(grid)
         self.frame_out(header)
         if self._inspection.is_open:
-            frames = self._inspection.take(image.copy())
-            if frames is not None:
-                self._inspect_print(frames)
+            collected = self._inspection.take(image.copy())
+            if collected is not None:
+                self._inspect_print(*collected)
         if self._overlay_publisher.get_subscription_count():
             self._tracked = image, grid, header
             self._overlay_rate.request()
@@ -157,17 +157,17 @@ class GridlineTracker(StageNode):
         options = self._print_options.value
         return options.print_frames, options.print_timeout, self.resolve_topic_name(self._topic)
 
-    def _inspect_print(self, frames: list[NDArray[np.uint8]]) -> None:
+    def _inspect_print(self, frames: list[NDArray[np.uint8]], finish: Answer) -> None:
         try:
             self._print = self._tracker.inspect_print(frames)
             self.get_logger().info(self._print.report)
-            self._inspection.finish(True, self._print.report)
+            finish(True, self._print.report)
         except ReferenceFramesError as error:
             self.get_logger().warning(f"print not inspected: {error}")
-            self._inspection.finish(False, str(error))
+            finish(False, str(error))
         finally:
             # Whatever else went wrong is reported by the node; who asked must not wait for it.
-            self._inspection.finish(False, "the inspection failed, see the node's log")
+            finish(False, "the inspection failed, see the node's log")
 
     def _update_diagnostics(self) -> None:
         level, note, figures = self._health.close_period()

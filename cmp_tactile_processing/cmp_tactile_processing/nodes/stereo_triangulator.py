@@ -17,7 +17,7 @@ from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
 from cmp_tactile_processing.nodes.health import reference_figures
-from cmp_tactile_processing.ros.base_nodes import FrameService, StageNode
+from cmp_tactile_processing.ros.base_nodes import Answer, FrameService, StageNode
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
@@ -161,25 +161,25 @@ class StereoTriangulator(StageNode):
         self._tracked = measured_share(markers.status)
 
     def _keep_reference(self, markers: Markers3D, stamp: Any) -> None:
-        frames = self._averaging.take(markers)
-        if frames is not None:
-            self._take_reference(frames, stamp)
+        collected = self._averaging.take(markers)
+        if collected is not None:
+            self._take_reference(*collected, stamp)
             return
         said = self._keeper.add(markers, stamp_ns(stamp))
         if said:
             self.get_logger().info(said)
             self._publish_reference(stamp)
 
-    def _take_reference(self, frames: list[Markers3D], stamp: Any) -> None:
+    def _take_reference(self, frames: list[Markers3D], finish: Answer, stamp: Any) -> None:
         try:
             explanation = self._keeper.take(frames, stamp_ns(stamp))
         except ReferenceFramesError as error:
             self.get_logger().warning(f"no new reference: {error}")
-            self._averaging.finish(False, str(error))
+            finish(False, str(error))
             return
         self._publish_reference(stamp)
         self.get_logger().info(explanation)
-        self._averaging.finish(True, explanation)
+        finish(True, explanation)
 
     def _publish_reference(self, stamp: Any) -> None:
         surface = surface_at_rest(self._keeper.reference, self.sensor.pattern.shape)

@@ -130,22 +130,23 @@ class ReportingNode(WiredNode, ABC):
 
 Wanted = tuple[int, float, str]
 """Number of frames, longest wait for them in s, and the topics that they come from."""
+Answer = Callable[[bool, str], None]
+"""Answers a request by success and explanation; a second time changes nothing."""
 
 
 class FrameService(Generic[Frame]):
     """A Trigger service that collects frames, one request at a time.
 
-    name: the service's; busy: the answer while another request is open.  Once `take` has returned
-    the frames, whoever uses them answers by `finish`.
+    name: the service's; busy: the answer while another request is open.
     """
 
     def __init__(
         self, node: ReportingNode, name: str, busy: str, wanted: Callable[[], Wanted]
     ) -> None:
         self._node, self._busy, self._wanted = node, busy, wanted
-        self._frames: list[Frame] | None = None
         self._count = 0
-        self._outcome: Future[tuple[bool, str]] = Future()
+        self._frames: list[Frame] | None = None
+        self._finish: Answer = lambda *_: None
         # A group of its own: the service waits for frames, which must come in meanwhile.
         node.create_service(Trigger, name, self._answer, callback_group=ReentrantCallbackGroup())
 
@@ -154,21 +155,16 @@ class FrameService(Generic[Frame]):
         """Whether frames are being collected."""
         return self._frames is not None
 
-    def take(self, frame: Frame) -> list[Frame] | None:
-        """Add a frame; all of them, to be used, where it was the last one needed."""
-        frames = self._frames
+    def take(self, frame: Frame) -> tuple[list[Frame], Answer] | None:
+        """Add a frame; all of them, and what is to answer the request, if it was the last one."""
+        frames, finish = self._frames, self._finish
         if frames is None:
             return None
         frames.append(frame)
         if len(frames) < self._count:
             return None
         self._frames = None
-        return frames
-
-    def finish(self, success: bool, explanation: str) -> None:
-        """Answer the request; a second time changes nothing."""
-        if not self._outcome.done():
-            self._outcome.set_result((success, explanation))
+        return frames, finish
 
     async def _answer(
         self, _request: Trigger.Request, response: Trigger.Response
@@ -179,14 +175,16 @@ class FrameService(Generic[Frame]):
         self._count, timeout_s, topics = self._wanted()
         frames: list[Frame] = []
         outcome: Future[tuple[bool, str]] = Future()
-        self._frames, self._outcome = frames, outcome
+
+        def finish(success: bool, explanation: str) -> None:
+            if not outcome.done():
+                outcome.set_result((success, explanation))
 
         def give_up() -> None:
-            if not outcome.done():
-                self._frames = None
-                found = f"found {len(frames)} frames on {topics} in {timeout_s:g} s"
-                outcome.set_result((False, f"{found}, expected {self._count}"))
+            found = f"found {len(frames)} frames on {topics} in {timeout_s:g} s"
+            finish(False, f"{found}, expected {self._count}")
 
+        self._finish, self._frames = finish, frames
         executor = self._node.executor
         if executor is not None:
             # The last frame comes on another thread, which the executor does not see.
@@ -194,6 +192,8 @@ class FrameService(Generic[Frame]):
         timer = self._node.create_steady_timer(timeout_s, give_up)
         response.success, response.message = await outcome
         self._node.destroy_timer(timer)
+        if self._frames is frames:
+            self._frames = None
         return response
 
 
