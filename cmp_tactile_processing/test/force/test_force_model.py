@@ -203,16 +203,24 @@ def test_grid_that_is_not_square(other_rig, cache_dir, surface):
     np.testing.assert_allclose(field.position[:, 2], height)
 
 
-def test_a_small_contact_on_a_coarse_pattern(other_rig, cache_dir):
-    """As exact as on a fine one: 1 % is asked for.  Nodes at 9 x 9 corners alone: 3 % too much."""
-    fine = ForceModel(other_rig(17, 17, PatternSurface()), cache_dir).elastic
-    away = ((fine.nodes.points - 0.8e-3) ** 2).sum(axis=1) / 1.6e-3**2
+@pytest.mark.parametrize(
+    ("pattern", "radius", "share"), [((9, 2), 1.6e-3, 0.01), ((4, 6), 3e-3, 0.03)]
+)
+def test_a_small_contact_on_a_coarse_pattern(other_rig, cache_dir, pattern, radius, share):
+    """1 % is asked for where two markers lie across the contact, of 4 x 4 corners 3 %.
+
+    With force nodes at the corners alone, the first weighed 3 % too much, the second nothing.
+    """
+    corners, step = pattern
+    every = step * (corners - 1) + 1
+    fine = ForceModel(other_rig(every, every, PatternSurface()), cache_dir).elastic
+    away = ((fine.nodes.points - 0.8e-3) ** 2).sum(axis=1) / radius**2
     weights = np.maximum(0, 1 - away) ** 0.5
     force = (weights / weights.sum())[:, None] * [0.0, 0.0, -3.0]
-    moved = fine.displacement(force)[::2, ::2]
-    coarse = ForceModel(other_rig(9, 9, PatternSurface()), cache_dir)
-    field = coarse.reconstruct(moved, np.ones((9, 9), dtype=np.uint8))
-    assert field.wrench[2] == pytest.approx(-3.0, rel=0.01)
+    moved = fine.displacement(force)[::step, ::step]
+    coarse = ForceModel(other_rig(corners, corners, PatternSurface()), cache_dir)
+    field = coarse.reconstruct(moved, np.ones((corners, corners), dtype=np.uint8))
+    assert field.wrench[2] == pytest.approx(-3.0, rel=share)
 
 
 def test_parameters_reach_the_field(sensor, truth, cache_dir):
