@@ -28,6 +28,7 @@ LIVE = {
 }
 PEER = "OpenCV classic + cornerSubPix, both views"
 FRAME = "processor time of a frame to force and slip"
+ONE_VIEW = "tracked, followed, one view"
 OFFLINE = {
     PEER: PEER,
     "`Pipeline.process`, in contact": f"{FRAME}, in contact",
@@ -109,10 +110,29 @@ def summary_rows(offline: Results, live: Results) -> list[str]:
     beside = f"OpenCV's detector: {live['grasp']['beside']['opencv_ms']:.0f} ms a frame"
     live_one = f"one live sensor at 60 Hz on 2 cores ({beside}): wrenches, latency median and 99 %"
     live_two = "two live sensors at 60 Hz on the same"
+    tracked = ", ".join(f"{offline[name][ONE_VIEW]['ratio']:.2f}" for name in chosen)
+    wide = offline["data/grasp"]
+    held, changing = (
+        wide[f"force and slip of a {kind} contact"]["median_ms"] for kind in ("held", "changing")
+    )
+    start, compiling = live["grasp"]["start_warm"], offline["compiling"]
     return [
         line([what, f"{ratios} (OpenCV: {peer:.1f} ms)"]),
+        line(["tracking of one view, over OpenCV's detector on it: the same inputs", tracked]),
+        line(
+            [
+                "force and slip, wide grasp: held contact, changing contact",
+                f"{held:.1f}, {changing:.1f} ms (OpenCV: {wide[PEER]['median_ms']:.1f} ms)",
+            ]
+        ),
         line([live_one, f"{one['rate_hz']:.0f} Hz; {times[0]}"]),
         line([live_two, f"{two['rate_hz']:.0f} Hz each; {times[1]}"]),
+        line(
+            [
+                "from the start to the first wrench; once, compiling on one core",
+                f"{start['first_wrench_s']:.1f} s; {compiling['compiling_s']:.0f} s",
+            ]
+        ),
     ]
 
 
