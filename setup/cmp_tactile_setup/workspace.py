@@ -38,7 +38,7 @@ def is_current(layout: Layout) -> bool:
 
 
 def clear_outdated(layout: Layout) -> None:
-    """Remove what was built for another ROS 2 or has leftovers: the next build starts anew."""
+    """Remove what was built for another ROS 2 or has leftovers, and is to be built again."""
     built, wanted = read_record(layout.build_record), _record(layout)
     if any(built.get(key) != wanted[key] for key in ("built_against", "packages")):
         for folder in (layout.build, layout.install):

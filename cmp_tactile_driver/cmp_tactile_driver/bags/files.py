@@ -300,13 +300,14 @@ def _chunk_records(file: IO[bytes], begin: int) -> bytes:
     try:
         file.seek(begin)
         chunk = Chunk.read(ReadDataStream(file))
+        is_whole = len(chunk.data) >= chunk.uncompressed_size or chunk.compression != ""
         if chunk.compression == "zstd":
             # In one go, nothing of a chunk that is cut would be unpacked.
-            data = zstandard.ZstdDecompressor().decompressobj().decompress(chunk.data)
-            chunk = replace(chunk, compression="", data=data)
+            unpacking = zstandard.ZstdDecompressor().decompressobj()
+            chunk = replace(chunk, compression="", data=unpacking.decompress(chunk.data))
+            is_whole = unpacking.eof
         # A checksum is only over all of them.
-        is_whole = len(chunk.data) >= chunk.uncompressed_size or chunk.compression
-        stream, size = get_chunk_data_stream(chunk, validate_crc=bool(is_whole))
+        stream, size = get_chunk_data_stream(chunk, validate_crc=is_whole)
         return stream.read(size)
     except Exception as error:  # noqa: BLE001  damaged bytes raise anything
         msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
