@@ -276,7 +276,8 @@ class GridTracker:
         position = bends.corrected()
         position, std = self._fused(position, std, predicted | corners.off_model)
         if self._defects is not None and self._defects.flawed.known.any():
-            position, std, found = self._defects.flawed.measured(image, position, std)
+            flawed = self._defects.flawed
+            position, std, found = flawed.measured(image, position, std, corners.predicted)
             predicted = predicted & ~found
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin

@@ -3,7 +3,8 @@
 Where ink is missing or edges are ragged, the model of a corner has a different error in each frame,
 and a displacement contains the errors of both frames.  The flaw itself moves with the gel: the
 picture of a corner at rest, shifted until it fits a frame, gives its displacement (Lucas and
-Kanade; Baker and Matthews 2004).
+Kanade; Baker and Matthews 2004).  Its middle is where the corner would be on a sound print: what
+lies beside it is displaced by something else where the gel stretches.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ ROUNDS, ARRIVED_PX = 4, 0.01
 FARTHEST, LEAST_CONTRAST = 0.15, 0.2
 # What the best shift may leave: so many times the noise, and a share of the fitted contrast.
 NOISES_LEFT, SHARE_LEFT = 3.0, 0.06
+# A print of which no more pictures fit than this share of those in sight is another one.
+LEAST_FITTING = 0.5
 # Error of a shift without noise, px per coordinate (measured on the pairs of flawed prints of
 # benchmarks/hard_frames).
 BIAS_PX = 0.015
@@ -54,25 +57,31 @@ class FlawedCorners:
     known (rows, cols): which corners have one, n in all.  basis (n, 4, k): how grey levels of the
     picture change by a shift along both gridlines, contrast, and brightness; solution (n, 4, k): of
     these four, from the grey levels of a frame.  gain (n,): deviation of the corner, px per
-    coordinate, for one grey level of noise.
+    coordinate, for one grey level of noise.  aside (n, 2): from the corner as the model measures it
+    to the picture's middle, in steps along the row and the column.
     """
 
     known: Mask
     basis: Single
     solution: Single
     gain: Array
+    aside: Array
 
     @classmethod
     def at_rest(
-        cls, image: Single, smoothing_px: float, corners: Array, flawed: Mask
+        cls, image: Single, smoothing_px: float, corners: Array, sound: Array, flawed: Mask
     ) -> FlawedCorners:
         """Of a smoothed image (H, W); corners (rows, cols, 2) px in it, of which some are flawed.
 
-        Corners without neighbours, or too near the image's edge, get no picture.
+        sound (rows, cols, 2) px: where a sound print would show them.  Corners without neighbours,
+        or too near the image's edge, get no picture.
         """
-        steps = _steps(corners)
-        known = flawed & np.isfinite(steps).all(axis=(2, 3)) & np.isfinite(corners).all(axis=2)
-        place, way = corners[known], steps[known]
+        measured, steps = _steps(corners), _steps(sound)
+        known = flawed & np.isfinite(corners).all(axis=2)
+        for each in (measured, steps):
+            known &= np.abs(np.linalg.det(each)) > 0
+        place, way = sound[known], steps[known]
+        aside = np.linalg.solve(measured[known], (place - corners[known])[..., None])[..., 0]
         picture = pictures(image, place, way, LATTICE)
         slopes = []
         for along in range(2):
@@ -87,24 +96,34 @@ class FlawedCorners:
         known[known] = whole
         solution = np.linalg.solve(normal[whole], weighted[whole])
         gain = _gains(max(smoothing_px, LEAST_SMOOTHING_PX), way[whole], solution[:, :2])
-        return cls(known, basis[whole].astype(np.float32), solution.astype(np.float32), gain)
+        basis, solution = basis[whole].astype(np.float32), solution.astype(np.float32)
+        return cls(known, basis, solution, gain, aside[whole])
 
     def measured(
-        self, image: PreparedImage, corners: Array, std: Array
+        self, image: PreparedImage, corners: Array, std: Array, predicted: Mask
     ) -> tuple[Array, Array, Mask]:
         """Corners (rows, cols, 2) px and their deviations (rows, cols) px in a frame, with those
-        whose pictures fit, and which these are (rows, cols); the others stay as they are.
+        whose pictures fit, and which these are (rows, cols).
+
+        The others are where the model has them, less what the flaw moved them by at rest; predicted
+        (rows, cols): not by the model, but between their neighbours.  All stay as they are where
+        few pictures fit: the print is another one.
         """
-        steps = _steps(corners)[self.known]
+        straight, aside = corners.copy(), np.where(predicted[self.known, None], 0.0, self.aside)
+        moved = (_steps(corners)[self.known] @ aside[..., None])[..., 0]
+        # Beside a missing corner the steps are not known, and the corner stays.
+        straight[self.known] += np.nan_to_num(moved)
+        steps = _steps(straight)[self.known]
         seen = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(std[self.known])
-        place, contrast, fits = self._fitted(image, corners[self.known][seen], steps[seen], seen)
-        found = self.known.copy()
+        place, contrast, fits = self._fitted(image, straight[self.known][seen], steps[seen], seen)
+        found, std = np.zeros_like(self.known), std.copy()
+        if not np.count_nonzero(fits) > LEAST_FITTING * len(fits):
+            return corners, std, found
         seen[seen] = fits
         found[self.known] = seen
-        corners, std = corners.copy(), std.copy()
-        corners[found] = place[fits]
+        straight[found] = place[fits]
         std[found] = np.hypot(image.noise * self.gain[seen] / contrast[fits], BIAS_PX)
-        return corners, std, found
+        return straight, std, found
 
     def _fitted(
         self, image: PreparedImage, start: Array, steps: Array, which: Mask

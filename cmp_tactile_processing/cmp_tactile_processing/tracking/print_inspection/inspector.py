@@ -118,7 +118,7 @@ def _judged(frame: MeanFrame) -> PrintDefects:
         defects=(*spots, *_ragged_edges(scatters, seen, first)),
         judged=seen.judged,
         frames=frame.frames,
-        flawed=frame.pictures(flawed),
+        flawed=frame.pictures(seen.lattice.corners(*corners.shape[:2]) + low, flawed),
     )
 
 
@@ -134,7 +134,7 @@ def _unjudged(frame: MeanFrame) -> PrintDefects:
         defects=(),
         judged=0.0,
         frames=frame.frames,
-        flawed=frame.pictures(np.zeros(shape.corners, bool)),
+        flawed=frame.pictures(frame.corners, np.zeros(shape.corners, bool)),
     )
 
 
@@ -258,11 +258,13 @@ class MeanFrame:
         """Standard deviation of the mean image's noise, grey levels."""
         return float(np.sqrt(self._noise2) / self.frames)
 
-    def pictures(self, flawed: NDArray[np.bool_]) -> FlawedCorners:
-        """Pictures of some corners (rows, cols), as far as they were measured."""
+    def pictures(self, sound: NDArray[np.float64], flawed: NDArray[np.bool_]) -> FlawedCorners:
+        """Pictures of some corners (rows, cols), as far as they were measured; sound: where a sound
+        print would show all corners, (rows, cols, 2) px.
+        """
         smooth = self._smooth / np.float32(self.frames)
         smoothing_px = self._smoothing_px / self.frames
-        return FlawedCorners.at_rest(smooth, smoothing_px, self.corners, flawed)
+        return FlawedCorners.at_rest(smooth, smoothing_px, self.corners, sound, flawed)
 
     @property
     def corners(self) -> NDArray[np.float64]:

@@ -209,6 +209,10 @@ class SmoothLattice:
     deviation_px: float
     uncertainty_px: float
 
+    def corners(self, rows: int, cols: int) -> NDArray[np.float64]:
+        """Pixels (rows, cols, 2) of the corners."""
+        return self.at(np.arange(rows, dtype=np.float64), np.arange(cols, dtype=np.float64))
+
     @classmethod
     def through(cls, corners: NDArray[np.float64]) -> SmoothLattice:
         """Robust least squares through corners (rows, cols, 2) px; NaN where not measured."""

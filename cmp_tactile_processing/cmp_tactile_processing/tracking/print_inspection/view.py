@@ -115,8 +115,7 @@ class PrintView:
         window = max(LEAST_WINDOW_PX, CORNER_WINDOW * self.side_px)
         covered = self.spots.covered.astype(np.float32)
         lost = np.asarray(cv2.GaussianBlur(covered, (0, 0), window), dtype=np.float32)
-        i, j = (np.arange(count, dtype=np.float64) for count in self.corners.shape[:2])
-        smooth = self.lattice.at(i, j)
+        smooth = self.lattice.corners(*self.corners.shape[:2])
         weight = np.clip((DESTROYED - sampled(lost, smooth)) / (DESTROYED - WEAKENED), 0, 1)
         astray, judged = _astray(self.corners, self.lattice), self.judged_corners
         weight = np.where(judged, weight / np.maximum(astray, 1), 1.0)
@@ -163,8 +162,7 @@ def side_of_checkers(corners: NDArray[np.float64]) -> float:
 
 def _astray(corners: NDArray[np.float64], lattice: SmoothLattice) -> NDArray[np.float64]:
     """Distance (rows, cols) of the corners from the lattice over what is usual; 0 for missing."""
-    i, j = (np.arange(count, dtype=np.float64) for count in corners.shape[:2])
-    distance = np.linalg.norm(corners - lattice.at(i, j), axis=-1)
+    distance = np.linalg.norm(corners - lattice.corners(*corners.shape[:2]), axis=-1)
     return np.asarray(np.nan_to_num(distance / _usual_px(lattice)))
 
 
