@@ -42,6 +42,8 @@ from cmp_tactile_processing.tracking.virtual_markers.ridge import (
     Segments,
     look_half_way,
     measure,
+    window_of,
+    window_taps,
 )
 
 # A marker farther than this from every measured column along the gridline is predicted, px.
@@ -50,6 +52,8 @@ MISSING, MEASURED, PREDICTED = (int(status) for status in Status)
 METHODS = ("fused", "local_correction")
 # Rounding to grey levels alone is as much noise as this, grey levels.
 QUANTISATION = 0.29
+# Of so many gridlines, and segments of one, one tells how long segments are.
+SOME = 3
 # Standard deviation of a corner that came without one, and the least of any, px.
 UNKNOWN_CORNER, LEAST_CORNER = 0.05, 1e-3
 
@@ -175,9 +179,9 @@ class VirtualMarkerLocator:
         for lines in (rows, cols):
             lines.look_half_way(pixels)
         blurs = np.concatenate([rows.half_way[1].ravel(), cols.half_way[1].ravel()])
-        blur = _median(blurs)
+        blur, side = _median(blurs), min(rows.length, cols.length)
         for lines in (rows, cols):
-            edges = _edges(image, blur, lines.half_way[0])
+            edges = _edges(image, blur, side, lines.half_way[0])
             if self._fused:
                 lines.fuse(pixels, edges)
             else:
@@ -203,18 +207,24 @@ def _median(values: NDArray[np.float64]) -> float:
     return float(np.partition(seen, middle)[middle]) if len(seen) else math.nan
 
 
-def _edges(image: PreparedImage, blur: float, gradient: NDArray[np.float64]) -> Edges:
-    """Properties of the edges, blurred by `blur` px^2, with these gradients half way along."""
+def _edges(image: PreparedImage, blur: float, side: float, gradient: NDArray[np.float64]) -> Edges:
+    """Properties of the edges, blurred by `blur` px^2, with these gradients half way along, between
+    checkers of that side, px.
+    """
     noise = max(image.noise, QUANTISATION)
-    across = math.sqrt(image.smoothing_px**2 + BOX + WINDOW**2)
+    window = window_of(blur, image.smoothing_px, side)
+    flatter = math.sqrt((blur + BOX + WINDOW**2) / (blur + BOX + window**2))
+    across = math.sqrt(image.smoothing_px**2 + BOX + window**2)
     along = max(image.smoothing_px, LEAST_SMOOTHING_PX)
     return Edges(
         blur=blur,
-        gradient=_median(np.abs(gradient)),
+        gradient=flatter * _median(np.abs(gradient)),
         sign=1.0 if np.count_nonzero(gradient > 0) >= np.count_nonzero(gradient < 0) else -1.0,
         # White noise of the image, seen by the second and the first derivative of a Gaussian.
         noise=noise**2 * 3 / (8 * math.sqrt(math.pi) * across**5),
         gradient_noise=noise / math.sqrt(8 * math.pi * across**3 * along),
+        window=window,
+        taps=window_taps(window),
     )
 
 
@@ -271,8 +281,15 @@ class _Gridlines:
             self._doubtful = self._doubt
         self.crossing[:] = crossing.swapaxes(0, 1)
 
+    @property
+    def length(self) -> float:
+        """Median length of some segments, px."""
+        some = self.curve[::SOME, ::SOME]
+        way = some[:, :, 1] + some[:, :, 2] + some[:, :, 3]
+        return _median(np.hypot(way[..., 0], way[..., 1]))
+
     def look_half_way(self, pixels: Pixels) -> None:
-        look_half_way(pixels, self.curve, self._turned, self.half_way)
+        look_half_way(pixels, window_taps(WINDOW), self.curve, self._turned, self.half_way)
 
     def fuse(self, pixels: Pixels, edges: Edges) -> None:
         if math.isnan(edges.blur):

@@ -7,6 +7,7 @@ coordinate along the column, "along" the other one.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +21,14 @@ Index = NDArray[np.int64]
 # Columns of a segment at most.  In a segment longer than CLOSE px only every second one is
 # measured: the smoothed image holds no more.
 COLUMNS, CLOSE = 24, 8.0
-# The peak is that of the gradient smoothed by a Gaussian of WINDOW px within REACH px.
-WINDOW, REACH = 1.2, 4
-TAPS = 2 * REACH + 3
+# The peak is that of the gradient smoothed by a Gaussian of at least WINDOW px.  Wide ones leave
+# less noise where edges are blurred: at best sqrt(5) times the blur, with what the image was
+# smoothed by.  Bends and the next gridline, whose distance is the side, allow less.
+WINDOW, WINDOW_PER_BLUR, WINDOW_PER_SIDE = 1.2, 1.6, 0.17
+REACH_PER_WINDOW = 2.7
 PHASES = 16
-# Variance of the central difference's box, px^2, and with the window's.
+# Variance of the central difference's box, px^2.
 BOX = 1.0 / 3.0
-EXTRA = BOX + WINDOW**2
 # Nearer to a corner than this many standard deviations of the edge's blur nothing is measured.
 NEAREST_CROSSING = 1.2
 # How far off the crossing gridline's pull on the ridge is: share of it, and of its square, 1 / px.
@@ -62,7 +64,8 @@ class Edges(NamedTuple):
 
     blur: variance of their blur, px^2; gradient: its median, grey / px; sign: of the gradient
     across the segment (0, 0), it alternates from there; noise: variance of a peak's place times
-    squared gradient for an edge of blur 1; gradient_noise: standard deviation, grey / px.
+    squared gradient for an edge of blur 1; gradient_noise: standard deviation, grey / px; window,
+    taps: of the Gaussian that the gradient is smoothed by, px, and its `window_taps`.
     """
 
     blur: float
@@ -70,6 +73,8 @@ class Edges(NamedTuple):
     sign: float
     noise: float
     gradient_noise: float
+    window: float
+    taps: Array
 
 
 class Segments(NamedTuple):
@@ -86,13 +91,26 @@ class Segments(NamedTuple):
     doubtful: NDArray[np.bool_]
 
 
-def _window_taps() -> Array:
-    """Weights (PHASES + 1, TAPS, 3) of the pixels: smoothed gradient, its moments 1 and 2."""
-    taps = np.zeros((PHASES + 1, TAPS, 3))
-    offset = np.arange(-REACH, REACH + 1)
+def window_of(blur: float, smoothing: float, side: float) -> float:
+    """Window, px, for edges of that blur, px^2, of which smoothing by so many px made a part,
+    between checkers of that side, px.
+    """
+    wanted = WINDOW_PER_BLUR**2 * (blur - smoothing**2) - smoothing**2 - BOX
+    if not (wanted > WINDOW**2 and side > 0):
+        return WINDOW
+    # Steps, so that a few tables serve all frames.
+    return max(WINDOW, round(10 * min(math.sqrt(wanted), WINDOW_PER_SIDE * side)) / 10)
+
+
+@lru_cache(maxsize=32)
+def window_taps(window: float) -> Array:
+    """Weights (PHASES + 1, taps, 3) of the pixels: smoothed gradient, its moments 1 and 2."""
+    reach = round(REACH_PER_WINDOW * window) + 1
+    taps = np.zeros((PHASES + 1, 2 * reach + 3, 3))
+    offset = np.arange(-reach, reach + 1)
     for phase in range(PHASES + 1):
         distance = offset - (phase / PHASES - 0.5)
-        weight = np.exp(-(distance**2) / (2 * WINDOW**2))
+        weight = np.exp(-(distance**2) / (2 * window**2))
         for moment in range(3):
             # Weights of the central differences become weights of the pixels.
             part = weight / weight.sum() * distance**moment / 2
@@ -108,7 +126,6 @@ def _bell_table() -> Array:
     return np.stack([np.exp(-(w**2) / 2) / math.sqrt(2 * math.pi), step], axis=1)
 
 
-WINDOW_TAPS = _window_taps()
 BELL = _bell_table()
 
 
@@ -142,48 +159,53 @@ def _at(curve: Array, along: float, guess: float) -> tuple[float, float, float, 
 
 
 @kernel_part(fastmath=True, forceinline=True)
-def _moments(grey: NDArray[np.float32], base: int, stride: int, phase: int) -> tuple[float, float]:
-    """Windowed gradient around a phase of the pixel `base`, and its first moment."""
+def _moments(grey: NDArray[np.float32], base: int, stride: int, taps: Array) -> tuple[float, float]:
+    """Windowed gradient around the pixel `base` by the taps of a phase, and its first moment."""
     zeroth = first = 0.0
-    for tap in range(TAPS):
+    start = base - (len(taps) // 2) * stride
+    for tap in range(len(taps)):
         # Unsigned: no index could count from the end.
-        value = grey[np.uint64(base + (tap - REACH - 1) * stride)]
-        zeroth += WINDOW_TAPS[np.uint64(phase), tap, 0] * value
-        first += WINDOW_TAPS[np.uint64(phase), tap, 1] * value
+        value = grey[np.uint64(start + tap * stride)]
+        zeroth += taps[tap, 0] * value
+        first += taps[tap, 1] * value
     return zeroth, first
 
 
 @kernel_part
-def _profile_variance(pixels: Pixels, axis: int, along: int, place: float) -> float:
+def _profile_variance(pixels: Pixels, taps: Array, axis: int, along: int, place: float) -> float:
     """Variance of the gradient's profile within the window around a place in a column, px^2."""
     stride, base = (1, along * pixels.width) if axis == 1 else (pixels.width, along)
     row = math.floor(place + 0.5)
     phase = math.floor((place - row + 0.5) * PHASES + 0.5)
     zeroth = first = second = 0.0
-    for tap in range(TAPS):
-        value = pixels.grey[base + (row + tap - REACH - 1) * stride]
-        zeroth += WINDOW_TAPS[phase, tap, 0] * value
-        first += WINDOW_TAPS[phase, tap, 1] * value
-        second += WINDOW_TAPS[phase, tap, 2] * value
+    half = taps.shape[1] // 2
+    for tap in range(2 * half + 1):
+        value = pixels.grey[base + (row + tap - half) * stride]
+        zeroth += taps[phase, tap, 0] * value
+        first += taps[phase, tap, 1] * value
+        second += taps[phase, tap, 2] * value
     return second / zeroth - (first / zeroth) ** 2
 
 
 @kernel_part(forceinline=True)
-def _peak(pixels: Pixels, axis: int, along: int, start: float, gain: float) -> tuple[float, float]:
+def _peak(
+    pixels: Pixels, taps: Array, axis: int, along: int, guess: tuple[float, float]
+) -> tuple[float, float]:
     """Place of the gradient's peak in a column, NaN for none, and the gradient there.
 
-    gain: distance to the peak over distance to the centroid within the window.
+    guess: where it may be, and distance to the peak over distance to the centroid in the window.
     """
+    start, gain = guess
     size, stride, base = pixels.height, pixels.width, along
     if axis == 1:
         size, stride, base = pixels.width, 1, along * pixels.width
-    place = start
+    place, reach = start, taps.shape[1] // 2 + 1
     for _ in range(ROUNDS):
-        if not (place >= REACH + 2 and place < size - REACH - 3):
+        if not (place >= reach and place < size - reach - 1):
             break
         row = math.floor(place + 0.5)
         phase = math.floor((place - row + 0.5) * PHASES + 0.5)
-        gradient, first = _moments(pixels.grey, base + row * stride, stride, phase)
+        gradient, first = _moments(pixels.grey, base + row * stride, stride, taps[np.uint64(phase)])
         if gradient == 0.0:
             break
         centroid = first / gradient
@@ -195,12 +217,12 @@ def _peak(pixels: Pixels, axis: int, along: int, start: float, gain: float) -> t
 
 
 @kernel
-def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) -> None:
+def look_half_way(pixels: Pixels, taps: Array, curve: Array, turned: Array, result: Array) -> None:
     """Strength and blur half way along each segment, where an edge is at its clearest.
 
-    curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across, grey / px, with
-    the sign of even segments, and variance of the edge's blur, px^2; NaN where there is none, and
-    on every second of many segments.
+    taps: of WINDOW; curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across,
+    grey / px, with the sign of even segments, and variance of the edge's blur, px^2; NaN where
+    there is none, and on every second of many segments.
     """
     result[:] = math.nan
     step = 2 if curve.shape[0] * curve.shape[1] > MANY_SEGMENTS else 1
@@ -214,11 +236,11 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
             if along < 0 or along >= (pixels.height if axis == 1 else pixels.width):
                 continue
             _, across, speed_along, speed_across = _at(turned, along, 0.5)
-            place, gradient = _peak(pixels, axis, along, across, 2.0)
+            place, gradient = _peak(pixels, taps, axis, along, (across, 2.0))
             if not abs(place - across) < SEARCH_PX:
                 continue
             result[0, i, j] = gradient if (i + j) % 2 == 0 else -gradient
-            variance = _profile_variance(pixels, axis, along, place)
+            variance = _profile_variance(pixels, taps, axis, along, place)
             if 0.0 < variance < 0.97 * WINDOW**2:
                 profile = variance * WINDOW**2 / (WINDOW**2 - variance) - BOX
                 result[1, i, j] = profile / (1 + (speed_across / speed_along) ** 2)
@@ -226,24 +248,26 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
 
 @kernel_part(fastmath=NAN_SAFE, forceinline=True)
 def _pull(
-    normal_along: float, normal_across: float, distance: float, slope: float, blur: float
+    normal: tuple[float, float], distance: float, slope: float, blur: float, extra: float
 ) -> tuple[float, float, float]:
     """What the crossing gridline does to the ridge at that distance, px, from it.
 
     Returns its pull along the column, px, the share of the gradient that is left, 0 where it is
     too near, and how much the pull grows with the slope, px.  normal: the crossing gridline's,
-    towards the segment; slope: across per along of the segment.
+    towards the segment; slope: across per along of the segment; extra: variance of the window and
+    the central difference, px^2.
 
     A blurred corner is I = E[sign(u + U) sign(v + V)] at distances u, v from its two gridlines,
     where U, V are normal and, for gridlines askew, correlated.  The pull is a Newton step from
     u = 0 towards the zero of I's second derivative along the column, on which (du, dv) = (1, b).
     """
-    if distance * distance > FARTHEST_CROSSING**2 * (blur + EXTRA):
+    normal_along, normal_across = normal
+    if distance * distance > FARTHEST_CROSSING**2 * (blur + extra):
         return 0.0, 1.0, 0.0
     scale = 1 / math.sqrt(1 + slope * slope)
-    var_u = blur + EXTRA * scale * scale
-    var_v = blur + EXTRA * normal_across * normal_across
-    cov = (blur * (normal_across - slope * normal_along) + EXTRA * normal_across) * scale
+    var_u = blur + extra * scale * scale
+    var_v = blur + extra * normal_across * normal_across
+    cov = (blur * (normal_across - slope * normal_along) + extra * normal_across) * scale
     determinant = var_u * var_v - cov * cov
     w = distance * math.sqrt(var_u / determinant)
     if not w > NEAREST_CROSSING:
@@ -318,9 +342,11 @@ def _measure_column(
     slope = speed_across / speed_along
     nothing = (t, 0.0, 0.0, 0.0, 0.0, known)
     pull, unsure, lean, left = 0.0, 0.0, 0.0, sign
+    extra = BOX + edges.window**2
     for end in range(2):
         distance = normals[end, 0] * along + normals[end, 1] * across - normals[end, 2]
-        part, share, growth = _pull(normals[end, 0], normals[end, 1], distance, slope, edges.blur)
+        normal = normals[end, 0], normals[end, 1]
+        part, share, growth = _pull(normal, distance, slope, edges.blur, extra)
         pull += part
         unsure += abs(part) * (PULL_ERROR + PULL_ERROR_SQUARE * abs(part))
         unsure += CROSSING_ERROR * abs(growth)
@@ -328,8 +354,9 @@ def _measure_column(
         left *= share
     if left == 0.0 or not 0 < t < 1:
         return nothing
-    profile = edges.blur * (1 + slope * slope) + EXTRA
-    ridge, gradient = _peak(pixels, axis, along, across + known, profile / WINDOW**2)
+    profile = edges.blur * (1 + slope * slope) + extra
+    gain = profile / edges.window**2
+    ridge, gradient = _peak(pixels, edges.taps, axis, along, (across + known, gain))
     if not gradient * left > WEAKEST_GRADIENT * edges.gradient * left * left:
         return nothing
     if not abs(gradient) > LEAST_SIGNAL * edges.gradient_noise:
