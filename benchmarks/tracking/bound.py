@@ -6,8 +6,10 @@ For a corner it is that of a shift, along x and y, of the pixels within half a c
 virtual marker, of a shift across its gridline of the pixels in its share of the segment. The second
 bound of a corner is that where the pixels' places may also be off by any quadratic function of
 place: of an estimate that does not know how the edges bend. An estimate that also uses what lies
-farther away can be better than these bounds. The pixels' gradients come from the rendered frame
-without noise, the noise from the camera's settings.
+farther away can be better than these bounds, and errs where the pattern bends otherwise. How much
+stands in the columns of windows: the error, noise and bias, of the best fit of quadratic functions
+to all pixels within so many checkers, by someone who knows light, blur and colours exactly. The
+pixels' gradients come from the rendered frame without noise, the noise from the camera's settings.
 
 How many times its reported deviation an error is, as a root mean square, stands beside ours: 1 is
 right.
@@ -43,6 +45,8 @@ SENSOR = "sample_rig"
 ROUNDING = 1 / 12
 # Half the side of the square of pixels that is looked at, in checkers.
 REACH = 0.75
+# Radii of the windows, in checkers, and samples along the side of a checker within them.
+WINDOWS, SAMPLES = (0.75, 1.0, 1.5), 16
 # Corners along a side of patterns of one size: the checkers' size changes.
 CORNERS = (12, 30, 40)
 
@@ -118,6 +122,38 @@ class View:
                 bound[place] = _variance(np.hstack(effect), self._noise)
         return found[0], found[1]
 
+    def of_windows(self) -> Array:
+        """Squared errors (window, corner) of the best fits in WINDOWS, px^2, of inner corners.
+
+        The pattern is sampled where it lies, so that the sums over pixels become integrals.
+        """
+        corners, side = self.truth.corners, self._sides()
+        rows, cols = (np.arange(count, dtype=float) for count in corners.shape[:2])
+        splines = [
+            RectBivariateSpline(rows, cols, corners[..., axis], kx=5, ky=5) for axis in (0, 1)
+        ]
+        rim = int(np.ceil(WINDOWS[-1]))
+        step = (np.arange(-rim * SAMPLES, rim * SAMPLES) + 0.5) / SAMPLES
+        number = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
+        found = []
+        for i, j in np.ndindex(len(rows) - 2 * rim, len(cols) - 2 * rim):
+            row, col = i + rim, j + rim
+            place = np.stack([spline(row + step, col + step) for spline in splines], axis=-1)
+            down, right = np.gradient(place, axis=(0, 1))
+            area = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0]).ravel()
+            ways = [[s.ev(row, col, dx=1), s.ev(row, col, dy=1)] for s in splines]
+            offset = place.reshape(-1, 2) - corners[row, col]
+            # By how much the pattern lies elsewhere than one that is stretched evenly.
+            bent = number @ np.transpose(ways) - offset
+            x, y = place.reshape(-1, 2).astype(np.float32).T
+            slope = cv2.remap(self._slopes.astype(np.float32), x, y, cv2.INTER_LANCZOS4)[:, 0]
+            slope = slope * np.sqrt(area)[:, None]
+            reach = np.linalg.norm(offset, axis=-1) / side[row, col]
+            found.append(
+                [_window_error(offset, slope, bent, self._noise, reach < w) for w in WINDOWS]
+            )
+        return np.transpose(found)
+
     def of_markers(self, lines: Array, axis: int) -> tuple[Array, Array]:
         """Squared bounds (a, b, n) across the gridlines along an axis, px^2, and normals."""
         corners = self.truth.corners
@@ -161,6 +197,16 @@ def _variance(effect: Array, noise: float) -> float:
     if len(effect) == 0 or np.linalg.matrix_rank(information) < len(information):
         return np.nan
     return float(noise**2 * np.trace(np.linalg.inv(information)[:2, :2]))
+
+
+def _window_error(offset: Array, slope: Array, bent: Array, noise: float, near: Array) -> float:
+    """Squared error of a shift, px^2, if what is bent (m, 2), px, is fitted by quadratics."""
+    x, y = offset[near].T / np.abs(offset[near]).max()
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    effect = (terms[:, :, None] * slope[near][:, None]).reshape(len(x), -1)
+    inverse = np.linalg.inv(effect.T @ effect)
+    shift = inverse[:2] @ effect.T @ (slope[near] * bent[near]).sum(axis=-1)
+    return float(noise**2 * np.trace(inverse[:2, :2]) + shift @ shift)
 
 
 def _seen(**camera: float) -> Callable[[SensorDescription, int], list[PatternCase]]:
@@ -223,12 +269,12 @@ def marker_errors(grid: Grid, view: View) -> Iterator[tuple[Array, Array, Array]
 
 
 def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
-    """A row of the table: kind, both bounds of a corner, each detector, our virtual markers, and
-    our errors over the reported deviations.
+    """A row of the table: kind, bounds and windows of a corner, each detector, our virtual markers,
+    and our errors over the reported deviations.
     """
     sensor, studio = load_sensor(SENSOR), PatternStudio()
     corners = {detector.name: Squares() for detector in detectors}
-    markers, bounds, bent_bounds = Squares(), [], []
+    markers, bounds, bent_bounds, windows = Squares(), [], [], []
     of_corners, of_markers = Reported(), Reported()
     for seed in range(seeds):
         for case in KINDS[kind](sensor, seed):
@@ -236,6 +282,7 @@ def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
                 bound, bent_bound = view.of_corners()
                 bounds.append(bound[np.isfinite(bound)])
                 bent_bounds.append(bent_bound[np.isfinite(bent_bound)])
+                windows.append(view.of_windows())
                 for number, detector in enumerate(detectors):
                     found = detector.detect(case.sensor, name, image, view.truth).grid
                     corners[detector.name].add(corner_error(found, view.truth), bound)
@@ -245,7 +292,8 @@ def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
                         for error, std, limit in marker_errors(found, view):
                             markers.add(error**2, limit)
                             of_markers.add(error, std)
-    least = (f"{np.sqrt(np.concatenate(each).mean()):.4f} px" for each in (bounds, bent_bounds))
+    squares = [*map(np.concatenate, (bounds, bent_bounds)), *np.concatenate(windows, axis=1)]
+    least = (f"{np.sqrt(each.mean()):.4f} px" for each in squares)
     return [kind, *least, *map(str, (*corners.values(), markers, of_corners, of_markers))]
 
 
@@ -266,6 +314,7 @@ def main() -> int:
             "frames",
             "bound",
             "bends unknown",
+            *(f"window {window:g}" for window in WINDOWS),
             *names,
             "our virtual markers",
             "z of corners",
