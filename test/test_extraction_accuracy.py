@@ -21,16 +21,15 @@ from hard_frames.library import cases_of, flawed_pairs
 from hard_frames.studio import PatternCase, PatternStudio, bent, pattern_rig
 
 # Across the line: RMS of virtual markers, and the distance that one in a hundred exceeds, px.
-VIRTUAL_RMS = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.03}
+VIRTUAL_RMS = {"clean": 0.012, "small spheres": 0.015, "blur 2": 0.0075}
 VIRTUAL_P99 = 0.05
 CORNER_RMSE = {"blur 3": 0.03, "noise 4": 0.03, "noise 16": 0.12}
-# Measured on three prints: 0.039, 0.031 and, with edges that stray by 0.06 mm rms, 0.066 px; with a
-# quarter to spare.
-DISPLACEMENT_RMS, DISPLACEMENT_RMS_TORN = 0.05, 0.083
+# Measured on three prints: 0.030, 0.028 and, with edges that stray by 0.06 mm rms, 0.036 px.
+DISPLACEMENT_RMS = 0.04
 
 COMPLETE = (
     "clean", "small spheres", "blur 2", "blur 3", "blur 4", "noise 4", "noise 16",
-    "salt and pepper 10 %", "light 0.2", "missing ink 40", "ragged 0.015 mm",
+    "salt and pepper 10 %", "light 0.2", "missing ink 40", "ragged 0.015 mm", "ragged 0.06 mm",
     "clutter, glare, margin",
 )  # fmt: skip
 
@@ -146,10 +145,9 @@ def test_displacement_of_one_flawed_print(sensor, studio):
     """Flaws move the corners of a print, the same way in all frames: pictures at rest show it.
 
     The last one's edges stray by a tenth of a checker, and what is pressed stretches between the
-    true corner and where the picture was taken.
+    true corner and where the model has it: by twice the limit, if pictures were taken there.
     """
-    limits = (DISPLACEMENT_RMS, DISPLACEMENT_RMS, DISPLACEMENT_RMS_TORN)
-    for pair, limit in zip(flawed_pairs(sensor), limits, strict=True):
+    for pair in flawed_pairs(sensor):
         first, second = (studio.photograph(case) for case in pair)
         errors = []
         for view, truth in first.truth.items():
@@ -162,7 +160,7 @@ def test_displacement_of_one_flawed_print(sensor, studio):
             errors.append(displacement_errors(*shown, first.visible[view] & second.visible[view]))
         joined = np.concatenate(errors)
         assert len(joined) > 700
-        assert np.sqrt(np.mean(joined**2)) <= limit
+        assert np.sqrt(np.mean(joined**2)) <= DISPLACEMENT_RMS
 
 
 def test_pictures_of_another_print_are_not_used(sensor, studio):

@@ -270,6 +270,18 @@ def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> N
     return np.concatenate(errors)
 
 
+def run_inspected(detector: Ours, rest: PatternFrame, frame: PatternFrame) -> GridScore:
+    """Both views of a frame, once the print was inspected at rest."""
+    scores = []
+    for view, truth in frame.truth.items():
+        tracker = detector.tracker(frame.sensor, view)
+        tracker.inspect_print([view_image(rest, view)])
+        grid = detector.detect(frame.sensor, view, view_image(frame, view), truth).grid
+        scores.append(score_grid(grid, truth, frame.visible[view], frame.far[view]))
+        tracker.use_print_defects(None)
+    return join_scores(scores)
+
+
 def view_image(frame: PatternFrame, view: str) -> Image:
     """A view (H, W) of a frame.  Raises GeometryError where the truth does not say where it is."""
     placement = frame.truth[view].placement

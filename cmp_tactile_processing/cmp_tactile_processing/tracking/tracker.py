@@ -39,7 +39,7 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     proven_tears,
     torn_rows,
 )
-from cmp_tactile_processing.tracking.numbering.result import Numbering, without_strays
+from cmp_tactile_processing.tracking.numbering.result import Numbering, not_seen, without_strays
 from cmp_tactile_processing.tracking.numbering.whole_view import GridNumbering
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.print_inspection.inspector import PrintInspection
@@ -262,23 +262,27 @@ class GridTracker:
         fault, reason = self._complaint(image, numbering, known)
         if not known.any():
             return Grid.missing(shape, reason, placement, fault, self._kind)
-        bends = GridlineBends(corners.position, corners.std, corners.pull)
-        position = bends.corrected()
-        std, predicted = corners.std, corners.predicted
+        std, predicted, pull = corners.std, corners.predicted, corners.pull
+        alone = predicted | corners.off_model
         doubtful: list[NDArray[np.bool_] | None] = [None, None]
         if self._defects is not None:
             std = std / np.maximum(self._defects.corner_weight, LEAST_WEIGHT)
             predicted = predicted | (self._defects.corner_weight < LEAST_WEIGHT)
             doubtful = [self._defects.row_line_doubtful, self._defects.col_line_doubtful]
+            flawed = self._defects.flawed
+            if flawed.known.any():
+                position, std, found = flawed.measured(image, position, std, corners.predicted)
+                predicted = predicted & ~found
+                pull = np.where(found[..., None, None], 0.0, pull)
+                alone |= found
+            alone |= predicted
+        bends = GridlineBends(position, std, pull)
+        position = bends.corrected()
         rows, cols = self._virtual.locate(image, position, std, *doubtful)
         # Virtual markers show how gridlines bend close to a corner; other corners are farther off.
         bends.add_markers(position, rows.position, cols.position)
         position = bends.corrected()
-        position, std = self._fused(position, std, predicted | corners.off_model)
-        if self._defects is not None and self._defects.flawed.known.any():
-            flawed = self._defects.flawed
-            position, std, found = flawed.measured(image, position, std, corners.predicted)
-            predicted = predicted & ~found
+        position, std = self._fused(position, std, alone)
         status = np.where(predicted, Status.PREDICTED, Status.MEASURED)
         origin = self._window.origin
         return Grid(
@@ -325,7 +329,7 @@ class GridTracker:
             return GridFault.NONE, ""
         if missing < known.size:
             fault = numbering.fault or GridFault.PARTLY_HIDDEN
-            return fault, numbering.reason or f"{missing} corners not seen"
+            return fault, numbering.reason or not_seen(missing)
         fault, reason = image_fault(image.grey)
         if fault:
             return fault, reason

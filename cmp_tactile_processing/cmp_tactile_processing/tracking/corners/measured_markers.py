@@ -51,7 +51,7 @@ FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
 # Standard deviation of a corner measured as a crossing, and of one that lies between its
 # neighbours where a spot lets nothing else be measured, in sides.
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
-MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN = 8, 3, 3
+MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN, MOST_UNSEEN = 8, 3, 3, 0.05
 # Beyond a border less than this share of it goes on, and fewer corners in a row: the lower part of
 # a torn image may be shifted by whole checkers.
 MOST_BEYOND, LONGEST_BEYOND, FEWEST_BEYOND = 0.5, 0.15, 3
@@ -294,15 +294,15 @@ class MeasuredMarkers:
         """Add, in place, corners of a lesser likeness of which all neighbours are known."""
         position = corners.position
         missing, was_seen = np.isnan(position[..., 0]), np.isfinite(seen[..., 0])
-        # Where the detector saw all but a few corners, the print is flawed, not hidden.
-        nothing_hidden = np.count_nonzero(~was_seen) <= FEW_UNSEEN
+        nothing_hidden = _few_in_each_place(~was_seen)
         places = np.where(was_seen[..., None], seen, predicted_places(position))
         for _ in range(2):
             wanted = missing & np.isfinite(places[..., 0])
             found, hessian = self._looked_for(image, position, places, wanted)
             similar = self._in_sight(image, found.position, hessian).similar
-            known = ~missing | (wanted & (similar | (was_seen & nothing_hidden)))
-            while (lost := known & missing & ~_surrounded(known)).any():
+            sure = was_seen & nothing_hidden
+            known = ~missing | (wanted & (similar | sure))
+            while (lost := known & missing & (_unknown_beside(known) > sure)).any():
                 known &= ~lost
             # A second time from where those that were found put the others.
             fitted = np.where(known[..., None], found.position, np.nan)
@@ -374,9 +374,18 @@ def _alone(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(known & ~((up | down) & (left | right)))
 
 
-def _surrounded(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Corners all of whose neighbours in the grid are known."""
-    return np.asarray(np.logical_and.reduce(known_beside(known, outside=True)))
+def _few_in_each_place(unseen: NDArray[np.bool_]) -> bool:
+    """Whether a detector missed so few corners in each place that nothing but flaws hides them."""
+    count = np.count_nonzero(unseen)
+    if count <= FEW_UNSEEN or count > MOST_UNSEEN * unseen.size:
+        return bool(count <= FEW_UNSEEN)
+    found = cv2.connectedComponentsWithStats(unseen.astype(np.uint8), connectivity=8)
+    return bool(found[2][1:, cv2.CC_STAT_AREA].max() <= FEW_UNSEEN)
+
+
+def _unknown_beside(known: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """How many neighbours of each corner in the grid are not known."""
+    return np.asarray(4 - np.sum(known_beside(known, outside=True), axis=0))
 
 
 def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:

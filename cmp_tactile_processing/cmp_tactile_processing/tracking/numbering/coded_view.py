@@ -27,7 +27,7 @@ from cmp_tactile_processing.tracking.numbering.joining import (
     joined,
     placed,
 )
-from cmp_tactile_processing.tracking.numbering.result import Numbering
+from cmp_tactile_processing.tracking.numbering.result import Numbering, not_seen
 
 Float = NDArray[np.float64]
 # Fewer corners are surrounded by too few checkers to be compared with each other.
@@ -194,7 +194,7 @@ class CodedView:
                 return self._missing(GridFault.TURNED, turned)
         if not missing:
             return Numbering(corners, "", GridFault.NONE, confidence, by_code=True)
-        fault, reason = GridFault.PARTLY_HIDDEN, f"{missing} corners not seen"
+        fault, reason = GridFault.PARTLY_HIDDEN, not_seen(missing)
         if other >= OTHER_PATTERN * known.size:
             fault = GridFault.TWO_PATTERNS
             reason += f", and {other} of another pattern, according to their dots"

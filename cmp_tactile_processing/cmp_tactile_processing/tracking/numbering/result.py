@@ -38,6 +38,11 @@ class Numbering:
         return cls(np.full((*shape, 2), np.nan), reason, fault)
 
 
+def not_seen(missing: int) -> str:
+    """The reason of a grid that lacks so many corners."""
+    return f"{missing} corner{'s' if missing != 1 else ''} not seen"
+
+
 def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering:
     """What is to be said where so many numbered corners turned out to be another pattern's.
 
@@ -46,7 +51,7 @@ def without_strays(numbering: Numbering, strays: int, missing: int) -> Numbering
     if strays < FEWEST_STRAYS or numbering.fault is GridFault.TWO_PATTERNS:
         return numbering
     reason = (
-        f"{missing} corners not seen, and {strays} corners that do not continue the others: "
+        f"{not_seen(missing)}, and {strays} corners that do not continue the others: "
         "another pattern, or pieces of this one beside an object that hides the rest"
     )
     return replace(numbering, reason=reason, fault=GridFault.TWO_PATTERNS)

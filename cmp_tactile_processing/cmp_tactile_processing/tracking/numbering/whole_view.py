@@ -40,7 +40,7 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     turned_reason,
 )
 from cmp_tactile_processing.tracking.numbering.joining import drop_loose_corners, in_order, joined
-from cmp_tactile_processing.tracking.numbering.result import Numbering
+from cmp_tactile_processing.tracking.numbering.result import Numbering, not_seen
 
 # A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
@@ -355,9 +355,9 @@ class GridNumbering:
         if not missing:
             return Numbering(corners, "", GridFault.NONE, confidence)
         if other >= OTHER_PATTERN * corners[..., 0].size:
-            reason = f"{missing} corners not seen, and {other} that do not belong to the pattern"
+            reason = f"{not_seen(missing)}, and {other} that do not belong to the pattern"
             return Numbering(corners, reason, GridFault.TWO_PATTERNS, confidence)
-        reason = f"{missing} corners not seen"
+        reason = not_seen(missing)
         return Numbering(corners, reason, GridFault.PARTLY_HIDDEN, confidence)
 
     @staticmethod
