@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage, sample
+from cmp_tactile_processing.tracking.corners.neighbours import predicted_places
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -28,6 +29,8 @@ WEIGHT_AT_REACH = 0.6
 # The picture's slopes are differences between places so many checkers to both sides.
 SLOPE_STEP = 0.03
 ROUNDS, ARRIVED_PX = 4, 0.01
+# How often what does not fit is tried again, from where it came to rest or its neighbours have it.
+ATTEMPTS = 3
 # A fit farther from the model's corner than this, in checkers, is rejected, and one with less than
 # this share of the picture's contrast.
 FARTHEST, LEAST_CONTRAST = 0.15, 0.2
@@ -113,27 +116,36 @@ class FlawedCorners:
         moved = (_steps(corners)[self.known] @ aside[..., None])[..., 0]
         # Beside a missing corner the steps are not known, and the corner stays.
         straight[self.known] += np.nan_to_num(moved)
-        steps = _steps(straight)[self.known]
-        seen = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(std[self.known])
-        place, contrast, fits = self._fitted(image, straight[self.known][seen], steps[seen], seen)
-        found, std = np.zeros_like(self.known), std.copy()
-        if not np.count_nonzero(fits) > LEAST_FITTING * len(fits):
-            return corners, std, found
-        seen[seen] = fits
-        found[self.known] = seen
-        straight[found] = place[fits]
-        std[found] = np.hypot(image.noise * self.gain[seen] / contrast[fits], BIAS_PX)
+        std, found, start = std.copy(), np.zeros_like(self.known), straight
+        wanted = self.known & np.isfinite(std)
+        for _ in range(ATTEMPTS):
+            place, deviation, fits = self._fitted(image, start, wanted & ~found)
+            straight[fits], std[fits] = place[fits], deviation[fits]
+            found |= fits
+            if not np.count_nonzero(found) > LEAST_FITTING * np.count_nonzero(wanted):
+                return corners, std, np.zeros_like(found)
+            if (left := wanted & ~found).any():
+                # The model went astray there or beside, or something covers the print.
+                start, lost = straight.copy(), left & np.isnan(place[..., 0])
+                start[left] = place[left]
+                start[lost] = predicted_places(straight)[lost]
         return straight, std, found
 
     def _fitted(
-        self, image: PreparedImage, start: Array, steps: Array, which: Mask
+        self, image: PreparedImage, corners: Array, wanted: Mask
     ) -> tuple[Array, Array, Mask]:
-        """Where some pictures (n,) fit best (m, 2) px, with which share of their contrast (m,), and
-        whether they fit (m,).
+        """Where wanted pictures (rows, cols) come to rest, (rows, cols, 2) px, their deviations
+        (rows, cols) px, and which of them fit there.
+
+        NaN for those that come to rest far from their corners (rows, cols, 2) px, and where nothing
+        is wanted.
         """
-        place, solution, basis = start.copy(), self.solution[which], self.basis[which]
-        side = np.sqrt(np.abs(np.linalg.det(steps)))
-        left, contrast = np.zeros((2, len(start)))
+        ways = _steps(corners)
+        wanted = wanted & np.isfinite(ways).all(axis=(2, 3)) & np.isfinite(corners).all(axis=2)
+        which = wanted[self.known]
+        place, steps = corners[wanted], ways[wanted]
+        solution, basis = self.solution[which], self.basis[which]
+        left, contrast = np.zeros((2, len(place)))
         for _ in range(ROUNDS):
             picture = pictures(image.smooth, place, steps, LATTICE)
             found = solution @ picture[:, :, None]
@@ -144,9 +156,16 @@ class FlawedCorners:
             place -= shift
             if not (np.abs(shift) > ARRIVED_PX).any():
                 break
+        side = np.sqrt(np.abs(np.linalg.det(steps)))
+        near = np.linalg.norm(place - corners[wanted], axis=1) < FARTHEST * side
+        near &= contrast > LEAST_CONTRAST
         limit = NOISES_LEFT * image.smooth_noise + SHARE_LEFT * contrast * basis[:, 2].std(axis=1)
-        fits = (np.linalg.norm(place - start, axis=1) < FARTHEST * side) & (left < limit)
-        return place, contrast, fits & (contrast > LEAST_CONTRAST)
+        found_places, deviation = np.full_like(corners, np.nan), np.full(self.known.shape, np.nan)
+        found_places[wanted] = np.where(near[:, None], place, np.nan)
+        deviation[wanted] = np.hypot(image.noise * self.gain[which] / contrast, BIAS_PX)
+        fits = wanted.copy()
+        fits[wanted] = near & (left < limit)
+        return found_places, deviation, fits
 
 
 def _steps(corners: Array) -> Array:
