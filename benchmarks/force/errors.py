@@ -11,6 +11,7 @@ from cases import LINEAR, ForceCase
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
+from cmp_tactile_processing.force.contact_regions import ContactRegions
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.traction_spectrum import nodal_force_matrix
 from cmp_tactile_processing.measured import (
@@ -38,6 +39,10 @@ WITHIN = 0.95
 ORACLE_LENGTHS = (0.5e-3, 1.5e-3)
 ORACLE_TANGENTIAL = (0.3, 1.0)
 ORACLE_WEIGHTS = 10.0 ** np.arange(-8, 0.1, 0.5)
+
+
+# Nodes with less than this share of the largest normal force are beside the contact.
+PRESSED = 0.1
 
 
 @dataclass(frozen=True)
@@ -175,6 +180,21 @@ def oracle(model: ForceModel, case: ForceCase, frames: int) -> tuple[float, floa
             fz = np.abs(off[:, 2].sum(axis=0))
             best = min(best, (l2, float(np.quantile(fz, WITHIN, method="higher"))))
     return best
+
+
+def outlined(model: ForceModel, case: ForceCase) -> float:
+    """Error of the area, over the true one, that is outlined on the true forces of the nodes.
+
+    What no better forces on these nodes can mend.
+    """
+    elastic, force = model.elastic, case.force_on_nodes
+    area = elastic.nodes.spacing[0] * elastic.nodes.spacing[1] * elastic.node_stretch
+    regions = ContactRegions(elastic.nodes, area)
+    pressed = force[:, 2] < -PRESSED * np.abs(force[:, 2]).max()
+    hills = regions.hills(force, pressed, elastic.node_position)
+    exact = np.zeros((6, 6)), np.zeros((6, 6))
+    found = regions.contacts(hills, [exact] * len(hills.nodes))
+    return sum(item.area for item in found) / case.area - 1
 
 
 def _penalties(nodes: SurfaceGrid, support: NDArray[np.intp]) -> Iterator[Array]:

@@ -140,6 +140,8 @@ class ForceRun(LimitRun):
             limit += "" if np.isnan(limits.torque) else f" {1e3 * limits.torque:g} N mm"
             limit += "" if np.isnan(limits.l2) else f" L2 {100 * limits.l2:g} %"
             text = _text(point.errors, case)
+            if not np.isnan(point.outlined):
+                text += f" (of the true node forces {100 * point.outlined:+.0f} %)"
             l2, fz = point.oracle
             text += "" if np.isnan(l2) else f" (oracle: Fz {fz:.4f} N L2 {100 * l2:.1f} %)"
             text += f", missed: {', '.join(missed)}" if missed else ""

@@ -18,7 +18,7 @@ from cases import (
     ForceCase,
     load_neo_hookean_cases,
 )
-from errors import ForceErrors, Limits, errors_of, noisy, oracle, reconstructed
+from errors import ForceErrors, Limits, errors_of, noisy, oracle, outlined, reconstructed
 from scipy.signal import savgol_filter
 
 from cmp_tactile_processing.errors import CmpTactileError
@@ -51,8 +51,8 @@ SOME_CASES = ("sphere", "edge", "ring", "shear")
 class Point:
     """Errors of one load under one condition of a sweep.
 
-    limits: None where there is none.  oracle: what it errs by, of the distribution and of Fz, N,
-    NaN where not asked for.
+    limits: None where there is none.  NaN where not asked for: oracle, what it errs by, of the
+    distribution and of Fz, N; outlined, error of the area that the true forces of the nodes give.
     """
 
     sweep: str
@@ -61,6 +61,7 @@ class Point:
     errors: ForceErrors
     limits: Limits | None = None
     oracle: tuple[float, float] = (float("nan"), float("nan"))
+    outlined: float = float("nan")
 
 
 def by_case(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -68,8 +69,11 @@ def by_case(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
     for case in cases:
         if case.newton in (10.0, 1.0):
             errors = errors_of(model, case, frames)
-            known = {"oracle": oracle(model, case, frames)} if case.material == LINEAR else {}
-            yield Point("case", case.material, case, errors, Limits.from_case(case), **known)
+            point = Point("case", case.material, case, errors, Limits.from_case(case))
+            if case.material == LINEAR:
+                best = oracle(model, case, frames)
+                point = replace(point, oracle=best, outlined=outlined(model, case))
+            yield point
 
 
 def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
@@ -84,8 +88,10 @@ def by_load(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Itera
             if case.newton > SOLVED_N[-1]:
                 limits = replace(limits, torque=float("nan"))
             errors = errors_of(model, case, frames)
-            known = {"oracle": oracle(model, case, frames)} if case.newton < 1 else {}
-            yield Point("load", f"{case.newton:g} N", case, errors, limits, **known)
+            point = Point("load", f"{case.newton:g} N", case, errors, limits)
+            if case.newton < 1:
+                point = replace(point, oracle=oracle(model, case, frames))
+            yield replace(point, outlined=outlined(model, case))
 
 
 def by_noise(model: ForceModel, cases: Sequence[ForceCase], frames: int) -> Iterator[Point]:
