@@ -108,27 +108,31 @@ class FlawedCorners:
         """Corners (rows, cols, 2) px and their deviations (rows, cols) px in a frame, with those
         whose pictures fit, and which these are (rows, cols).
 
-        The others are where the model has them, less what the flaw moved them by at rest; predicted
-        (rows, cols): not by the model, but between their neighbours.  All stay as they are where
-        few pictures fit: the print is another one.
+        The others are where the model has them, less what the flaw moved them by at rest, with what
+        they are off their neighbours as their least deviation; predicted (rows, cols): not by the
+        model, but between their neighbours.  All stay as they are where few pictures fit: the print
+        is another one.
         """
         straight, aside = corners.copy(), np.where(predicted[self.known, None], 0.0, self.aside)
         moved = (_steps(corners)[self.known] @ aside[..., None])[..., 0]
         # Beside a missing corner the steps are not known, and the corner stays.
         straight[self.known] += np.nan_to_num(moved)
         std, found, start = std.copy(), np.zeros_like(self.known), straight
-        wanted = self.known & np.isfinite(std)
+        wanted = left = self.known & np.isfinite(std)
         for _ in range(ATTEMPTS):
-            place, deviation, fits = self._fitted(image, start, wanted & ~found)
+            place, deviation, fits = self._fitted(image, start, left)
             straight[fits], std[fits] = place[fits], deviation[fits]
             found |= fits
-            if not np.count_nonzero(found) > LEAST_FITTING * np.count_nonzero(wanted):
+            if np.count_nonzero(found) < LEAST_FITTING * np.count_nonzero(wanted):
                 return corners, std, np.zeros_like(found)
-            if (left := wanted & ~found).any():
-                # The model went astray there or beside, or something covers the print.
-                start, lost = straight.copy(), left & np.isnan(place[..., 0])
-                start[left] = place[left]
-                start[lost] = predicted_places(straight)[lost]
+            left = wanted & ~found
+            if not left.any():
+                return straight, std, found
+            # The model went astray there or beside, or something covers the print.
+            guess, start = predicted_places(straight), straight.copy()
+            start[left] = np.where(np.isnan(place), guess, place)[left]
+        off = np.linalg.norm(straight - guess, axis=-1)
+        std[left] = np.fmax(std, off)[left]
         return straight, std, found
 
     def _fitted(
