@@ -115,7 +115,7 @@ class FlawedCorners:
         """
         straight, aside = corners.copy(), np.where(predicted[self.known, None], 0.0, self.aside)
         moved = (_steps(corners)[self.known] @ aside[..., None])[..., 0]
-        # Beside a missing corner the steps are not known, and the corner stays.
+        # Where no neighbour is known the corner stays.
         straight[self.known] += np.nan_to_num(moved)
         std, found, start = std.copy(), np.zeros_like(self.known), straight
         wanted = left = self.known & np.isfinite(std)
@@ -173,8 +173,17 @@ class FlawedCorners:
 
 
 def _steps(corners: Array) -> Array:
-    """Ways (rows, cols, 2, 2) px to the next corner of the row and of the column, as columns."""
-    ways = [np.gradient(corners, axis=axis) for axis in (1, 0)]
+    """Ways (rows, cols, 2, 2) px to the next corner of the row and of the column, as columns.
+
+    The mean over both sides, or that on the side where the neighbour is known.
+    """
+    ways = []
+    for axis in (1, 0):
+        way = np.diff(corners, axis=axis)
+        end = np.full_like(corners.take([0], axis), np.nan)
+        ahead, behind = (np.concatenate(both, axis) for both in ((way, end), (end, way)))
+        mean = (ahead + behind) / 2
+        ways.append(np.where(np.isnan(mean), np.fmax(ahead, behind), mean))
     return np.stack(ways, axis=-1)
 
 
