@@ -103,9 +103,12 @@ def sweeps(arguments: argparse.Namespace) -> None:
     )
     arguments.output.mkdir(parents=True, exist_ok=True)
     points: list[Point] = []
-    for sweep in SWEEPS:
-        if arguments.sweep and not any(text in sweep.name for text in arguments.sweep):
-            continue
+    wanted = arguments.sweep or [""]
+    chosen = [sweep for sweep in SWEEPS if any(text in sweep.name for text in wanted)]
+    if not chosen:
+        names = ", ".join(sweep.name for sweep in SWEEPS)
+        sys.exit(f"--sweep: found {' '.join(wanted)!r}, expected a part of one of: {names}")
+    for sweep in chosen:
         began = perf_counter()
         points += list(run.points(sweep))
         print(f"{sweep.name}: {perf_counter() - began:.0f} s", flush=True)

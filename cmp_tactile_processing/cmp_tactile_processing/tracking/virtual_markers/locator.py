@@ -289,7 +289,7 @@ class _Gridlines:
         return _median(np.hypot(way[..., 0], way[..., 1]))
 
     def look_half_way(self, pixels: Pixels) -> None:
-        look_half_way(pixels, window_taps(WINDOW), self.curve, self._turned, self.half_way)
+        look_half_way(pixels, self.curve, self._turned, self.half_way)
 
     def fuse(self, pixels: Pixels, edges: Edges) -> None:
         if math.isnan(edges.blur):

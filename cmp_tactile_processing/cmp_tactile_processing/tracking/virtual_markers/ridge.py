@@ -126,7 +126,7 @@ def _bell_table() -> Array:
     return np.stack([np.exp(-(w**2) / 2) / math.sqrt(2 * math.pi), step], axis=1)
 
 
-BELL = _bell_table()
+NARROW_TAPS, BELL = window_taps(WINDOW), _bell_table()
 
 
 @kernel_part(forceinline=True)
@@ -172,18 +172,18 @@ def _moments(grey: NDArray[np.float32], base: int, stride: int, taps: Array) -> 
 
 
 @kernel_part
-def _profile_variance(pixels: Pixels, taps: Array, axis: int, along: int, place: float) -> float:
+def _profile_variance(pixels: Pixels, axis: int, along: int, place: float) -> float:
     """Variance of the gradient's profile within the window around a place in a column, px^2."""
     stride, base = (1, along * pixels.width) if axis == 1 else (pixels.width, along)
     row = math.floor(place + 0.5)
     phase = math.floor((place - row + 0.5) * PHASES + 0.5)
     zeroth = first = second = 0.0
-    half = taps.shape[1] // 2
+    half = NARROW_TAPS.shape[1] // 2
     for tap in range(2 * half + 1):
         value = pixels.grey[base + (row + tap - half) * stride]
-        zeroth += taps[phase, tap, 0] * value
-        first += taps[phase, tap, 1] * value
-        second += taps[phase, tap, 2] * value
+        zeroth += NARROW_TAPS[phase, tap, 0] * value
+        first += NARROW_TAPS[phase, tap, 1] * value
+        second += NARROW_TAPS[phase, tap, 2] * value
     return second / zeroth - (first / zeroth) ** 2
 
 
@@ -217,10 +217,10 @@ def _peak(
 
 
 @kernel
-def look_half_way(pixels: Pixels, taps: Array, curve: Array, turned: Array, result: Array) -> None:
+def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) -> None:
     """Strength and blur half way along each segment, where an edge is at its clearest.
 
-    taps: of WINDOW; curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across,
+    curve (a, b, 4, 2); turned (4, 2): scratch; result (2, a, b): gradient across,
     grey / px, with the sign of even segments, and variance of the edge's blur, px^2; NaN where
     there is none, and on every second of many segments.
     """
@@ -236,11 +236,11 @@ def look_half_way(pixels: Pixels, taps: Array, curve: Array, turned: Array, resu
             if along < 0 or along >= (pixels.height if axis == 1 else pixels.width):
                 continue
             _, across, speed_along, speed_across = _at(turned, along, 0.5)
-            place, gradient = _peak(pixels, taps, axis, along, (across, 2.0))
+            place, gradient = _peak(pixels, NARROW_TAPS, axis, along, (across, 2.0))
             if not abs(place - across) < SEARCH_PX:
                 continue
             result[0, i, j] = gradient if (i + j) % 2 == 0 else -gradient
-            variance = _profile_variance(pixels, taps, axis, along, place)
+            variance = _profile_variance(pixels, axis, along, place)
             if 0.0 < variance < 0.97 * WINDOW**2:
                 profile = variance * WINDOW**2 / (WINDOW**2 - variance) - BOX
                 result[1, i, j] = profile / (1 + (speed_across / speed_along) ** 2)
@@ -356,7 +356,11 @@ def _measure_column(
         return nothing
     profile = edges.blur * (1 + slope * slope) + extra
     gain = profile / edges.window**2
-    ridge, gradient = _peak(pixels, edges.taps, axis, along, (across + known, gain))
+    if edges.window == WINDOW:
+        # A constant table, which takes less time: most frames are sharp.
+        ridge, gradient = _peak(pixels, NARROW_TAPS, axis, along, (across + known, gain))
+    else:
+        ridge, gradient = _peak(pixels, edges.taps, axis, along, (across + known, gain))
     if not gradient * left > WEAKEST_GRADIENT * edges.gradient * left * left:
         return nothing
     if not abs(gradient) > LEAST_SIGNAL * edges.gradient_noise:
