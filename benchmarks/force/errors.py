@@ -39,8 +39,6 @@ WITHIN = 0.95
 ORACLE_LENGTHS = (0.5e-3, 1.5e-3)
 ORACLE_TANGENTIAL = (0.3, 1.0)
 ORACLE_WEIGHTS = 10.0 ** np.arange(-8, 0.1, 0.5)
-
-
 # Nodes with less than this share of the largest normal force are beside the contact.
 PRESSED = 0.1
 

@@ -135,18 +135,19 @@ class View:
         rim = int(np.ceil(WINDOWS[-1]))
         step = (np.arange(-rim * SAMPLES, rim * SAMPLES) + 0.5) / SAMPLES
         number = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
-        found = []
+        slopes, found = self._slopes.astype(np.float32), []
         for i, j in np.ndindex(len(rows) - 2 * rim, len(cols) - 2 * rim):
             row, col = i + rim, j + rim
-            place = np.stack([spline(row + step, col + step) for spline in splines], axis=-1)
-            down, right = np.gradient(place, axis=(0, 1))
+            sheet = np.stack([spline(row + step, col + step) for spline in splines], axis=-1)
+            down, right = np.gradient(sheet, axis=(0, 1))
             area = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0]).ravel()
             ways = [[s.ev(row, col, dx=1), s.ev(row, col, dy=1)] for s in splines]
-            offset = place.reshape(-1, 2) - corners[row, col]
+            place = sheet.reshape(-1, 2)
+            offset = place - corners[row, col]
             # By how much the pattern lies elsewhere than one that is stretched evenly.
             bent = number @ np.transpose(ways) - offset
-            x, y = place.reshape(-1, 2).astype(np.float32).T
-            slope = cv2.remap(self._slopes.astype(np.float32), x, y, cv2.INTER_LANCZOS4)[:, 0]
+            x, y = place.astype(np.float32).T
+            slope = cv2.remap(slopes, x, y, cv2.INTER_LANCZOS4)[:, 0]
             slope = slope * np.sqrt(area)[:, None]
             reach = np.linalg.norm(offset, axis=-1) / side[row, col]
             found.append(

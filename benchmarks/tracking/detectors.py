@@ -6,7 +6,8 @@ import resource
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -256,17 +257,13 @@ def run_pair(detector: Detector, first: PatternFrame, second: PatternFrame) -> N
     """
     errors = [np.empty(0)]
     for view, truth in first.truth.items():
-        tracker = detector.tracker(first.sensor, view) if isinstance(detector, Ours) else None
-        if tracker is not None:
-            tracker.inspect_print([view_image(first, view)])
-        grids = [
-            (detector.detect(frame.sensor, view, view_image(frame, view), at).grid, at)
-            for frame, at in ((first, truth), (second, second.truth[view]))
-        ]
+        with _inspected(detector, first, view):
+            grids = [
+                (detector.detect(frame.sensor, view, view_image(frame, view), at).grid, at)
+                for frame, at in ((first, truth), (second, second.truth[view]))
+            ]
         visible = first.visible[view] & second.visible[view]
         errors.append(displacement_errors(grids[0], grids[1], visible))
-        if tracker is not None:
-            tracker.use_print_defects(None)
     return np.concatenate(errors)
 
 
@@ -274,12 +271,21 @@ def run_inspected(detector: Ours, rest: PatternFrame, frame: PatternFrame) -> Gr
     """Both views of a frame, once the print was inspected at rest."""
     scores = []
     for view, truth in frame.truth.items():
-        tracker = detector.tracker(frame.sensor, view)
-        tracker.inspect_print([view_image(rest, view)])
-        grid = detector.detect(frame.sensor, view, view_image(frame, view), truth).grid
+        with _inspected(detector, rest, view):
+            grid = detector.detect(frame.sensor, view, view_image(frame, view), truth).grid
         scores.append(score_grid(grid, truth, frame.visible[view], frame.far[view]))
-        tracker.use_print_defects(None)
     return join_scores(scores)
+
+
+@contextmanager
+def _inspected(detector: Detector, rest: PatternFrame, view: str) -> Iterator[None]:
+    """A detector that knows the print as it is at rest, if it is ours."""
+    tracker = detector.tracker(rest.sensor, view) if isinstance(detector, Ours) else None
+    if tracker is not None:
+        tracker.inspect_print([view_image(rest, view)])
+    yield
+    if tracker is not None:
+        tracker.use_print_defects(None)
 
 
 def view_image(frame: PatternFrame, view: str) -> Image:

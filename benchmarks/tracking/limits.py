@@ -167,11 +167,11 @@ class TrackingLimits(LimitRun):
             yield _below(f"virtual markers RMS, {kind}, px", score.virtual_rms, most[kind])
             yield _below(f"virtual markers p99, {kind}, px", score.virtual_p99, 0.05)
 
-        scores = []
+        inspected = []
         for case in cases_of(SPOTS, self.sensor, self.seeds[0]):
             shown = map(self._studio.photograph, (replace(case, deformation=()), case))
-            scores.append(run_inspected(self._fresh, *shown))
-        rms = join_scores(scores).virtual_rms
+            inspected.append(run_inspected(self._fresh, *shown))
+        rms = join_scores(inspected).virtual_rms
         yield _below(f"virtual markers RMS, {SPOTS}, inspected, px", rms, 0.05)
 
     def _displacement(self) -> Iterable[Limit]:

@@ -291,7 +291,9 @@ class MeasuredMarkers:
     def _take_enclosed(
         self, image: PreparedImage, corners: MeasuredCorners, seen: NDArray[np.float64]
     ) -> None:
-        """Add, in place, corners of a lesser likeness of which all neighbours are known."""
+        """Add, in place, corners of a lesser likeness of which all neighbours are known, or all but
+        one if the detector saw the corner and nothing is hidden.
+        """
         position = corners.position
         missing, was_seen = np.isnan(position[..., 0]), np.isfinite(seen[..., 0])
         nothing_hidden = _few_in_each_place(~was_seen)
@@ -377,10 +379,12 @@ def _alone(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _few_in_each_place(unseen: NDArray[np.bool_]) -> bool:
     """Whether a detector missed so few corners in each place that nothing but flaws hides them."""
     count = np.count_nonzero(unseen)
-    if count <= FEW_UNSEEN or count > MOST_UNSEEN * unseen.size:
-        return bool(count <= FEW_UNSEEN)
-    found = cv2.connectedComponentsWithStats(unseen.astype(np.uint8), connectivity=8)
-    return bool(found[2][1:, cv2.CC_STAT_AREA].max() <= FEW_UNSEEN)
+    if count <= FEW_UNSEEN:
+        return True
+    if count > MOST_UNSEEN * unseen.size:
+        return False
+    _, _, places, _ = cv2.connectedComponentsWithStats(unseen.astype(np.uint8), connectivity=8)
+    return bool(places[1:, cv2.CC_STAT_AREA].max() <= FEW_UNSEEN)
 
 
 def _unknown_beside(known: NDArray[np.bool_]) -> NDArray[np.int64]:
