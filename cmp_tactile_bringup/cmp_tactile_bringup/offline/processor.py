@@ -36,6 +36,7 @@ from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
@@ -91,25 +92,25 @@ class Processor:
         """
         pipeline = Pipeline(self._sensor, self._options.auto_reference)
         self._take_reference(pipeline)
-        watch, stamps = _Doubts(self._sensor, self._recording), _Stamps()
+        watch, faults = _Doubts(self._sensor, self._recording), _FrameFaults()
         count, is_surface = 0, False
         begin_s = self._options.start
         length_s = max(min(self._options.end, self._recording.duration) - begin_s, SHORTEST_S)
         shutil.copyfile(self._job.sensor, folder / f"{self._job.name}.yaml")
         with result_files(folder, self._job, self._sensor) as append:
             for frame in self._frames():
-                stamp_fault = stamps.add(frame)
-                if stamp_fault == diagnostics.Stamp.BACK.value:
+                fault = faults.add(frame)
+                if diagnostics.Stamp.BACK.value in fault:
                     # As the nodes do: what came before may be another recording.
                     pipeline.reset()
                 result = pipeline.process(frame.content, frame.stamp_ns)
                 watch.add(result)
-                append(frame, result, stamp_fault)
+                append(frame, result, fault)
                 count, is_surface = count + 1, isinstance(frame, RecordedSurface)
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_share((frame.time_s - begin_s) / length_s)
         on_share(1.0)
-        doubts = (*watch.doubts, *stamps.doubts, self._doubt_of_reference(pipeline))
+        doubts = (*watch.doubts, *faults.doubts, self._doubt_of_reference(pipeline))
         problems = (self._recording.health.summary, watch.problem)
         return Outcome(
             frames=count,
@@ -179,16 +180,31 @@ class _Doubts:
         yield from self._flags.doubts
 
 
-class _Stamps:
-    """Counts the frames of a recording with stamps out of order, as the nodes do."""
+class _FrameFaults:
+    """Counts the frames of a recording with stamps out of order, as the nodes do, or old pictures.
+
+    An old picture is that of the frame before, equal to the bit.
+    """
 
     def __init__(self) -> None:
-        self._watch = diagnostics.StampWatch()
+        self._watch, self._pictures = diagnostics.StampWatch(), RepeatedPictures()
         self._frames, self._last_ns, self._longest_ns = 0, 0, 0
+        self._repeated = self._most_in_a_row = 0
 
     def add(self, frame: Recorded) -> str:
-        """What is wrong with the stamp of a frame: "back", "repeated", "zero", "gap" or ""."""
+        """What is wrong: "back", "repeated", "zero" or "gap" of the stamp, "old_picture"; or ""."""
         self._frames += 1
+        return " ".join(filter(None, (self._stamp_fault(frame), self._picture_fault(frame))))
+
+    def _picture_fault(self, frame: Recorded) -> str:
+        if isinstance(frame, RecordedSurface):
+            return ""
+        in_a_row = self._pictures.add(frame.image)
+        self._repeated += in_a_row > 1
+        self._most_in_a_row = max(self._most_in_a_row, in_a_row)
+        return results.OLD_PICTURE if in_a_row > 1 else ""
+
+    def _stamp_fault(self, frame: Recorded) -> str:
         passed = frame.stamp_ns - self._last_ns
         self._last_ns = frame.stamp_ns or self._last_ns
         if not frame.time_ns and not frame.stamp_ns:
@@ -203,6 +219,12 @@ class _Stamps:
     @property
     def doubts(self) -> Iterator[str]:
         """A line for each kind of fault, and one for gaps that are worth it."""
+        if self._repeated:
+            yield (
+                f"in {self._repeated} of {self._frames} frames the picture is that of the frame "
+                f"before (the same up to {self._most_in_a_row} times in a row): not usable; had "
+                "the camera stopped?"
+            )
         for kind, text in STAMP_FAULTS.items():
             if self._watch.stamps[kind]:
                 yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"

@@ -50,6 +50,8 @@ COLUMN_TYPES = {
     "usable": "uint8",
     "stamp_fault": "string",
 }
+# A word of the column stamp_fault: the picture is not of this time, but the one before.
+OLD_PICTURE = "old_picture"
 UNITS = {"s": "s", "N": "N", "Nm": "N m", "m2": "m^2", "ns": "ns"}
 # Longest name of a fault: an array of texts has one length.
 FAULT_TYPE = f"U{max(len(fault.value) for fault in GridFault)}"
@@ -90,7 +92,7 @@ def table_row(
     """The values of COLUMNS; slip state and flags as numbers, as in ForceField.msg, and by name.
 
     time_s: from the first frame of its recording.  stamp_fault: what is wrong with the stamp, in a
-    word; empty for nothing.
+    word; empty for nothing; after it OLD_PICTURE, where it is.
     """
     slip = (getattr(force.slip, name) for name in SLIP_FIGURES)
     return [
@@ -105,7 +107,7 @@ def table_row(
         *slip,
         int(force.flags),
         flag_names(force.flags, " "),
-        int(not force.flags & UNUSABLE),
+        int(not force.flags & UNUSABLE and OLD_PICTURE not in stamp_fault),
         stamp_fault,
     ]
 

@@ -136,8 +136,33 @@ def test_stamps_out_of_order_are_reported_as_by_the_nodes_and_stand_in_the_table
     assert "1 of 8 stamps were 0" in said
     assert "missing in gaps between stamps; the longest gap is 10 s" in said
     with (tmp_path / "bag_wrench.csv").open() as table:
-        faults = [row["stamp_fault"] for row in csv.DictReader(table)]
-    assert faults == ["", "", "repeated", "", "back", "zero", "", "gap"]
+        faults = [row["stamp_fault"].split() for row in csv.DictReader(table)]
+    # The picture is always the same.
+    assert [fault[-1:] for fault in faults] == [[]] + 7 * [["old_picture"]]
+    assert [" ".join(fault[:-1]) for fault in faults] == [
+        "",
+        "",
+        "repeated",
+        "",
+        "back",
+        "zero",
+        "",
+        "gap",
+    ]
+
+
+def test_a_repeated_picture_is_reported_and_its_force_not_usable(images, tmp_path, capsys):
+    """A camera that stops while the gel is pressed goes on to show it at rest."""
+    for k in (1, 2):
+        shutil.copy(images / "0.png", images / f"{k}.png")
+    frame = cv2.imread(str(images / "0.png"), cv2.IMREAD_GRAYSCALE)
+    frame[0, 0] ^= 1
+    cv2.imwrite(str(images / "3.png"), frame)
+    assert process(images, "--output", tmp_path) == 0
+    assert "in 2 of 4 frames the picture is that of the frame before" in printed(capsys)
+    with (tmp_path / "images_wrench.csv").open() as table:
+        rows = [(row["stamp_fault"], row["usable"]) for row in csv.DictReader(table)]
+    assert rows == [("", "1"), ("old_picture", "0"), ("old_picture", "0"), ("", "1")]
 
 
 def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):

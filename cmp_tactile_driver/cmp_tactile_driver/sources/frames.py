@@ -74,6 +74,24 @@ class SourceHealth:
         return self.problem
 
 
+class RepeatedPictures:
+    """Counts how often the same picture came in a row: a camera's noise makes two alike unlikely.
+
+    A camera that has stopped, its driver or a recorder may repeat the last picture.
+    """
+
+    def __init__(self) -> None:
+        self._last: NDArray[np.uint8] | None = None
+        self._in_a_row = 0
+
+    def add(self, picture: NDArray[np.uint8]) -> int:
+        """How often this picture, pixels or the bytes of a file, has now come; 1 for a new one."""
+        same = self._last is not None and np.array_equal(picture, self._last)
+        self._in_a_row = self._in_a_row + 1 if same else 1
+        self._last = picture
+        return self._in_a_row
+
+
 @dataclass(frozen=True)
 class SourceOptions:
     """What a source is opened with.

@@ -22,7 +22,7 @@ from cmp_tactile_processing.image.encodings import decode_jpeg, decode_raw
 
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
 SEQUENCES = 2**32
-# The noise of a camera makes two equal frames unlikely; so many in a row are reported.
+# So many equal frames in a row are reported.
 MOST_EQUAL = 10
 # How long a damaged frame is reported.
 MEMORY_S = 5.0
@@ -90,7 +90,7 @@ class V4L2Source:
         self._recent = ("", -MEMORY_S)
         self._bad_frames = self._dropped = self._reconnects = 0
         self._sequence: int | None = None
-        self._last_data, self._equal = b"", 1
+        self._repeated = frames.RepeatedPictures()
         times = options.camera
         self._back_off = BackOff(times.reconnect_delay)
         self._next_attempt = self._last_frame = 0.0
@@ -326,12 +326,9 @@ class V4L2Source:
         self._sequence = sequence
 
     def _count_equal(self, data: bytes, origin: str) -> None:
-        self._equal = self._equal + 1 if data == self._last_data else 1
-        self._last_data = data
-        if self._equal > MOST_EQUAL:
-            self._note(
-                f"{origin}: found the same image {self._equal} times: has the camera stopped?"
-            )
+        equal = self._repeated.add(np.frombuffer(data, np.uint8))
+        if equal > MOST_EQUAL:
+            self._note(f"{origin}: found the same image {equal} times: has the camera stopped?")
 
     def _time_of(self, buffer: Buffer, now_ns: int) -> int:
         time_ns = buffer.monotonic_ns
