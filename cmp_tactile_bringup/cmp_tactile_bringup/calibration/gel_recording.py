@@ -13,6 +13,7 @@ from cmp_tactile_bringup.recordings.library import RecordingError, check_source,
 from cmp_tactile_bringup.terminal import OnStage
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
+from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
 from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
@@ -115,7 +116,7 @@ def _goes_on(
 class GelMotion:
     """Markers of n frames, displaced from where they are at rest.
 
-    source: what messages call the recording.  stamp_ns (n,) of the camera frames.
+    source: what messages call the recording.  stamp_ns (n,) of the camera frames, which rise.
     displacement (n, rows, cols, 3) m, gel frame; status (n, rows, cols).
     rest: range of the frames that gave the reference, empty for a surface topic, which has its own.
     doubts: what a user should know of it.
@@ -130,8 +131,8 @@ class GelMotion:
 
     @property
     def time_s(self) -> NDArray[np.float64]:
-        """Times from the first frame on, (n,) s."""
-        return (self.stamp_ns - self.stamp_ns[0]) * 1e-9
+        """Times from the first frame on as a replay counts them, (n,) s."""
+        return np.array(passed_ns(self.stamp_ns.tolist())) * 1e-9
 
 
 class MarkerCamera:
@@ -191,13 +192,13 @@ def _read(
             markers.append(frame.content)
         else:
             continue
-        stamps.append(frame.stamp_ns)
-    doubts = recording.health.summary, recording.calibration_mismatch(sensor)
-    stamp_ns = np.array(stamps, np.int64)
+        stamps.append(frame.time_ns)
+    doubts = recording.health.summary, recording.calibration_mismatch(sensor), recording.gaps
+    stamp_ns = np.array(running_ns(stamps), np.int64)
     surfaces = [item for item in markers if isinstance(item, Surface)]
     if surfaces and rest_s is None:
         return _moved(str(path), stamp_ns, surfaces, range(0), doubts)
-    time_s = (stamp_ns - stamp_ns[0]) * 1e-9
+    time_s = np.array(passed_ns(stamps)) * 1e-9
     rest = _rest_frames(str(path), time_s, np.stack([item.position for item in markers]), rest_s)
     return displaced(str(path), sensor, (stamp_ns, markers), rest, doubts)
 

@@ -23,6 +23,7 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BAD_MESSAGE
 from cmp_tactile_driver.bags.storage import BagStorage
+from cmp_tactile_driver.bags.timeline import timeline
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.measured import Status
@@ -75,6 +76,8 @@ class WrenchSeries:
 def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     """The messages of a WrenchStamped topic, by their stamps, or log times where they have none.
 
+    Times run on where a clock was set back, as those of camera frames do.
+
     Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
     fewer than two messages of it with a force that is not NaN.
     """
@@ -89,17 +92,18 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     store = get_typestore(Stores.ROS2_JAZZY)
     rows: dict[int, list[float]] = {}
     frame_id = ""
-    for stored in storage.messages([topic]):
+    line = timeline(storage.index([topic]), topic)
+    places = ((item.file, item.where) for item in line.messages)
+    stamps = dict(zip(places, line.stamps_ns, strict=True))
+    for stored in storage.read(line.messages):
         try:
             message: Any = store.deserialize_cdr(stored.data, WRENCH_STAMPED)
         except BAD_MESSAGE as error:
             msg = f"{bag}: {topic} at {stored.time_ns} ns: not a {WRENCH_STAMPED}: {error}"
             raise RecordingError(msg) from None
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec or stored.time_ns
         frame_id = frame_id or message.header.frame_id
         vector = message.wrench.force
-        rows[stamp_ns] = [vector.x, vector.y, vector.z]
+        rows[stamps[stored.file, stored.where]] = [vector.x, vector.y, vector.z]
     return WrenchSeries.from_rows(f"{bag}: {topic}", rows, frame_id)
 
 

@@ -49,7 +49,6 @@ NOMINAL = "nominal surface of the sensor description"
 AS_RECORDED = "reference of the recorded surfaces; without images there are no grids"
 NS_PER_S = 10**9
 STAMP_FAULTS = {
-    diagnostics.Stamp.BACK: "went back; tracking started again there",
     diagnostics.Stamp.REPEATED: "came twice",
     diagnostics.Stamp.ZERO: "were 0",
 }
@@ -156,6 +155,7 @@ class _Doubts:
     def __init__(self, sensor: SensorDescription, recording: Recording) -> None:
         self._sensor = sensor
         self._calibration = recording.calibration_mismatch(sensor)
+        self._gaps_of_time = recording.gaps
         self._faults, self._flags = results.GridFaults(), results.ForceFlags()
         self._gaps, self._last_gap = 0, ""
 
@@ -174,6 +174,7 @@ class _Doubts:
     @property
     def doubts(self) -> Iterator[str]:
         yield self._calibration
+        yield self._gaps_of_time
         if self._gaps:
             yield f"in {self._gaps} frames: {self._last_gap}"
         yield from self._faults.doubts

@@ -180,8 +180,38 @@ def test_a_force_is_turned_and_reversed_into_the_gel_frame():
 def test_a_wrench_topic_is_read_by_stamps_and_by_log_times_without_them(tmp_path):
     rows = [(5 * 10**9 + k, (10**9 + k) * (k > 0), [k, 0, 0, 0, 0, 1]) for k in range(3)]
     series = read_wrench(write_wrench_bag(tmp_path / "bag", rows), "/ft/wrench")
-    assert series.stamp_ns.tolist() == [10**9 + 1, 10**9 + 2, 5 * 10**9]
-    np.testing.assert_allclose(series.force, [[1, 0, 0], [2, 0, 0], [0, 0, 0]])
+    assert series.stamp_ns.tolist() == [10**9, 10**9 + 1, 10**9 + 2]
+    np.testing.assert_allclose(series.force, [[0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    rows = [(log_ns, 0, wrench) for log_ns, _, wrench in rows]
+    series = read_wrench(write_wrench_bag(tmp_path / "unstamped", rows), "/ft/wrench")
+    assert series.stamp_ns.tolist() == [5 * 10**9 + k for k in range(3)]
+
+
+def test_a_clock_that_is_set_back_exchanges_neither_frames_nor_forces(weigh_bag, tmp_path):
+    """By less than the recording lasts: what came after would lie beside what came before."""
+    sensor = load_sensor(str(weigh_bag / "sensor.yaml"))
+    frames = list(BagReader(weigh_bag).frames())
+    half = len(frames) // 2
+    back_ns = frames[half].stamp_ns - frames[2].stamp_ns
+
+    def clock(time_ns):
+        return time_ns - back_ns * (time_ns >= frames[half].stamp_ns)
+
+    rows = []
+    for frame in frames:
+        stamp = clock(frame.stamp_ns)
+        rows.append(("/rig/image_raw", stamp, made_bags.image(frame.image, stamp)))
+        elapsed_s = (frame.stamp_ns - frames[0].stamp_ns) * 1e-9
+        rows.append(("/ft/wrench", stamp, made_bags.wrench(stamp, [elapsed_s, 0, 0, 0, 0, 0])))
+    bag = made_bags.write_rows(tmp_path / "set_back", rows)
+    whole, motion = read_motion(weigh_bag, sensor), read_motion(bag, sensor)
+    np.testing.assert_array_equal(motion.displacement, whole.displacement)
+    # Where the clock was set, the usual time passes.
+    np.testing.assert_allclose(motion.time_s, whole.time_s, atol=1e-9)
+    force = at_frames(read_wrench(bag, "/ft/wrench"), motion.stamp_ns, 0.0)
+    np.testing.assert_allclose(force[:, 0], whole.time_s, atol=1e-9)
+    (doubt,) = motion.doubts
+    assert f"at {whole.time_s[half]:.2f} s" in doubt
 
 
 def test_a_wrench_topic_of_too_few_numbers_is_refused(tmp_path):

@@ -18,6 +18,7 @@ import yaml
 import zstandard
 
 from cmp_tactile_driver.bags.files import DamageError, McapBagFile, SqliteBagFile, StoredMessage
+from cmp_tactile_driver.bags.timeline import run_on
 from cmp_tactile_driver.errors import BagError
 
 BagFile = McapBagFile | SqliteBagFile
@@ -58,16 +59,24 @@ class BagStorage:
             self.topics = {**file.topics, **self.topics}
 
     def index(self, topics: Collection[str]) -> list[StoredMessage]:
-        """The messages of some topics without their bytes, in the order they were received."""
+        """The messages of some topics without their bytes, in the order they were received.
+
+        That of each topic is the one in which they were written where the clock was set back.
+        """
         found = [
             replace(message, file=number) if number else message
             for number, file in enumerate(self._files)
             for message in file.index(topics)
         ]
-        # Those of one moment stay in the order in which they were written.
-        found.sort(key=lambda message: message.time_ns)
+        received = [message.time_ns for message in found]
+        for topic in topics:
+            places = [place for place, message in enumerate(found) if message.topic == topic]
+            times = run_on([received[place] for place in places])
+            for place, time_ns in zip(places, times, strict=True):
+                received[place] = time_ns
         self.loss = "; ".join(self._losses(topics, Counter(message.topic for message in found)))
-        return found
+        # Those of one moment stay in the order in which they were written.
+        return [found[place] for place in sorted(range(len(found)), key=received.__getitem__)]
 
     def read(self, messages: Sequence[StoredMessage]) -> Iterator[StoredMessage]:
         """These messages with their bytes, without those that are damaged, see `loss`."""

@@ -346,6 +346,26 @@ CLOCKS: dict[str, Clocks] = {
         lambda _, t: t,
         "stamps: 2, the largest 3610.05 s",
     ),
+    "both are set back by an hour": (
+        lambda n, t: t - (n > 5) * HOUR_NS,
+        lambda n, t: t - (n > 5) * HOUR_NS + MS,
+        "stamps: 1, the largest -3599.95 s at 0.30 s",
+    ),
+    "both are set back by 0.4 s": (
+        lambda n, t: t - (n > 5) * 400 * MS,
+        lambda n, t: t - (n > 5) * 400 * MS,
+        "stamps: 1, the largest -0.35 s at 0.30 s",
+    ),
+    "receipts are set back": (
+        lambda _, t: t,
+        lambda n, t: t - (n > 5) * HOUR_NS,
+        "gap of -3599.95 s between the times of receipt",
+    ),
+    "receipts are set back and there are no stamps": (
+        lambda _, __: 0,
+        lambda n, t: t - (n > 5) * HOUR_NS,
+        "stamps: 1, the largest -3599.95 s at 0.30 s",
+    ),
     "some stamps are zero": (lambda n, t: 0 if n in (0, 4, 5, 11) else t, lambda _, t: t + MS, ""),
     "all stamps are zero": (lambda _, __: 0, lambda _, t: t + MS, ""),
 }
