@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cmp_tactile_driver.errors import FrameSourceError, WrongSizeError
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.encodings import BitDepth, decode_image
+from cmp_tactile_processing.image.encodings import BitDepth, decode_image, not_turned
 
 WEBP_HEAD_BYTES = 21
 _PNG_CHUNK = struct.Struct(">I4sI")
@@ -67,7 +67,7 @@ def _next_shape(content: NDArray[np.uint8]) -> tuple[int, ...]:
     """Of the second image of a TIFF, which is smaller where it is a preview; () for none."""
     if content[:2].tobytes() not in (b"II", b"MM"):
         return ()
-    _, images = cv2.imdecodemulti(content, cv2.IMREAD_UNCHANGED, range=(1, 2))
+    _, images = cv2.imdecodemulti(not_turned(content), cv2.IMREAD_UNCHANGED, range=(1, 2))
     return images[0].shape if images else ()
 
 

@@ -203,6 +203,33 @@ def test_several_images_in_a_file_are_not_taken_for_one(tmp_path, frames):
     assert np.array_equal(_read_all(ImageFolder(path)), frames[:1])
 
 
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize(
+    ("suffix", "pixels", "options"),
+    [
+        ("tif", "u1", {}),
+        ("tif", "<u2", {}),
+        ("tif", ">u2", {}),
+        ("tif", "u1", {"big_tiff": True}),
+        ("png", "u1", {}),
+        ("webp", "u1", {"lossless": True}),
+        ("jpg", "u1", {"quality": 100}),
+    ],
+)
+def test_an_image_is_not_turned_for_viewing(tmp_path, frames, orientation, suffix, pixels, options):
+    """OpenCV turns TIFFs alone, also when told not to; a mirrored force is silently wrong.
+
+    Reports: opencv/opencv 10703, 14300, 23122; tried: each orientation of 2 to 8 was turned.
+    """
+    tags = Image.Exif()
+    tags[274] = orientation
+    path = tmp_path / f"turned.{suffix}"
+    Image.fromarray(frames[0].astype(pixels)).save(path, exif=tags, **options)
+    (found,) = _read_all(ImageFolder(path))
+    grey = found if found.ndim == 2 else found[..., 0]
+    np.testing.assert_allclose(grey, frames[0], atol=3 if suffix == "jpg" else 0)
+
+
 @pytest.mark.parametrize("kind", ["png", "webp"])
 def test_an_animation_is_not_taken_for_one_image(tmp_path, frames, kind):
     """Tried: of three frames one was read, and nothing said so.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import re
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -29,6 +30,8 @@ RESTART_INTERVAL = 0xDD
 # Of baseline and extended sequential JPEG, which cameras send.
 SEQUENTIAL_FRAMES = (0xC0, 0xC1)
 BLOCK_PX = 8
+# The version of a TIFF with 64-bit offsets, and the tag of how to turn it for viewing.
+BIG_TIFF, ORIENTATION = 43, 274
 # Restart markers and the end of the image: what ends pixels.
 PIXEL_ENDS = (*range(0xD0, 0xD8), 0xD9)
 # Of pixels in reverse: bytes 0xff of their stream (0x00 follows each), or 0x00.
@@ -449,7 +452,7 @@ def decode_image(
     if content[:2].tobytes() == START_OF_IMAGE:
         return decode_jpeg(content.tobytes(), origin)
     try:
-        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+        image = cv2.imdecode(not_turned(content), cv2.IMREAD_UNCHANGED) if content.size else None
     except cv2.error:  # a size beyond OpenCV's limit
         image = None
     if image is None:
@@ -464,3 +467,31 @@ def decode_image(
     if image.dtype == np.uint16:
         image = (depth or BitDepth(origin)).to_8_bits(np.asarray(image, np.uint16))
     return np.asarray(image, np.uint8)
+
+
+def not_turned(content: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A TIFF with orientation 1 in place of what its images have; the bytes (N,) of other files.
+
+    OpenCV turns and mirrors those images whatever its flags are, but no PNG, WebP or JPEG.
+    """
+    order = {b"II": "<", b"MM": ">"}.get(content[:2].tobytes())
+    if order is None:
+        return content
+    data = bytearray(content.tobytes())
+    try:
+        is_big = struct.unpack_from(f"{order}H", data, 2)[0] == BIG_TIFF
+        count, offset, entry_bytes = ("Q", "Q", 20) if is_big else ("H", "I", 12)
+        next_at, seen = (8 if is_big else 4), set[int]()
+        while (begin := struct.unpack_from(order + offset, data, next_at)[0]) not in {0, *seen}:
+            seen.add(begin)
+            entries = struct.unpack_from(order + count, data, begin)[0]
+            first = begin + struct.calcsize(count)
+            next_at = first + entries * entry_bytes
+            for at in range(first, next_at, entry_bytes):
+                if struct.unpack_from(f"{order}H", data, at)[0] == ORIENTATION:
+                    struct.pack_into(
+                        f"{order}H", data, at + entry_bytes - struct.calcsize(offset), 1
+                    )
+    except struct.error:
+        return content  # is cut off
+    return np.frombuffer(data, np.uint8)
