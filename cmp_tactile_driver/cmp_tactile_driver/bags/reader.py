@@ -33,6 +33,7 @@ from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE, whole_frame_info
 from cmp_tactile_processing.ros.messages.reading import (
     camera_info_from_msg,
+    image_camera_info_from_msg,
     image_from_msg,
     surface_from_msg,
 )
@@ -168,12 +169,18 @@ class BagReader:
         return timeline(self._storage.index(topics), self.image_topic)
 
     def calibration_mismatch(self, sensor: SensorDescription) -> str:
-        """In what the first camera info that can be read differs from a description; or empty."""
+        """In what the first camera info that can be read differs from a description; or empty.
+
+        Where the chip is binned or cut, some drivers state size or K of the image, not of the chip.
+        """
         messages = [item for item in self._timeline.messages if item.topic == self._info_topic]
         for stored in self._storage.read(messages):
             with suppress(FrameError):
-                info = camera_info_from_msg(self._read_message(stored))
-                return calibration_mismatch(stored.topic, info, sensor)
+                message = self._read_message(stored)
+                infos = camera_info_from_msg(message), image_camera_info_from_msg(message)
+                readings = [replace(sized, K=info.K) for sized in infos for info in infos]
+                found = [calibration_mismatch(stored.topic, info, sensor) for info in readings]
+                return found[0] if all(found) else ""
         return ""
 
     def frames(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:

@@ -98,6 +98,9 @@ def _video(path: Path, expected_size: frames.ImageSize | None) -> files.VideoFil
             f"rosbags-convert --src {shlex.quote(str(path))} --dst NEW_FOLDER"
         )
         raise FrameSourceError(msg)
+    if foreign := files.foreign_content(path):
+        msg = f"{path}: {foreign}"
+        raise FrameSourceError(msg)
     try:
         return files.VideoFile(path, expected_size=expected_size)
     except FrameSourceError as error:
@@ -134,7 +137,8 @@ def check_folder(path: Path) -> None:
         return
     there = [item for item in path.iterdir() if not item.name.startswith(".")]
     names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in there)
-    if any(Path(name).suffix.lower() in files.IMAGE_SUFFIXES for name in names):
+    images = (*files.IMAGE_SUFFIXES, *files.HEIF_SUFFIXES)
+    if any(Path(name).suffix.lower() in images for name in names):
         return
     bags = [name for name in names if name.endswith("/") and is_bag(path / name)]
     found = ", ".join([*names[:SHOWN_NAMES], *(["..."] if len(names) > SHOWN_NAMES else [])])

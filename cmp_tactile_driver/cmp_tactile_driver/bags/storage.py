@@ -20,6 +20,7 @@ import zstandard
 from cmp_tactile_driver.bags.files import DamageError, McapBagFile, SqliteBagFile, StoredMessage
 from cmp_tactile_driver.bags.timeline import run_on
 from cmp_tactile_driver.errors import BagError
+from cmp_tactile_driver.sources.files import foreign_content
 
 BagFile = McapBagFile | SqliteBagFile
 FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
@@ -112,9 +113,12 @@ class BagStorage:
     def _opened_files(self) -> Iterator[BagFile]:
         """The files that can be read; `_faults` gets a line for each other one."""
         for path in self._listed_files():
+            if foreign := foreign_content(path):
+                self._faults.append(f"{path}: {foreign}")
+                continue
             try:
                 yield self._open_file(path)
-            except DamageError as error:  # noqa: PERF203  each file by itself
+            except DamageError as error:
                 self._faults.append(f"{path}: damaged, no message can be read: {error}")
 
     def _listed_files(self) -> list[Path]:

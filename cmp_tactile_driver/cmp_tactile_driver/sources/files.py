@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +20,10 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.encodings import BitDepth, decode_image, not_turned
 
 WEBP_HEAD_BYTES = 21
+GIT_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+# Of pictures that telephones take.
+HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
+HEIF_SUFFIXES = (".heic", ".heif")
 _PNG_CHUNK = struct.Struct(">I4sI")
 
 DEFAULT_FRAME_RATE = 30.0
@@ -45,6 +50,18 @@ COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
 TIME_STEP_S = 1e-3
 
 
+def foreign_content(path: Path) -> str:
+    """What a file is in place of an image, video or bag, and the command that helps; or empty."""
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(len(GIT_LFS_POINTER))
+        if head == GIT_LFS_POINTER:
+            return "found a pointer of git-lfs, expected the file itself; to get it: git lfs pull"
+        if head[4:8] == b"ftyp" and head[8:12] in HEIF_BRANDS:
+            names = f"{shlex.quote(str(path))} {shlex.quote(str(path.with_suffix('.png')))}"
+            return f"found a HEIC image, expected PNG or JPEG; to convert it: heif-convert {names}"
+    return ""
+
+
 def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
     """The image of a file: (H, W) where it is grey, otherwise (H, W, 3) BGR, uint8.
 
@@ -56,6 +73,9 @@ def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror}"
         raise FrameError(msg) from None
+    if foreign := foreign_content(path):
+        msg = f"{path}: {foreign}"
+        raise FrameError(msg)
     image = decode_image(content, str(path), depth)
     if _is_animation(content) or _next_shape(content)[:2] == image.shape[:2]:
         msg = f"{path}: found several images in one file, expected one: write each to its own file"
@@ -121,6 +141,10 @@ def image_files(folder: Path) -> list[Path]:
     there = [path for path in folder.iterdir() if not path.name.startswith(".")]
     files = [path for path in there if path.suffix.lower() in IMAGE_SUFFIXES]
     if not files:
+        heif = next((path for path in there if path.suffix.lower() in HEIF_SUFFIXES), None)
+        if heif and (foreign := foreign_content(heif)):
+            msg = f"{heif}: {foreign}"
+            raise FrameSourceError(msg)
         expected = ", ".join(IMAGE_SUFFIXES)
         msg = f"{folder}: found no image among {len(there)} entries, expected {expected}"
         raise FrameSourceError(msg)

@@ -266,6 +266,32 @@ def test_a_difference_names_topic_field_found_and_expected(change, expected):
     assert expected in calibration_mismatch(TOPIC, replace(OWN, **change), SENSOR)
 
 
+CHIP = {"width": 2448, "height": 2048}
+K_OF_CHIP = np.array([2 * 733.386, 0, 1123.5, 0, 2 * 733.386, 817.5, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{**CHIP, "k": K_OF_CHIP}, {**CHIP, "k": K.ravel()}, {"k": K.ravel()}],
+    ids=["as ROS wants it", "K of the image", "all of the image"],
+)
+def test_a_camera_info_of_a_binned_window_is_that_of_its_image(tmp_path, fields):
+    """Reports: astuff/avt_vimba_camera 82, basler/pylon-ros-camera 143,
+    ros-perception/image_pipeline 119; tried: each was taken for another camera.
+    """
+    window = made_bags.STORE.types["sensor_msgs/msg/RegionOfInterest"](
+        x_offset=100, y_offset=50, height=1536, width=2048, do_rectify=False
+    )
+    frame = np.zeros((768, 1024), np.uint8)
+    info = made_bags.camera_info(frame, made_bags.FIRST_STAMP_NS)
+    info = replace(info, **fields, d=np.zeros(5), roi=window)
+    topics = {TOPIC: [info], "/rig/image_raw": made_bags.images([frame])}
+    assert BagReader(made_bags.write(tmp_path / "a", topics)).calibration_mismatch(SENSOR) == ""
+    topics[TOPIC] = [replace(info, k=info.k + 2)]
+    bag = BagReader(made_bags.write(tmp_path / "b", topics))
+    assert "/rig/camera_info: " in bag.calibration_mismatch(SENSOR)
+
+
 def test_a_sensor_with_a_camera_per_view_is_compared_by_size():
     several = replace(SENSOR, camera=None)
     assert calibration_mismatch(TOPIC, replace(OWN, K=2 * K), several) == ""

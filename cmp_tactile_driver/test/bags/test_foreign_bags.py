@@ -269,6 +269,36 @@ def test_what_is_no_recording_is_distinguished_from_a_broken_video(tmp_path, nam
         open_recording(path)
 
 
+LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a21\nsize 12345\n"
+HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("bag/run_0.mcap", LFS_POINTER, r"run_0.mcap: found a pointer of git-lfs.* git lfs pull"),
+        ("bag/run_0.db3", LFS_POINTER, r"run_0.db3: found a pointer of git-lfs.* git lfs pull"),
+        ("images/0.png", LFS_POINTER, r"0.png: found a pointer of git-lfs.* git lfs pull"),
+        ("press.mp4", LFS_POINTER, r"press.mp4: found a pointer of git-lfs.* git lfs pull"),
+        ("images/IMG 1.HEIC", HEIC, r"heif-convert '.*/IMG 1.HEIC' '.*/IMG 1.png'"),
+        ("photo.heic", HEIC, r"found a HEIC image.* heif-convert .*/photo.png"),
+        ("photo.jpg", HEIC, r"found a HEIC image"),
+    ],
+)
+def test_what_stands_for_a_recording_is_named_with_the_command_that_helps(
+    tmp_path, name, content, expected
+):
+    """Reports: foxglove/mcap 1674, git-lfs/git-lfs 4240, opencv/opencv 22359, easymodo/qimgv 596;
+    tried: "damaged", "not a readable image", "expected a video".
+    """
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(content)
+    recording = path if path.parent == tmp_path else path.parent
+    with pytest.raises(FrameSourceError, match=expected):
+        list(open_recording(recording).frames())
+
+
 def test_a_device_is_no_recording():
     with pytest.raises(FrameSourceError, match="/dev/null: found no such file or folder"):
         open_recording(Path("/dev/null"))

@@ -24,6 +24,7 @@ LOGGER = logging.getLogger(__name__)
 MAX_SIDE = 16384
 MAX_BITS = 16
 START_OF_IMAGE = b"\xff\xd8"
+IMAGE_STARTS = (START_OF_IMAGE, b"\x89PNG")
 END_OF_IMAGE = b"\xff\xd9"
 START_OF_SCAN = 0xDA
 RESTART_INTERVAL = 0xDD
@@ -429,10 +430,12 @@ def decode_compressed(
 
     format_text: its field `format`, such as "mono8; png compressed ", "rgb8; jpeg compressed bgr8"
     or "jpeg".  data: (N,).  depth: of the stream; absent for an image by itself.
+    Where it names no image, the first bytes of the data do.
     Raises FrameError for anything but png and jpeg, and for data that are no such image.
     """
     text = format_text.lower()
-    if "compresseddepth" in text or not any(kind in text for kind in ("png", "jpeg", "jpg")):
+    is_image = any(kind in text for kind in ("png", "jpeg", "jpg"))
+    if "compresseddepth" in text or not (is_image or data[:8].tobytes().startswith(IMAGE_STARTS)):
         msg = f"format: found {found_text(format_text)}, expected png or jpeg"
         raise FrameError(msg)
     image = demosaiced(decode_image(data, "data", depth), text.partition(";")[0].strip())

@@ -211,6 +211,15 @@ def test_compressed_colours(text):
     np.testing.assert_array_equal(found, bgr)
 
 
+@pytest.mark.parametrize("text", ["", "bgr8", "mjpg", "MJPEG; compressed", "image/x-any"])
+def test_a_format_that_names_no_image_is_taken_by_the_first_bytes(text):
+    """Reports: ros-perception/vision_opencv 382, UbiquityRobotics/raspicam_node 96."""
+    bgr = np.random.default_rng(4).integers(0, 256, (8, 6, 3), np.uint8)
+    np.testing.assert_array_equal(decode_compressed(text, _encoded(".png", bgr)), bgr)
+    jpeg = _encoded(".jpg", bgr)
+    np.testing.assert_array_equal(decode_compressed(text, jpeg), decode_compressed("jpeg", jpeg))
+
+
 def test_compressed_16_bits_and_mosaics():
     deep = np.random.default_rng(9).integers(0, 4096, (HEIGHT, WIDTH), np.uint16)
     png = _encoded(".png", deep)
@@ -267,6 +276,7 @@ def test_wrong_fields_are_named(size, encoding, step, length, message):
     [
         ("mono8; theora compressed", b"abc", "format: found 'mono8; theora compressed'"),
         ("16UC1; compressedDepth png", b"abc", "format: found '16UC1; compressedDepth png'"),
+        ("h264", b"\0\0\0\1\x67", "format: found 'h264', expected png or jpeg"),
         ("png", b"abc", "data: found 3 bytes that are not a readable image"),
         ("jpeg", b"", "data: found 0 bytes"),
     ],

@@ -7,6 +7,7 @@ agree, before anything is reshaped: GeometryError names field, found and expecte
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from enum import Enum, IntEnum
 from functools import cache
 from typing import Any, TypeVar
@@ -37,6 +38,22 @@ def camera_info_from_msg(msg: Any) -> ViewCameraInfo:
     K, R, P = (np.array(values, np.float64).reshape(3, -1) for values in (msg.k, msg.r, msg.p))
     D = np.array(msg.d, np.float64)
     return ViewCameraInfo(msg.width, msg.height, msg.distortion_model, D, K, R, P)
+
+
+def image_camera_info_from_msg(msg: Any) -> ViewCameraInfo:
+    """As `camera_info_from_msg`, but of the image: size and K of its window (roi), after binning.
+
+    P stays that of the whole sensor chip.
+    """
+    info, roi = camera_info_from_msg(msg), msg.roi
+    bins = np.array([max(msg.binning_x, 1), max(msg.binning_y, 1)])
+    size = np.array([roi.width or msg.width, roi.height or msg.height]) // bins
+    K = info.K.copy()
+    # The centre of the first binned pixel is not that of the first pixel.
+    K[:2, 2] += 0.5 - np.array([roi.x_offset, roi.y_offset])
+    K[:2] /= bins[:, None]
+    K[:2, 2] -= 0.5
+    return replace(info, width=int(size[0]), height=int(size[1]), K=K if info.K.any() else info.K)
 
 
 def grid_from_msg(
