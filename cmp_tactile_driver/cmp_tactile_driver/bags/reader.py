@@ -6,7 +6,8 @@ where a sensor has measured its markers itself.  Camera infos are compared with 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -119,7 +120,9 @@ class BagReader:
         self._storage = BagStorage(path)
         self._shape = shape
         self._typestore = simulation_typestore() if shape else get_typestore(Stores.ROS2_JAZZY)
-        self.image_topic = _choose_topic(path, self._storage.topics, topic, surfaces=bool(shape))
+        topic = topic and f"/{topic.strip('/')}"
+        topics = _topics_with_frames(self._storage, topic)
+        self.image_topic = _choose_topic(path, topics, topic, surfaces=bool(shape))
         self._info_topic = _info_topic(self._storage.topics, self.image_topic)
         self._depth = BitDepth(f"{path}: {self.image_topic}", look_ahead=self._used_bits)
         self._given_size = expected_size
@@ -270,14 +273,38 @@ class BagReader:
             raise WrongSizeError(msg)
 
 
+def _topics_with_frames(storage: BagStorage, wanted: str) -> dict[str, str]:
+    """Kinds by topic, without image topics that are empty, or poorer than their other transport.
+
+    A recorder of all topics may get nothing, or the first frames alone, of one of two transports.
+    wanted: stays if it has frames.
+    """
+    images = image_topics(storage.topics)
+    if len(images) < 2:
+        return storage.topics
+    counts = Counter(message.topic for message in storage.index(images))
+    bases = {name.removesuffix(COMPRESSED) for name in images}
+    best = {max((base, base + COMPRESSED), key=lambda name: counts[name]) for base in bases}
+    kept = {name for name in (*best, wanted) if counts[name]} or best
+    return {
+        name: kind for name, kind in storage.topics.items() if name in kept or name not in images
+    }
+
+
+def image_topics(topics: Mapping[str, str]) -> list[str]:
+    """The topics of images, in order."""
+    return sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
+
+
 def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: bool) -> str:
-    images = sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
+    images = image_topics(topics)
     if surfaces and (topics.get(wanted) == SURFACE or not images):
         return _surface_topic(path, topics, wanted)
     found = _listed(topics) or "none"
     if wanted:
-        if wanted in images:
-            return wanted
+        base = wanted.removesuffix(COMPRESSED)
+        if found_on := [name for name in (wanted, base, base + COMPRESSED) if name in images]:
+            return found_on[0]
         msg = f"{path}: found no images on {wanted!r}; topics: {found}"
         raise BagError(msg)
     if not images:

@@ -1,7 +1,9 @@
 """Bags give frames, stamps and camera infos as recorded; damage is reported with what is left."""
 
 import shutil
+import sqlite3
 import struct
+from contextlib import closing
 from dataclasses import replace
 
 import made_bags
@@ -65,6 +67,25 @@ def test_choice_of_the_topic(tmp_path):
     two = made_bags.write(tmp_path / "two", {"/a/image_raw": [image], "/b/image_raw": [image]})
     with pytest.raises(BagError, match=r"several image topics, .*: /a/image_raw, /b"):
         BagReader(two)
+
+
+@pytest.mark.parametrize(
+    ("kept", "topic"),
+    [(0, ""), (0, "/rig/image_raw"), (2, ""), (2, "rig/image_raw/compressed")],
+)
+def test_of_two_transports_the_fuller_one_is_read(tmp_path, frames, kept, topic):
+    """Tried: "the topic is empty", or two frames of twelve and no word."""
+    rows = []
+    for frame, stamp in zip(frames, made_bags.stamps(len(frames)), strict=True):
+        rows.append(("/rig/image_raw", stamp, made_bags.image(frame, stamp)))
+        rows.append(("/rig/image_raw/compressed", stamp, made_bags.compressed(frame, stamp)))
+    path = made_bags.write_rows(tmp_path / "bag", rows, StoragePlugin.SQLITE3)
+    with closing(sqlite3.connect(path / "bag.db3")) as bag:
+        # The raw topic is the first.
+        first_lost = (made_bags.stamps(kept + 1)[-1],)
+        bag.execute("DELETE FROM messages WHERE topic_id = 1 AND timestamp >= ?", first_lost)
+        bag.commit()
+    made_bags.assert_played(BagReader(path / "bag.db3", topic).frames(), frames)
 
 
 def test_bad_messages_are_skipped_and_named(tmp_path, frames):
