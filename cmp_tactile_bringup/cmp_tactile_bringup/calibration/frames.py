@@ -6,7 +6,6 @@ skew in the image differ enough from those of all frames kept so far.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -18,18 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import (
-    RecordingError,
     check_source,
     recorded_source,
 )
-from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file
-from cmp_tactile_driver.sources.frames import ImageSize
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 from cmp_tactile_processing.geometry.split import to_grey
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 Frame = NDArray[np.uint8]
 
@@ -57,18 +55,22 @@ class RecordedFrames:
 
 
 def read_frames(
-    source: Path, size: ImageSize, topic: str = "", count: int | None = None, start_s: float = 0.0
+    source: Path,
+    sensor: SensorDescription,
+    topic: str = "",
+    count: int | None = None,
+    start_s: float = 0.0,
 ) -> RecordedFrames:
-    """Frames of a bag or a folder of images.
+    """Frames of a sensor's size of a bag or a folder of images.
 
-    size: that they must have.  topic: image topic of a bag, empty for the only one.  count: at most
-    so many frames, None for all.  start_s: leave out what is earlier.
+    topic: as of `open_recording_of`.  count: at most so many frames, None for all.  start_s: leave
+    out what is earlier.
     Raises RecordingError where there is no such source, FrameSourceError where no frame of it can
     be used.
     """
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source)
-    recording = open_recording(path, topic=topic, expected_size=size)
+    recording = open_recording_of(sensor, path, topic=topic, surfaces=False)
     chosen = list(islice(recording.frames(TimeSpan(start=start_s)), count))
     if not chosen:
         msg = f"{source}: found no frame after {start_s:g} s, expected a longer recording"
@@ -83,52 +85,6 @@ def read_frames(
 def read_images(files: Sequence[Path]) -> list[Frame]:
     """Grey images (H, W) of files; FrameError for one that cannot be read."""
     return [to_grey(decode_file(expanded_path(file))) for file in files]
-
-
-def pairs_by_number(
-    left: Sequence[Path], right: Sequence[Path]
-) -> tuple[list[tuple[Path, Path]], list[Path]]:
-    """Images that were taken together, by the numbers in their names, and those without a partner.
-
-    A number that is the same in all names of a side, such as that of its camera, does not count.
-    Raises RecordingError for a name without a number, numbers that come twice, and no pair at all.
-    """
-    numbered = {"left": _by_number(left), "right": _by_number(right)}
-    both = [number for number in numbered["left"] if number in numbered["right"]]
-    if not both:
-        msg = (
-            f"{left[0].name} to {left[-1].name}, {right[0].name} to {right[-1].name}: found no "
-            "number that is in the names of both, expected the same number in the two names of a "
-            "pair"
-        )
-        raise RecordingError(msg)
-    pairs = [(numbered["left"][number], numbered["right"][number]) for number in both]
-    alone = [file for side in numbered.values() for n, file in side.items() if n not in both]
-    return pairs, alone
-
-
-def _by_number(files: Sequence[Path]) -> dict[tuple[int, ...], Path]:
-    """The files of one side by the numbers that differ between their names, in their order."""
-    numbers = [tuple(map(int, re.findall(r"\d+", file.stem))) for file in files]
-    for file, found in zip(files, numbers, strict=True):
-        if not found:
-            msg = (
-                f"{file}: found no number in its name, expected the number of its pair, as in "
-                "left04.png"
-            )
-            raise RecordingError(msg)
-    if len(set(map(len, numbers))) == 1 and len(set(numbers)) > 1:
-        varying = [k for k, values in enumerate(zip(*numbers, strict=True)) if len(set(values)) > 1]
-        keys = [tuple(found[k] for k in varying) for found in numbers]
-    else:
-        keys = [found[-1:] for found in numbers]
-    chosen: dict[tuple[int, ...], Path] = {}
-    for key, file in zip(keys, files, strict=True):
-        if key in chosen:
-            msg = f"{file}: found the same number as in {chosen[key]}, expected a different one"
-            raise RecordingError(msg)
-        chosen[key] = file
-    return chosen
 
 
 class Choice(str, Enum):

@@ -130,9 +130,9 @@ class Looking(Command):
 
     def _of_camera(self, name: str) -> Images:
         from cmp_tactile_driver.errors import FrameSourceError
-        from cmp_tactile_driver.sources.frames import SourceOptions
+        from cmp_tactile_driver.sources.frames import VIEWS, SourceOptions
         from cmp_tactile_driver.sources.parameters import CameraParameters
-        from cmp_tactile_driver.v4l2.pair import VIEWS, open_cameras
+        from cmp_tactile_driver.v4l2.pair import open_cameras
         from cmp_tactile_processing.sensor import parts
         from cmp_tactile_processing.sensor.description import load_sensor
 

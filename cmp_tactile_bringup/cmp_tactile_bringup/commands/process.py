@@ -82,7 +82,13 @@ class Process(Command):
     ]
     output: Annotated[Path, option("folder to write", metavar="DIR")]
     sensor: RecordingSensor = None
-    topic: Annotated[str, _reading("image topic, if the bag has several")] = ""
+    topic: Annotated[
+        str,
+        _reading(
+            "image topic, if the bag has several; LEFT,RIGHT for two cameras: topics, or "
+            "recordings in the folder"
+        ),
+    ] = ""
     frame_rate: Annotated[
         float,
         _reading(

@@ -44,7 +44,13 @@ class View(Command):
             "results, or with a sensor.yaml in the recording's folder"
         ),
     ] = None
-    topic: Annotated[str, option("image topic, if the bag has several")] = ""
+    topic: Annotated[
+        str,
+        option(
+            "image topic, if the bag has several; LEFT,RIGHT for two cameras: topics, or "
+            "recordings in the folder"
+        ),
+    ] = ""
     paused: Annotated[bool, option("begin paused, at the first frame")] = False
     host: Annotated[str, _page("address to listen on; 0.0.0.0 for the whole network")] = "127.0.0.1"
     port: Annotated[

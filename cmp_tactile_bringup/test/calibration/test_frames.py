@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.calibration.frames import BoardCapture, BoardView, Choice, pairs_by_number
-from cmp_tactile_bringup.recordings.library import RecordingError
+from cmp_tactile_bringup.calibration.frames import BoardCapture, BoardView, Choice
+from cmp_tactile_driver.bags.pairs import pairs_by_number
+from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 
 TARGET = BoardTarget("chessboard", 9, 6, 0.01)
@@ -97,12 +98,12 @@ def test_one_missing_image_a_side_moves_no_other(left, right):
 def test_one_pair_alone():
     pair = Path("cam0_04.png"), Path("cam1_04.png")
     assert pairs_by_number([pair[0]], [pair[1]]) == ([pair], [])
-    with pytest.raises(RecordingError, match=r"L04.png .*R03.png: found no number"):
+    with pytest.raises(FrameSourceError, match=r"L04.png .*R03.png: found no number"):
         pairs_by_number([Path("L04.png")], [Path("R03.png")])
 
 
 def test_names_that_say_nothing_are_refused():
-    with pytest.raises(RecordingError, match=r"b.png: found no number"):
+    with pytest.raises(FrameSourceError, match=r"b.png: found no number"):
         pairs_by_number([Path("a1.png"), Path("b.png")], _names("r{}.png", 1, 2))
-    with pytest.raises(RecordingError, match=r"y/1.png: found .* x/1.png"):
+    with pytest.raises(FrameSourceError, match=r"y/1.png: found .* x/1.png"):
         pairs_by_number([Path("x/1.png"), Path("y/1.png")], _names("r{}.png", 1, 2))

@@ -6,9 +6,11 @@ import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
-from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame
+from cmp_tactile_driver.bags.pairs import PairedRecording, pairs_by_number
+from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, image_topics
 from cmp_tactile_driver.bags.storage import (
     STORAGE_SUFFIXES,
+    BagStorage,
     bag_files,
     is_bag_file,
 )
@@ -16,10 +18,13 @@ from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
 from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 SHOWN_NAMES = 6
+# Between what two cameras recorded.
+SEPARATOR = ","
 
 
 class ImageRecording:
@@ -58,7 +63,7 @@ class ImageRecording:
     frames = messages
 
 
-Recording = BagReader | ImageRecording
+Recording = BagReader | ImageRecording | PairedRecording
 
 
 def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
@@ -111,24 +116,109 @@ def _video(path: Path, expected_size: frames.ImageSize | None) -> files.VideoFil
         raise FrameSourceError(msg) from None
 
 
-def open_recording_of(
+def open_recording_of(  # noqa: PLR0913  as open_recording
     sensor: SensorDescription,
     path: Path,
     *,
     topic: str = "",
     frame_rate: float = files.DEFAULT_FRAME_RATE,
+    frame_id: str = "",
+    any_size: bool = False,
+    surfaces: bool = True,
 ) -> Recording:
     """What a sensor recorded: frames of its camera's size or, from a bag, its surfaces.
 
+    topic: "LEFT,RIGHT" names what its two cameras recorded: topics of a bag; folders, videos or
+    bags in a folder.  Without it, those of a sensor with two cameras are paired if they are named
+    left and right.  any_size: of the frames of one camera.  surfaces: whether they are of use.
     Otherwise as `open_recording`.
     """
+    if set(sensor.views) == set(frames.VIEWS):
+        sides = _sides(sensor, path, topic)
+        if sides:
+            sides, alone = _with_partners(sides)
+            opened = _opened_sides(sensor, sides, frame_rate, frame_id)
+            return PairedRecording(str(path), sensor, opened, alone)
     return open_recording(
         path,
         topic=topic,
         frame_rate=frame_rate,
-        expected_size=sensor.frame_size if sensor.views else None,
-        shape=sensor.pattern.shape,
+        frame_id=frame_id,
+        expected_size=sensor.frame_size if sensor.views and not any_size else None,
+        shape=sensor.pattern.shape if surfaces else None,
     )
+
+
+Side = tuple[Path, str] | list[Path]
+"""What one camera recorded: a recording and its topic, or images."""
+
+
+def _sides(sensor: SensorDescription, path: Path, topic: str) -> list[Side]:
+    """What the left and the right camera recorded; empty where there is one camera."""
+    names = [name.strip() for name in topic.split(SEPARATOR)] if SEPARATOR in topic else []
+    if names and len(names) != len(frames.VIEWS):
+        msg = f"{path}: topic: found {topic!r}, expected one name, or LEFT,RIGHT"
+        raise FrameSourceError(msg)
+    if not names and (topic or sensor.optics.type != "two_view"):
+        return []
+    if is_bag(path):
+        return [(path, name) for name in names or _pair_of_topics(path)]
+    if not path.is_dir():
+        return []
+    if not names:
+        images = {view: _images_named(path, view) for view in frames.VIEWS}
+        if all(images.values()):
+            return list(images.values())
+        there = {item.stem.lower(): item.name for item in path.iterdir()}
+        names = [there[view] for view in frames.VIEWS if view in there]
+    return [(path / name, "") for name in names] if len(names) == len(frames.VIEWS) else []
+
+
+def _pair_of_topics(path: Path) -> list[str]:
+    """The two image topics of a bag if they differ by left and right, and there is no other."""
+    bases = {name.removesuffix(COMPRESSED) for name in image_topics(BagStorage(path).topics)}
+    left = next((base for base in sorted(bases) if "left" in base), "")
+    pair = [left, left.replace("left", "right")]
+    return pair if left and bases == set(pair) else []
+
+
+def _images_named(folder: Path, view: str) -> list[Path]:
+    named = [path for path in folder.iterdir() if view in path.stem.lower()]
+    images = (path for path in named if path.suffix.lower() in files.IMAGE_SUFFIXES)
+    return sorted(images, key=files.natural_key)
+
+
+def _with_partners(sides: list[Side]) -> tuple[list[Side], list[Path]]:
+    """Images by the numbers in their names, and those without a partner; else as it is."""
+    images = [side if isinstance(side, list) else _images_of(side[0]) for side in sides]
+    if not all(images):
+        return sides, []
+    if all(len(side) == 1 for side in images):
+        return [*images], []
+    pairs, alone = pairs_by_number(*images)
+    return [list(side) for side in zip(*pairs, strict=True)], alone
+
+
+def _images_of(path: Path) -> list[Path]:
+    return files.image_files(path) if path.is_dir() and not is_bag(path) else []
+
+
+def _opened_sides(
+    sensor: SensorDescription, sides: list[Side], frame_rate: float, frame_id: str
+) -> dict[str, Recording]:
+    opened: dict[str, Recording] = {}
+    for view, side in zip(frames.VIEWS, sides, strict=True):
+        size = sensor.views[view].roi.width, sensor.views[view].roi.height
+        if isinstance(side, list):
+            place = side[0].parent
+            images = files.ImageFolder(place, frame_rate, expected_size=size, chosen=side)
+            opened[view] = ImageRecording(images, frame_id)
+            continue
+        path, topic = side
+        opened[view] = open_recording(
+            path, topic=topic, frame_rate=frame_rate, frame_id=frame_id, expected_size=size
+        )
+    return opened
 
 
 def check_folder(path: Path) -> None:
@@ -200,5 +290,5 @@ def recorded_source(options: frames.SourceOptions) -> RecordedSource:
     Raises FrameSourceError for what is none, or is of another camera.
     """
     path = expanded_path(options.input)
-    recording = open_recording(path, expected_size=options.frame_size)
+    recording = open_recording_of(options.sensor, path, surfaces=False)
     return RecordedSource(recording, options)

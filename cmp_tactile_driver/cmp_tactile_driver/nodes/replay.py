@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
-from cmp_tactile_driver.bags.recording import Recording, open_recording
+from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters
@@ -140,12 +140,13 @@ class Replay(ReportingNode):
         self._sensor = load_sensor(self._settings.sensor_description, self._settings.sensor_name)
         self._info = camera_info_of(self._sensor, Header()) if self._sensor.views else None
         self._recordings = [
-            open_recording(
+            open_recording_of(
+                self._sensor,
                 path,
                 topic=self._settings.topic,
                 frame_rate=self._settings.frame_rate,
                 frame_id=camera_frame(self._sensor),
-                shape=self._sensor.pattern.shape,
+                any_size=True,
             )
             for path in inputs
         ]

@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -148,7 +148,7 @@ def image_files(folder: Path) -> list[Path]:
         expected = ", ".join(IMAGE_SUFFIXES)
         msg = f"{folder}: found no image among {len(there)} entries, expected {expected}"
         raise FrameSourceError(msg)
-    return sorted(files, key=_natural_key)
+    return sorted(files, key=natural_key)
 
 
 class ImageFolder(_Images):
@@ -165,14 +165,15 @@ class ImageFolder(_Images):
         frame_rate: float = DEFAULT_FRAME_RATE,
         *,
         expected_size: frames.ImageSize | None = None,
+        chosen: Sequence[Path] = (),
     ) -> None:
-        """expected_size: where absent, the size of the first good image.
+        """expected_size: where absent, the size of the first good image.  chosen: all if empty.
 
         Raises FrameSourceError for an absent folder and one without images.
         """
         super().__init__(folder, expected_size)
         self.frame_rate = frame_rate
-        self._files = image_files(folder)
+        self._files = list(chosen) or image_files(folder)
         self.declared_frames = len(self._files)
         self._depth = BitDepth(str(folder), look_ahead=self._used_bits)
 
@@ -219,7 +220,8 @@ class ImageFolder(_Images):
         return image
 
 
-def _natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Puts 2.png before 10.png."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
 

@@ -6,7 +6,7 @@ the driver's parameter `source`, and it loads to a function from SourceOptions t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from typing import Any, Protocol, runtime_checkable
@@ -111,6 +111,28 @@ class SourceOptions:
     def frame_size(self) -> ImageSize:
         """The size that every frame must have."""
         return self.sensor.frame_size
+
+
+VIEWS = ("left", "right")
+
+
+def join_views(
+    sensor: SensorDescription, images: Sequence[NDArray[np.uint8]], name: str
+) -> NDArray[np.uint8]:
+    """The frame of a sensor whose left and right view are images of two cameras.
+
+    Raises FrameSourceError, which begins with name, where only one is in colours.
+    """
+    kinds = [encoding_of(image) for image in images]
+    if kinds[0] != kinds[1]:
+        msg = f"{name}: found {kinds[0]} and {kinds[1]}, expected both cameras grey or both colour"
+        raise FrameSourceError(msg)
+    width, height = sensor.frame_size
+    joined = np.zeros((height, width, *images[0].shape[2:]), np.uint8)
+    for view, image in zip(VIEWS, images, strict=True):
+        roi = sensor.views[view].roi
+        joined[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width] = image
+    return joined
 
 
 class FrameSource(Protocol):

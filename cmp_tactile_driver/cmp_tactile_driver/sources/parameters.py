@@ -98,7 +98,11 @@ class ReplayParameters(Parameters):
         "bag (folder, .mcap or .db3 file), folder of images, image or video; separate "
         "several by colons, they are played one after the other",
     )
-    topic: str = parameter("", "image topic of the bag; may be empty if there is only one")
+    topic: str = parameter(
+        "",
+        "image topic of the bag; may be empty if there is only one; LEFT,RIGHT for two cameras: "
+        "topics, or recordings in the folder",
+    )
     sensor_description: str = parameter(
         DEFAULT_SENSOR,
         "sensor description, a file or a packaged name; gives camera_info and frame ids to "

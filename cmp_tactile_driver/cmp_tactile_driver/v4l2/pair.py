@@ -8,15 +8,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from cmp_tactile_driver.errors import FrameSourceError
-from cmp_tactile_driver.sources.frames import Frame, NodeExtension, SourceHealth, SourceOptions
+from cmp_tactile_driver.sources.frames import (
+    VIEWS,
+    Frame,
+    NodeExtension,
+    SourceHealth,
+    SourceOptions,
+    join_views,
+)
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2.source import V4L2Source, next_frame
 
 SEPARATOR = ","
-VIEWS = ("left", "right")
 
 
 def open_cameras(options: SourceOptions) -> V4L2Source | CameraPair:
@@ -51,14 +55,13 @@ class CameraPair:
             )
             raise FrameSourceError(msg)
         self._tolerance_ns = round(options.camera.pair_tolerance * 1e9)
-        self._size = options.frame_size
-        self._rois = [views[name].roi for name in VIEWS]
+        self._sensor = options.sensor
         self._waiting: list[Frame | None] = [None, None]
         self._unpaired, self._apart, self._running = 0, "", False
         self._closing = threading.Event()
         self._sources: list[V4L2Source] = []
         try:
-            for device, roi in zip(devices, self._rois, strict=True):
+            for device, roi in zip(devices, (views[name].roi for name in VIEWS), strict=True):
                 image = replace(options.sensor.image, width=roi.width, height=roi.height)
                 sensor = replace(options.sensor, image=image)
                 camera = replace(options.camera, device=device)
@@ -188,15 +191,6 @@ class CameraPair:
             )
             return None
         self._waiting, self._apart = [None, None], ""
-        if left.encoding != right.encoding:
-            msg = (
-                f"{self.name}: found {left.encoding} and {right.encoding}, expected both cameras "
-                "grey or both colour"
-            )
-            raise FrameSourceError(msg)
-        width, height = self._size
-        joined = np.zeros((height, width, *left.image.shape[2:]), np.uint8)
-        for roi, frame in zip(self._rois, (left, right), strict=True):
-            joined[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width] = frame.image
+        joined = join_views(self._sensor, (left.image, right.image), self.name)
         origin = f"{left.origin}, {right.origin}"
         return Frame(joined, origin, monotonic_ns=times[0] + apart_ns // 2)

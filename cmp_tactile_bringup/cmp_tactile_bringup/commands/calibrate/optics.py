@@ -164,9 +164,10 @@ class Gel(Output, FrameInput):
 
 def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
-    from cmp_tactile_bringup.calibration.frames import pairs_by_number, read_images
+    from cmp_tactile_bringup.calibration.frames import read_images
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude, warn
     from cmp_tactile_bringup.terminal import shown_count
+    from cmp_tactile_driver.bags.pairs import pairs_by_number
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
 
     views = ("left", "right") if arguments.right else ("left",)
@@ -207,7 +208,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     if arguments.input is None:
         frames = _capture(arguments, sensor, target, files.report / "frames")
     else:
-        found = read_frames(arguments.input, sensor.frame_size, arguments.topic)
+        found = read_frames(arguments.input, sensor, arguments.topic)
         warn(found.problem)
         frames = found.images
     with shown_count() as count:

@@ -107,8 +107,7 @@ def frames_of(
     topic = arguments.topic
     if arguments.input is not None:
         on_stage("reading frames", 0.0)
-        size = sensor.frame_size
-        frames = read_frames(arguments.input, size, topic, arguments.frames, arguments.start)
+        frames = read_frames(arguments.input, sensor, topic, arguments.frames, arguments.start)
         on_stage("reading frames", 1.0)
         return frames
     from cmp_tactile_bringup.calibration.live import LiveFrames
