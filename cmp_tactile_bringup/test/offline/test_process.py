@@ -166,6 +166,21 @@ def test_a_repeated_picture_is_reported_and_its_force_not_usable(images, tmp_pat
     assert rows == [("", "1"), ("old_picture", "0"), ("old_picture", "0"), ("", "1")]
 
 
+def test_pictures_of_two_cameras_are_processed_as_one_frame(images, tmp_path):
+    for name, view in load_sensor("sample_rig").views.items():
+        (tmp_path / "apart" / f"{name}_camera").mkdir(parents=True)
+        roi = view.roi
+        for path in images.iterdir():
+            frame = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            part = frame[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
+            cv2.imwrite(str(tmp_path / "apart" / f"{name}_camera" / path.name), part)
+    given = ("--topic", "left_camera,right_camera", "--output", tmp_path)
+    assert process(tmp_path / "apart", *given) == 0
+    assert process(images, "--output", tmp_path) == 0
+    tables = [(tmp_path / f"{name}_wrench.csv").read_text() for name in ("apart", "images")]
+    assert tables[0] == tables[1]
+
+
 def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     other = tmp_path / "[red]other"
