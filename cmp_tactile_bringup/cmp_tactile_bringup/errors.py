@@ -15,6 +15,10 @@ class GraphError(CmpTactileError):
     """A graph file or an argument of it that cannot be used."""
 
 
+class ArgumentError(GraphError):
+    """A wrong argument on a command line, as a wrong option."""
+
+
 class ClusterError(CmpTactileError):
     """A cluster that cannot be reached, or whose workers cannot do the work."""
 

@@ -81,7 +81,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
     fewer than two messages of it with a force that is not NaN.
     """
-    storage = BagStorage(bag)
+    storage, topic = BagStorage(bag), f"/{topic.strip('/')}"
     if storage.topics.get(topic) != WRENCH_STAMPED:
         there = sorted(name for name, kind in storage.topics.items() if kind == WRENCH_STAMPED)
         msg = (

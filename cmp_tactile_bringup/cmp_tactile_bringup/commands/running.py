@@ -57,9 +57,8 @@ def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
     wanted = f"/{namespace.strip('/')}" if namespace else ""
     spaces = settled(lambda: _namespaces(node, wanted), SEARCH_TIME_S)
     if not spaces:
-        where = f"in {wanted}" if wanted else "in any namespace"
-        there = ", ".join(_namespaces(node, "")) or "a running sensor; is ROS_DOMAIN_ID the same?"
-        msg = f"found no {SPLITTER} {where}, expected {there}"
+        there = ", ".join(_namespaces(node, "")) or "one; is ROS_DOMAIN_ID the same?"
+        msg = f"found no running sensor{f' in {wanted}' if wanted else ''}, expected {there}"
         raise RunningSensorError(msg)
     if len(spaces) > 1:
         msg = f"found several sensors, expected the namespace of one of: {', '.join(spaces)}"

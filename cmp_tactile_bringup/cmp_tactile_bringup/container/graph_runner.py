@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import platform
 import subprocess
 import sys
 import threading
@@ -17,7 +18,7 @@ from rclpy.logging import get_logger
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import running_container
-from cmp_tactile_bringup.errors import GraphError
+from cmp_tactile_bringup.errors import ArgumentError, GraphError
 from cmp_tactile_bringup.graphs.description import (
     CONTAINER,
     Graph,
@@ -28,6 +29,7 @@ from cmp_tactile_bringup.graphs.description import (
 from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.running import RunningLine, pressed_keys
 from cmp_tactile_bringup.terminal import shown_stages
+from cmp_tactile_processing.cache.files import default_cache_dir, digest, locked
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.processes import StopSignal, python_command
 from cmp_tactile_processing.ros.process import leave_process, report_error, split_ros_args
@@ -35,6 +37,8 @@ from cmp_tactile_processing.ros.process import leave_process, report_error, spli
 VIEWER = "cmp_tactile_viewer.nodes.web_viewer"
 EXECUTABLES = "cmp_tactile_bringup.container.executables"
 END_WITH_STDIN = "--end-with-stdin"
+# The exit code, as for a wrong option.
+WRONG_ARGUMENT = 2
 # How often components and processes are asked whether they failed, s.
 CHECK_PERIOD = 0.2
 
@@ -44,8 +48,8 @@ Processes = Mapping[str, "subprocess.Popen[bytes]"]
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     """Run what a command line asks for until a signal comes; the exit code.
 
-    0 after a clean end; 1 where it cannot start, and where a component fails, which ends the others
-    too.  arguments: those of the process, its name first.
+    0 after a clean end; 2 for a wrong argument; 1 where it cannot start, and where a component
+    fails, which ends the others too.  arguments: those of the process, its name first.
     """
     own, ros_args = split_ros_args(arguments[1:])
     options = _parser().parse_intermixed_args(own)
@@ -66,6 +70,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
             for part in others
         }  # fmt: skip
         with (
+            _only_one_in(first.namespace),
             # Not missed where it ends by itself, as for a port that is taken: the sensors run on.
             _running(_page(graph)),
             _running(commands) as processes,
@@ -73,7 +78,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         ):
             code = _run(container, first, stop, processes, watch=options.watch)
     except CmpTactileError as error:
-        return report_error(error)
+        return WRONG_ARGUMENT if report_error(error) and isinstance(error, ArgumentError) else 1
     return leave_process(code, container.threads_before)
 
 
@@ -95,7 +100,7 @@ def _load(options: argparse.Namespace) -> Graph:
         name, separator, value = assignment.partition(":=")
         if not separator:
             msg = f"found {assignment!r}, expected NAME:=VALUE"
-            raise GraphError(msg)
+            raise ArgumentError(msg)
         values[name] = value
     return function.load(values)
 
@@ -109,6 +114,29 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
             show(what, share)
 
         return with_recordings(graph, show_or_stop)
+
+
+@contextmanager
+def _only_one_in(namespace: str) -> Iterator[None]:
+    """Raise GraphError where a process of this machine runs a graph in the same namespace.
+
+    Their forces and records would be mixed.
+    """
+    where = f"{platform.node()} {os.environ.get('ROS_DOMAIN_ID') or 0} {namespace}"
+    place = default_cache_dir() / "running"
+    with ExitStack() as held:
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+            held.enter_context(locked(place / f"{digest(where)[:16]}.lock", wait_s=0.0))
+        except TimeoutError:
+            msg = (
+                f"{namespace}: found a sensor of this name that runs already, expected another "
+                "name (name:=NAME)"
+            )
+            raise GraphError(msg) from None
+        except OSError:
+            pass  # nothing can be kept: it runs all the same
+        yield
 
 
 @contextmanager

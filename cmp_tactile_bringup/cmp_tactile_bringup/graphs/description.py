@@ -15,9 +15,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
+from cmp_tactile_bringup.errors import ArgumentError, ComponentLoadError, GraphError
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
-from cmp_tactile_driver.bags.recording import open_recording
+from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.cache.files import expanded_path, split_paths
 from cmp_tactile_processing.errors import DescriptionError
@@ -66,7 +66,7 @@ class Argument:
         # Names of files may be in another encoding, which messages of ROS cannot contain.
         if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
             msg = f"argument {self.name}: found {given!r}, expected text in UTF-8"
-            raise GraphError(msg)
+            raise ArgumentError(msg)
         if isinstance(value, str) and kind is not str:
             value = _value_of(value)
         if kind is float and type(value) is int:
@@ -75,7 +75,7 @@ class Argument:
             return value
         expected = f"one of {', '.join(self.choices)}" if self.choices else f"a {TYPES[kind]}"
         msg = f"argument {self.name}: found {given!r}, expected {expected}"
-        raise GraphError(msg)
+        raise ArgumentError(msg)
 
 
 def _value_of(text: str) -> Any:
@@ -95,7 +95,7 @@ def argument_values(declared: Sequence[Argument], given: Mapping[str, Value]) ->
         if name not in names:
             allowed, near = ", ".join(names), did_you_mean(name, names)
             msg = f"found argument {name!r}, expected one of: {allowed}{near}"
-            raise GraphError(msg)
+            raise ArgumentError(msg)
     return {item.name: item.convert(given.get(item.name, item.default)) for item in declared}
 
 
@@ -293,7 +293,7 @@ class GraphFunction:
             return self._load(argument_values(self.arguments, given or {}))
         except GraphError as error:
             msg = f"{self.label}{error}"
-            raise GraphError(msg) from None
+            raise type(error)(msg) from None
 
     def _load(self, values: Mapping[str, Any]) -> Graph:
         own = {item.name: values[item.name] for item in self.own_arguments}
@@ -407,7 +407,7 @@ def check_recordings(graph: Graph) -> None:
             for path in _inputs(component):
                 sensor = load_sensor(str(component.parameters["sensor_description"]))
                 topic = str(component.parameters.get("topic", ""))
-                open_recording(path, topic=topic, shape=sensor.pattern.shape)
+                open_recording_of(sensor, path, topic=topic, any_size=True)
         except FrameSourceError as error:
             raise ComponentLoadError(f"{component.label}: {error}") from None
 

@@ -249,10 +249,11 @@ def run_job(job: Job, on_stage: OnStage) -> Outcome:
         try:
             return processor.run(folder, partial(on_stage, job.label))
         except OSError as error:
-            if error.filename is not None:
+            full = error.errno in NO_ROOM
+            # A copy to a full disk names what it reads; an open file does not say which it is.
+            if error.filename is not None and not full:
                 raise
-            # An open file does not say which it is.
-            where = job.folder if error.errno in NO_ROOM else f"{job.label} or {job.folder}"
+            where = f"{job.folder}: its disk" if full else f"{job.label} or {job.folder}"
             msg = f"{where}: {error.strerror or error}"
             raise OutputError(msg) from error
 

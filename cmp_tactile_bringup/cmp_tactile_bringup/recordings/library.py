@@ -13,7 +13,7 @@ from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest, expanded_path
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.sensor.description import packaged_sensors
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_section import did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 DEFAULT_SCENE = "grasp"
@@ -58,7 +58,7 @@ def check_source(source: Path, kinds: str = SOURCES) -> None:
             f"{source}: found no such file or folder, expected {kinds}, "
             f"or the name of a scene: {scenes}"
         )
-        raise RecordingError(msg)
+        raise RecordingError(msg + did_you_mean(str(source), packaged_scenes()))
 
 
 def required_sensor(source: Path, given: str | None, *more: Path) -> str:

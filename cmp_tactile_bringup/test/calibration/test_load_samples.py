@@ -183,7 +183,7 @@ def test_a_wrench_topic_is_read_by_stamps_and_by_log_times_without_them(tmp_path
     assert series.stamp_ns.tolist() == [10**9, 10**9 + 1, 10**9 + 2]
     np.testing.assert_allclose(series.force, [[0, 0, 0], [1, 0, 0], [2, 0, 0]])
     rows = [(log_ns, 0, wrench) for log_ns, _, wrench in rows]
-    series = read_wrench(write_wrench_bag(tmp_path / "unstamped", rows), "/ft/wrench")
+    series = read_wrench(write_wrench_bag(tmp_path / "unstamped", rows), "ft/wrench")
     assert series.stamp_ns.tolist() == [5 * 10**9 + k for k in range(3)]
 
 

@@ -123,7 +123,9 @@ def test_of_several_sensors_one_is_to_be_named(ros, run):
 
 def test_no_sensor_and_one_of_another_name(ros, run, monkeypatch):
     monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
-    with pytest.raises(RunningSensorError, match="in any namespace, expected a running sensor"):
+    with pytest.raises(
+        RunningSensorError, match="found no running sensor, expected one; is ROS_DOMAIN"
+    ):
         run("zero")
     monkeypatch.setattr(running, "SEARCH_TIME_S", 3.0)
     ros.start(ViewSplitter)

@@ -79,17 +79,19 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
 
 @pytest.mark.usefixtures("own_signals")
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "code", "message"),
     [
-        (["none.py"], "error: none.py: found no such file, expected a path or one of gripper, "),
-        (["replay", "rate"], "error: found 'rate', expected NAME:=VALUE"),
-        (["replay", "pace:=2"], "error: found argument 'pace', expected one of: sensor, name, "),
-        (["replay", "sensor:=nobody"], "error: argument sensor: nobody: found no such file"),
-        (["simulate", "container:=/x"], "error: found argument 'container', expected one of"),
+        (["none.py"], 1, "error: none.py: found no such file, expected a path or one of gripper, "),
+        (["replay", "rate"], 2, "error: found 'rate', expected NAME:=VALUE"),
+        (["replay", "pace:=2"], 2, "error: found argument 'pace', expected one of: sensor, name, "),
+        (["replay", "loop:=maybe"], 2, "error: argument loop: found 'maybe', expected a boolean"),
+        (["replay", "sensor:=nobody"], 1, "error: argument sensor: nobody: found no such file"),
+        (["simulate", "scene:=slpi"], 1, "did you mean 'slip'?"),
+        (["simulate", "container:=/x"], 2, "error: found argument 'container', expected one of"),
     ],
 )
-def test_what_cannot_start_says_why_in_one_line(arguments, message, capfd):
-    assert standalone(arguments) == 1
+def test_what_cannot_start_says_why_in_one_line(arguments, code, message, capfd):
+    assert standalone(arguments) == code
     log = capfd.readouterr().err
     assert message in log
     assert len(log.strip().splitlines()) == 1
@@ -140,6 +142,9 @@ def test_the_chain_runs_and_ends_with_zero(ros, graph_file, grasp_bag):
         try:
             ros.call(SetBool, f"{namespace}/replay/pause", request, TIMEOUT_S)
             ros.wait(lambda: len(surfaces) == 14, "14 surfaces")
+            code, said = _run(str(path), f"input:={grasp_bag}")
+            assert code == 1
+            assert f"error: {namespace}: found a sensor of this name that runs already" in said
             process.send_signal(signal.SIGTERM)
             log = process.communicate(timeout=TIMEOUT_S)[1]
         finally:

@@ -1,7 +1,9 @@
 """`cmp_tactile process` that is interrupted, given again, or run out of room."""
 
+import errno
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -80,6 +82,19 @@ def test_ctrl_c_ends_with_130_and_leaves_what_is_finished(images, tmp_path, monk
     sources = (images / "0.png", images, images / "1.png")
     assert process(*sources, "--output", out, "--jobs", 1) == 130
     assert [path.name for path in sorted(out.iterdir())] == [f"0{suffix}" for suffix in FILES]
+
+
+def test_a_full_disk_is_that_of_the_output(images, tmp_path, capsys, monkeypatch):
+    """Linux's copy names the file that it reads first, as if that were at fault."""
+
+    def copy(source, target):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), source, None, target)
+
+    monkeypatch.setattr(shutil, "copyfile", copy)
+    assert process(images, "--output", tmp_path / "out") == 1
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'out'}: its disk: No space left on device" in said
+    assert "sample_rig.yaml" not in said
 
 
 def test_no_room_is_reported_and_nothing_is_left(images, tmp_path, capsys):

@@ -6,6 +6,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -13,9 +14,15 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -54,6 +61,7 @@ IMAGE_DEPTH = 5
 # A second of frames at 20 Hz: a stage may be slow for a while before it loses one.
 INPUT_DEPTH = 20
 WARNING_PERIOD_S = 5.0
+RELIABLE_INPUT = "reliable_input"
 
 
 class ReportingNode(WiredNode, ABC):
@@ -285,8 +293,18 @@ class StageNode(ReportingNode):
             topic,
             QoSProfile(depth=1 if newest else INPUT_DEPTH, reliability=policy),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=SubscriptionEventCallbacks(
+                incompatible_qos=partial(self._on_incompatible_qos, name)
+            ),
         )
         self.diagnostics.inputs.append(watch)
+
+    def _on_incompatible_qos(self, name: str, event: Any) -> None:
+        kind = qos_policy_name_from_kind(event.last_policy_kind)
+        text = f"{name}: a publisher offers another QoS ({kind}), no message of it is received"
+        if self.has_parameter(RELIABLE_INPUT):
+            text += f"; for a camera that publishes best effort, set {RELIABLE_INPUT} to false"
+        self.get_logger().warning(text)
 
     def _on_time_back(self, topic: str) -> None:
         if not self.diagnostics.started_again:

@@ -216,6 +216,14 @@ def test_a_best_effort_camera_is_taken_on_request(ros, sample):
     ros.wait(lambda: left, "the left view")
 
 
+def test_a_best_effort_camera_is_told_from_none(ros, splitter):
+    """Reports: ros-perception/image_pipeline 770 and 828."""
+    logs = ros.listen(Log, "/rosout")
+    ros.wait(lambda: ros.node.count_publishers("/rosout") > 1, "the splitter's log")
+    ros.node.create_publisher(Image, "image_raw", qos_profile_sensor_data)
+    ros.wait(lambda: any("reliable_input" in log.msg for log in logs), "the parameter's name")
+
+
 def test_bad_frames_cost_one_warning_and_no_good_frame(ros, splitter, sample):
     frame = sample("rest").frame
     left = ros.listen(Image, "left/image_raw")

@@ -21,6 +21,7 @@ from cmp_tactile_processing.sensor.description import (
 )
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
+    did_you_mean,
     field_values,
     read_fields,
     read_yaml,
@@ -372,7 +373,7 @@ class SceneName(NamedTuple):
         if base and path.is_file():
             return cls(path, variant)
         msg = f"{text}: found no such scene, expected a file or one of {', '.join(packaged)}"
-        raise SceneError(msg)
+        raise SceneError(msg + did_you_mean(text, packaged))
 
 
 def packaged_scenes() -> dict[str, Path]:
