@@ -142,6 +142,11 @@ class Player:
             self._position,
         )
 
+    @property
+    def is_stopping(self) -> bool:
+        """Whether nothing more is to be sent."""
+        return self._worker.stopping
+
     def start(self) -> None:
         """Begin to play."""
         self._worker.start()

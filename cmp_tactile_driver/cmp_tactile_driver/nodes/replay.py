@@ -40,6 +40,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
 from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.wiring import input_of
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SETTLE_TIME = 0.2
@@ -106,7 +107,9 @@ class Replay(ReportingNode):
     """Publishes `image_raw`, `camera_info` and `/clock` from a recording, stamps as recorded.
 
     From a bag without images it publishes `surface`.  Compressed frames are decompressed.  No frame
-    is left out: if publishing is slow, later frames are delayed.  `~/pause` pauses and continues,
+    is left out: if publishing is slow, or the next stage of its container has 20 frames to do,
+    later frames are delayed.  A stage that takes the newest only (`frame_queue`) passes others
+    over; they are counted and reported.  `~/pause` pauses and continues,
     `~/step` sends the next frame while paused, `~/back` and `~/forward` jump by one second.
     `~/status` (latched) reports state and counts, also after the end.
     Replays with `begin_with` start together: they exchange `~/ready` (std_msgs/Header, latched).
@@ -164,6 +167,7 @@ class Replay(ReportingNode):
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None
+        self._reported_losses = 0
         self._warned_of = ""
         self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
@@ -192,7 +196,12 @@ class Replay(ReportingNode):
         self._frame_publisher = self.create_publisher(
             kind, topic, qos, qos_overriding_options=overridable
         )
-        self._frame = self.add_output(self._frame_publisher, to_msg, own_thread=True)
+        self._frame = self.add_output(
+            self._frame_publisher,
+            to_msg,
+            own_thread=True,
+            waits=lambda: not self._require_player().is_stopping,
+        )
         self._info_publisher = self.create_publisher(CameraInfo, "camera_info", qos)
         self._clock_publisher = self.create_publisher(ClockMsg, "/clock", QoSProfile(depth=10))
         self._status_publisher = self.create_publisher(DiagnosticStatus, "~/status", latched_qos())
@@ -304,10 +313,16 @@ class Replay(ReportingNode):
 
     def _report_change(self) -> None:
         progress = self._require_player().progress
+        if self._passed_over > self._reported_losses:
+            self._reported_losses = self._passed_over
+            text = f"{self._passed_over} frames were passed over so far by the next stage"
+            self.get_logger().warning(text, throttle_duration_sec=1.0)
         if self._reported is None or progress.state is not self._reported[0]:
             self.report()
             text = f"{progress.state.value}: {self._names}, {progress.frames} frames sent"
             bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
+            if self._passed_over:
+                bad += f", {self._passed_over} passed over (frame_queue: newest)"
             if progress.state is PlayerState.FAILED:
                 self.get_logger().error(f"{text}{bad}: {progress.problem}")
                 self.failure = f"{self.get_name()}: {progress.problem}"
@@ -317,6 +332,11 @@ class Replay(ReportingNode):
                 self._warned_of = progress.problem
                 self.get_logger().warning(progress.problem)
 
+    @property
+    def _passed_over(self) -> int:
+        """Frames that stages of this container did not take in time."""
+        return sum(input_of(end).dropped for end in self._frame.ends)
+
     def _status(self) -> DiagnosticStatus:
         progress = self._require_player().progress
         self._reported = (progress.state, progress.frames)
@@ -325,6 +345,7 @@ class Replay(ReportingNode):
         values: dict[str, object] = {
             "state": progress.state.name.lower(),
             "frames out": progress.frames,
+            "passed over": self._passed_over,
             "bad frames": progress.bad_frames,
             "rate (Hz)": self._sent.close_period()["rate (Hz)"],
             "passes": progress.passes,

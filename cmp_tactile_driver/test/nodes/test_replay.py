@@ -1,6 +1,8 @@
 """The node replay over real topics: nothing is lost, added or changed."""
 
 import re
+import threading
+from functools import partial
 
 import cv2
 import made_bags
@@ -31,6 +33,7 @@ from cmp_tactile_processing.ros.messages.definitions import (
 )
 from cmp_tactile_processing.ros.messages.making import SURFACE
 from cmp_tactile_processing.ros.messages.reading import stamp_ns, surface_from_msg
+from cmp_tactile_processing.ros.wiring import Input, WiredNode, Wiring, joining
 from cmp_tactile_processing.sensor.description import load_sensor
 
 
@@ -66,6 +69,37 @@ def test_sixty_frames_at_20_hz(ros, tmp_path):
     assert len(ticks) > 30
     assert statuses.values["frames out"] == "60"
     assert statuses.last.level == DiagnosticStatus.OK
+
+
+@pytest.mark.parametrize("depth", [2, 1])
+def test_a_slow_stage_holds_the_recording_up_unless_it_takes_the_newest(
+    ros, frame_bag, frames, depth
+):
+    wiring, seen, statuses = Wiring(), [], ros.statuses("replay")
+    gate = threading.Event()
+
+    def work(given):
+        gate.wait()
+        return lambda: seen.append(stamp_ns(given.header.stamp))
+
+    with joining(wiring):
+        stage = ros.start(partial(WiredNode, "stage"))
+        stage.connect_input(Input(work), Image, "image_raw", depth)
+        with wiring.lock:
+            stage.attach()
+        ros.start(Replay, input=str(frame_bag), rate=100.0, wait_for_subscribers=1)
+    if depth > 1:
+        ros.wait(lambda: statuses.values.get("frames out") == "3", "the wait for room")
+        gate.set()
+    ros.wait(lambda: statuses.state == "finished", "the end")
+    gate.set()
+    last = made_bags.stamps(len(frames))[-1]
+    ros.wait(lambda: seen and seen[-1] == last, "the last frame")
+    ros.wait(
+        lambda: int(statuses.values["passed over"]) == len(frames) - len(seen), "what was lost"
+    )
+    assert (len(seen) == len(frames)) == (depth > 1)
+    wiring.close()
 
 
 def test_recorded_camera_infos_are_kept_whole_under_the_name_of_the_sensor(ros, frame_bag, frames):

@@ -24,6 +24,8 @@ from rclpy.qos import HistoryPolicy
 
 from cmp_tactile_processing.cache.threads import ViewThreads, one_thread
 
+WAIT_S = 0.1
+"""After how long without room a source looks whether it still waits."""
 Info = Mapping[str, Any]
 """Of a message: stamps, number and publisher, as rclpy's MessageInfo has them."""
 
@@ -118,18 +120,32 @@ class _Gate(MutuallyExclusiveCallbackGroup):
         return self.is_open and bool(super().can_execute(entity))
 
 
-class Entrance:
-    """Frames of another thread that wait for the thread of the sensor; the oldest is dropped."""
+def never() -> bool:
+    """Nothing waits."""
+    return False
 
-    def __init__(self, end: Input, wake: Callable[[Entrance], None]) -> None:
-        self.end, self._wake = end, wake
+
+class Entrance:
+    """Frames of another thread that wait for the thread of the sensor.
+
+    Where there is no room, the source waits while `waits` says so, as for a recording; else, and
+    where only the newest frame is asked for, the oldest is dropped.
+    """
+
+    def __init__(
+        self, end: Input, wake: Callable[[Entrance], None], waits: Callable[[], bool] = never
+    ) -> None:
+        self.end, self._wake, self._waits = end, wake, waits
         self._waiting: deque[Given] = deque()
-        self._lock = threading.Lock()
+        self._changed = threading.Condition()
 
     def take(self, given: Given) -> None:
         """Let a frame wait."""
         depth = self.end.depth
-        with self._lock:
+        with self._changed:
+            # A depth of 1 asks for the newest.
+            while depth not in (None, 1) and len(self._waiting) == depth and self._waits():
+                self._changed.wait(WAIT_S)
             if depth is not None and len(self._waiting) == depth:
                 self._waiting.popleft()
                 self.end.dropped += 1
@@ -139,9 +155,10 @@ class Entrance:
 
     def pass_on(self) -> None:
         """Let the input take the oldest."""
-        with self._lock:
+        with self._changed:
             given = self._waiting.popleft() if self._waiting else None
             self.end.queued = len(self._waiting)
+            self._changed.notify()
         if given is not None and self.end.is_wired:
             self.end.take(given)
 
@@ -153,12 +170,17 @@ class Output:
     """
 
     def __init__(
-        self, publisher: Any, to_msg: Callable[[Any, Any], Any], *, own_thread: bool = False
+        self,
+        publisher: Any,
+        to_msg: Callable[[Any, Any], Any],
+        *,
+        own_thread: bool = False,
+        waits: Callable[[], bool] = never,
     ) -> None:
         """to_msg: makes a message of value and header.  own_thread: it publishes on a thread of
-        its own, not on that of the sensor.
+        its own, not on that of the sensor; waits: whether that thread may be held up now.
         """
-        self.publisher, self.own_thread = publisher, own_thread
+        self.publisher, self.own_thread, self.waits = publisher, own_thread, waits
         self._to_msg = to_msg
         self.ends: tuple[Input | Entrance, ...] = ()
 
@@ -293,7 +315,7 @@ class Wiring:
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="frames", daemon=True)
             self._thread.start()
-        return Entrance(end, self._due.put)
+        return Entrance(end, self._due.put, output.waits)
 
     def _work(self) -> None:
         while (entrance := self._due.get()) is not None:
@@ -358,10 +380,15 @@ class WiredNode(Node):
         super().destroy_node()
 
     def add_output(
-        self, publisher: Any, to_msg: Callable[[Any, Any], Any], *, own_thread: bool = False
+        self,
+        publisher: Any,
+        to_msg: Callable[[Any, Any], Any],
+        *,
+        own_thread: bool = False,
+        waits: Callable[[], bool] = never,
     ) -> Output:
         """What the publisher sends, for the next stage too: see `Output`."""
-        output = Output(publisher, to_msg, own_thread=own_thread)
+        output = Output(publisher, to_msg, own_thread=own_thread, waits=waits)
         self._ends.append(output)
         if self._wiring is not None:
             with self._wiring.lock:

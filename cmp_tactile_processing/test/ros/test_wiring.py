@@ -193,6 +193,47 @@ def test_an_entrance_that_is_full_drops_the_oldest_and_counts_it(container):
     assert waiting == 3
 
 
+def test_a_recording_waits_for_room_and_loses_nothing(container):
+    """Reports: ros2/rosbag2 1254, ros/ros_comm 98; tried: 9 of 60 frames were passed over."""
+    stage = container.stage("stage", "image", depth=2)
+    playing = threading.Event()
+    playing.set()
+    output = container.output("image", own_thread=True, waits=playing.is_set)
+    stage.gate.clear()
+
+    def play() -> None:
+        for number in range(12):
+            output.publish(number, Header())
+
+    player = threading.Thread(target=play)
+    player.start()
+    wait_until(lambda: stage.end.queued == 2, "the queue to be full")
+    stage.gate.set()
+    wait_until(lambda: len(stage.seen) == 12, "all frames")
+    assert stage.seen == list(range(12))
+    assert stage.end.dropped == 0
+    stage.gate.clear()
+    another = threading.Thread(target=play)
+    another.start()
+    wait_until(lambda: stage.end.queued == 2, "the queue to be full again")
+    # It is stopped: nobody may wait for it without end.
+    playing.clear()
+    another.join(20.0)
+    assert not another.is_alive()
+    stage.gate.set()
+
+
+def test_who_asks_for_the_newest_holds_no_recording_up(container):
+    stage = container.stage("stage", "image", depth=1)
+    output = container.output("image", own_thread=True, waits=lambda: True)
+    stage.gate.clear()
+    for number in range(5):
+        output.publish(number, Header())
+    stage.gate.set()
+    wait_until(lambda: stage.seen and stage.seen[-1] == 4, "the newest frame")
+    assert stage.end.dropped == 5 - len(stage.seen)
+
+
 def test_both_views_are_begun_at_once_and_finished_in_order_on_one_thread(container):
     """Were one begun after the other, the first would wait for the second without end."""
     both = threading.Barrier(2)
