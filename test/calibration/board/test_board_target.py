@@ -83,6 +83,20 @@ def test_both_views_count_a_board_from_the_same_end(built, chessboard):
             np.testing.assert_allclose(found.pixels[found.number == 0][0], q, atol=0.2)
 
 
+@pytest.mark.parametrize("rows", [6, 7])
+def test_a_charuco_board_of_either_layout_is_found(rows):
+    """Reports: opencv/opencv 23152 and 29636, opencv/opencv_contrib 3291; tried: not found."""
+    target = BoardTarget("charuco", 9, rows, 1.2e-3, 0.9e-3, "DICT_4X4_50")
+    board = target.charuco_board()
+    seen = []
+    for is_legacy in (False, True):
+        board.setLegacyPattern(is_legacy)
+        drawn = board.generateImage((10 * 60, (rows + 1) * 60), marginSize=0)
+        seen.append(find_board(np.pad(drawn, 60, constant_values=255), target))
+    assert [len(item.number) for item in seen] == [target.count] * 2
+    np.testing.assert_allclose(seen[1].pixels, seen[0].pixels, atol=0.05)
+
+
 def test_one_line_of_corners_is_no_board(charuco):
     """It defines no plane: OpenCV's calibration would fail on it."""
     picture = np.pad(charuco.picture(60), 60, constant_values=255)

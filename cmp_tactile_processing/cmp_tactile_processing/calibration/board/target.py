@@ -239,9 +239,13 @@ def _dark_first(grey: NDArray[np.uint8], grid: NDArray[np.float64]) -> bool:
 
 def _charuco(grey: NDArray[np.uint8], target: BoardTarget) -> NDArray[np.float64] | None:
     """Corners (rows, cols, 2) px, NaN where they are not seen."""
-    detector = cv2.aruco.CharucoDetector(target.charuco_board())
-    found, ids, _, _ = detector.detectBoard(grey)
+    board = target.charuco_board()
+    found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     # OpenCV gives None instead of an empty array.
+    if np.size(ids) < FEWEST_SEEN:
+        # Up to OpenCV 4.5, boards with an even number of rows began with a light square.
+        board.setLegacyPattern(True)
+        found, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(grey)
     if np.size(ids) < FEWEST_SEEN:
         return None
     corners = np.full((target.count, 2), np.nan)
