@@ -32,7 +32,7 @@ from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, wh
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal import OnStage, error_line, processor_name
-from cmp_tactile_driver.bags.reader import Recorded, RecordedSurface
+from cmp_tactile_driver.bags.reader import Recorded, RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
@@ -103,13 +103,13 @@ class Processor:
                     # As the nodes do: what came before may be another recording.
                     pipeline.reset()
                 result = pipeline.process(frame.content, frame.stamp_ns)
-                watch.add(result)
+                watch.add(frame, result)
                 append(frame, result, fault)
                 count, is_surface = count + 1, isinstance(frame, RecordedSurface)
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_share((frame.time_s - begin_s) / length_s)
         on_share(1.0)
-        doubts = (*watch.doubts, *faults.doubts, self._doubt_of_reference(pipeline))
+        doubts = (*watch.misfits, *watch.doubts, *faults.doubts, self._doubt_of_reference(pipeline))
         problems = (self._recording.health.summary, watch.problem)
         return Outcome(
             frames=count,
@@ -158,8 +158,10 @@ class _Doubts:
         self._gaps_of_time = recording.gaps
         self._faults, self._flags = results.GridFaults(), results.ForceFlags()
         self._gaps, self._last_gap = 0, ""
+        self._first: Recorded | None = None
 
-    def add(self, result: PipelineResult) -> None:
+    def add(self, frame: Recorded, result: PipelineResult) -> None:
+        self._first = self._first or frame
         surface = result.surface
         gap = implausible_ray_gap(surface.ray_gap, surface.status, self._sensor.name)
         self._gaps, self._last_gap = self._gaps + bool(gap), gap or self._last_gap
@@ -170,6 +172,14 @@ class _Doubts:
     def problem(self) -> str:
         """Why none of it can be used; empty where some can."""
         return self._faults.problem
+
+    @property
+    def misfits(self) -> Iterator[str]:
+        """Where no frame can be used: how the first one differs from the description."""
+        if self.problem and isinstance(self._first, RecordedFrame):
+            from cmp_tactile_bringup.recordings.misfit import description_misfits
+
+            yield from description_misfits(self._sensor, self._first.image)
 
     @property
     def doubts(self) -> Iterator[str]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_bringup.recordings.misfit import margin_words
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
@@ -60,7 +59,7 @@ def geometry_facts(sensor: SensorDescription) -> dict[str, str]:
         )
         side = scale * sensor.pattern.pitch * 1e3
         facts[f"Pattern {name}"] = (
-            f"{_margin_words(view, sensor)}; checkers of {np.median(side):.1f} px "
+            f"{margin_words(view, sensor)}; checkers of {np.median(side):.1f} px "
             f"({side.min():.1f} to {side.max():.1f})"
         )
     if len(rig.views) < 2:
@@ -102,31 +101,6 @@ def _px_per_mm(view: ViewGeometry, sensor: SensorDescription) -> NDArray[np.floa
     """Image scale at each corner, over both directions of the gel's plane."""
     in_plane = view.project_with_jacobian(sensor.pattern.corners())[1][..., :2]
     return np.sqrt(np.abs(np.linalg.det(in_plane))) * 1e-3
-
-
-def _margin_words(view: ViewGeometry, sensor: SensorDescription) -> str:
-    """Whether the outermost checkers lie inside the view."""
-    if sensor.pattern.border == "beyond_view":
-        return "continues beyond the view"
-    margin = pattern_margin(view, sensor)
-    if not np.isfinite(margin):
-        return "not inside the view: a part cannot be projected"
-    if margin < 0:
-        return f"not inside the view: ends up to {-margin:.0f} px beyond it"
-    return f"inside the view, at least {margin:.0f} px from its edge"
-
-
-def pattern_margin(view: ViewGeometry, sensor: SensorDescription) -> float:
-    """Least distance of the outer checkers' outer corners from the view's edge at rest, px.
-
-    Negative where one is outside; NaN where one has no pixel.
-    """
-    pattern, place = sensor.pattern, view.placement
-    printed = replace(pattern, rows=pattern.rows + 2, cols=pattern.cols + 2)
-    q = view.project(printed.corners())
-    # Pixel (0, 0) is the centre of the top-left pixel.
-    size = np.array([place.width, place.height])
-    return float(np.minimum(q + 0.5, size - 0.5 - q).min())
 
 
 def _mm(point: NDArray[np.float64]) -> str:

@@ -1,6 +1,7 @@
 """`cmp_tactile process`: files that it writes, errors in one line, exit codes."""
 
 import csv
+import re
 import shutil
 from functools import partial
 
@@ -224,6 +225,40 @@ def test_a_wrong_sensor_is_found_by_camera_info_and_by_rays(tmp_path, wrong_sens
     # Rays that miss each other make surfaces that no force explains.
     (poor_fit,) = (line for line in warnings if " of 20 frames poor_fit" in line)
     assert poor_fit.endswith(RECORDED_ADVICE[ForceFlag.POOR_FIT])
+
+
+INVERSE_POSE = """  T_camera_gel:
+    - [1.0, 0.0, 0.0, 0.0]
+    - [0.0, -0.7179596728076926, 0.6960846990286967, -0.004929257]
+    - [0.0, -0.6960846990286967, -0.7179596728076926, -0.015141602]
+"""
+
+
+@pytest.mark.parametrize(
+    ("pattern", "change", "expected"),
+    [
+        ("0.0006904761904761905", "0.00034523809523809525", "check pattern.pitch"),
+        ("0.0006904761904761905", "0.001380952380952381", "check pattern.pitch"),
+        (r"  T_camera_gel:\n(    - .*\n){3}", INVERSE_POSE, "not inside the view"),
+    ],
+    ids=["half the pitch", "twice the pitch", "inverse pose"],
+)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_description_by_which_nothing_is_found_is_named(
+    images, tmp_path, capsys, request, *, pattern, change, expected
+):
+    text = find_sensor_description("sample_rig").read_text()
+    if "twice" in request.node.name:
+        text = text.replace("size: [0.022, 0.022, 0.006]", "size: [0.027, 0.027, 0.012]")
+    changed, count = re.subn(pattern, change, text, count=1)
+    assert count == 1
+    path = tmp_path / "wrong.yaml"
+    path.write_text(changed)
+    assert run("process", images, "--sensor", path, "--output", tmp_path / "out") == 1
+    said = printed(capsys)
+    assert expected in said
+    assert "with checkers of" in said
+    assert "RuntimeWarning" not in said
 
 
 @pytest.fixture

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_bringup.report.sensor_facts import geometry_facts, pattern_margin, position_errors
+from cmp_tactile_bringup.recordings.misfit import pattern_margin
+from cmp_tactile_bringup.report.sensor_facts import geometry_facts, position_errors
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.image.prepared import Prefilter, PreparedImage
@@ -347,7 +348,9 @@ class GridTracker:
             part[:] = image
             self.track(picture)
         part[:] = drawn
-        self.inspect_print([picture])
+        # By a wrong description, the pattern may lie outside the view.
+        with suppress(ReferenceFramesError):
+            self.inspect_print([picture])
         self.use_print_defects(None)
         self.reset()
 

@@ -82,7 +82,8 @@ class FlawedCorners:
         measured, steps = _steps(corners), _steps(sound)
         known = flawed & np.isfinite(corners).all(axis=2)
         for each in (measured, steps):
-            known &= np.abs(np.linalg.det(each)) > 0
+            known &= np.isfinite(each).all(axis=(2, 3))
+            known[known] = np.abs(np.linalg.det(each[known])) > 0
         place, way = sound[known], steps[known]
         aside = np.linalg.solve(measured[known], (place - corners[known])[..., None])[..., 0]
         picture = pictures(image, place, way, LATTICE)
