@@ -217,7 +217,7 @@ class BagReader:
             count += 1
             yield frame
         if not count and (span == WHOLE or self._health.bad_frames):
-            reason = self.health.problem or "the topic is empty"
+            reason = self.health.problem.replace(f"{self._path}: ", "") or "the topic is empty"
             msg = f"{self._path}: {self.image_topic}: no frame can be used: {reason}"
             raise BagError(msg)
 

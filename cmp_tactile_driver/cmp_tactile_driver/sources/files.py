@@ -200,9 +200,12 @@ class ImageFolder(_Images):
             raise self._none_good(len(self._files))
 
     def _none_good(self, count: int) -> FrameSourceError:
+        if self._files == [self._path]:
+            return FrameSourceError(self.health.problem)
         first = "" if count == len(self._files) else f"the first {count} of "
         which = f"none of {first}{len(self._files)} images can be read"
-        return FrameSourceError(f"{self._path}: {which}, last: {self.health.problem}")
+        last = self.health.problem.removeprefix(f"{self._path}/")
+        return FrameSourceError(f"{self._path}: {which}, last: {last}")
 
     def _used_bits(self) -> int:
         depth = BitDepth(say=str)

@@ -108,6 +108,22 @@ def test_bad_messages_are_skipped_and_named(tmp_path, frames):
     assert f"/image_raw at {times[7]} ns: data: found 3071 bytes, expected 3072" in text
 
 
+@pytest.mark.parametrize("kind", ["bag", "folder", "image"])
+def test_a_recording_without_a_good_frame_names_its_path_once(tmp_path, frames, kind):
+    """Tried: the path stood up to three times in the line."""
+    path = tmp_path / "recording"
+    if kind == "bag":
+        bad = [replace(item, encoding="32FC1") for item in made_bags.images(frames)]
+        made_bags.write(path, {"/rig/image_raw": bad})
+    else:
+        path.mkdir()
+        (path / "0.png").write_bytes(b"no image")
+        path = path / "0.png" if kind == "image" else path
+    with pytest.raises(FrameSourceError) as raised:
+        list(open_recording(path).frames())
+    assert str(raised.value).count(str(path)) == 1
+
+
 def test_two_frames_of_another_size_at_the_beginning_end_the_reading(tmp_path, frames):
     """One is skipped where the next is right."""
     messages = made_bags.images(frames)
