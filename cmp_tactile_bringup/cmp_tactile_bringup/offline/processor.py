@@ -155,7 +155,7 @@ class _Doubts:
     def __init__(self, sensor: SensorDescription, recording: Recording) -> None:
         self._sensor = sensor
         self._calibration = recording.calibration_mismatch(sensor)
-        self._gaps_of_time = recording.gaps
+        self._recording = recording
         self._faults, self._flags = results.GridFaults(), results.ForceFlags()
         self._gaps, self._last_gap = 0, ""
         self._first: Recorded | None = None
@@ -184,7 +184,7 @@ class _Doubts:
     @property
     def doubts(self) -> Iterator[str]:
         yield self._calibration
-        yield self._gaps_of_time
+        yield self._recording.gaps
         if self._gaps:
             yield f"in {self._gaps} frames: {self._last_gap}"
         yield from self._faults.doubts

@@ -167,19 +167,27 @@ def test_a_repeated_picture_is_reported_and_its_force_not_usable(images, tmp_pat
     assert rows == [("", "1"), ("old_picture", "0"), ("old_picture", "0"), ("", "1")]
 
 
-def test_pictures_of_two_cameras_are_processed_as_one_frame(images, tmp_path):
-    for name, view in load_sensor("sample_rig").views.items():
+def test_pictures_of_two_cameras_are_processed_as_one_frame(images, tmp_path, capsys):
+    rows = []
+    for late_ms, (name, view) in zip((0, 12), load_sensor("sample_rig").views.items(), strict=True):
         (tmp_path / "apart" / f"{name}_camera").mkdir(parents=True)
         roi = view.roi
-        for path in images.iterdir():
+        for path, stamp_ns in zip(sorted(images.iterdir()), made_bags.stamps(3), strict=True):
             frame = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
             part = frame[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width]
             cv2.imwrite(str(tmp_path / "apart" / f"{name}_camera" / path.name), part)
+            at = stamp_ns + late_ms * MS
+            rows.append((f"/{name}_camera/image", at, made_bags.image(part, at)))
     given = ("--topic", "left_camera,right_camera", "--output", tmp_path)
     assert process(tmp_path / "apart", *given) == 0
     assert process(images, "--output", tmp_path) == 0
     tables = [(tmp_path / f"{name}_wrench.csv").read_text() for name in ("apart", "images")]
     assert tables[0] == tables[1]
+    bag = made_bags.write_rows(tmp_path / "bag", rows)
+    topics = "/left_camera/image,/right_camera/image"
+    capsys.readouterr()
+    assert process(bag, "--topic", topics, "--output", tmp_path / "out") == 0
+    assert "left and right pictures are up to 12.0 ms apart" in printed(capsys)
 
 
 def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):

@@ -162,13 +162,13 @@ class Replay(ReportingNode):
             raise FrameSourceError(msg)
         for recording in self._recordings:
             self._check_calibration(recording)
-            if recording.gaps:
-                self.get_logger().warning(f"{recording.name}: {recording.gaps}")
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None
         self._reported_losses = 0
         self._warned_of = ""
+        self._warned_gaps: set[str] = set()
+        self._warn_of_gaps()
         self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
@@ -178,6 +178,13 @@ class Replay(ReportingNode):
         self.start_reporting(also_to=[self._status_publisher])
         self.warn_of_unknown_parameters()
         self._player.start()
+
+    def _warn_of_gaps(self) -> None:
+        """How far the pictures of a pair are apart is known once they were read."""
+        gaps = {f"{item.name}: {item.gaps}" for item in self._recordings if item.gaps}
+        for text in sorted(gaps - self._warned_gaps):
+            self.get_logger().warning(text)
+        self._warned_gaps |= gaps
 
     def _check_calibration(self, recording: Recording) -> None:
         doubt = recording.calibration_mismatch(self._sensor)
@@ -328,6 +335,7 @@ class Replay(ReportingNode):
                 self.failure = f"{self.get_name()}: {progress.problem}"
                 return
             self.get_logger().info(f"{text}{bad}")
+            self._warn_of_gaps()
             if progress.problem not in ("", self._warned_of):
                 self._warned_of = progress.problem
                 self.get_logger().warning(progress.problem)
