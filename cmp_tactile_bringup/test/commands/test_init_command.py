@@ -61,7 +61,7 @@ def test_a_file_that_is_there_is_kept(picture, tmp_path, capsys):
     ("name", "found"),
     [
         ("nowhere.png", "found no such file"),
-        ("text.png", "none of 1 images"),
+        ("text.png", "not a readable image"),
         ("0", "found a number, expected a camera, as /dev/video0"),
     ],
 )
