@@ -77,6 +77,6 @@ def test_no_sensor_is_one_line(tmp_path, monkeypatch, capsys):
     bag = tmp_path / "bag"
     assert run("record", "-o", bag, "--namespace", "nobody_has_this") == 1
     error = capsys.readouterr().err
-    assert error.startswith("error: found no view_splitter in /nobody_has_this")
+    assert error.startswith("error: found no running sensor in /nobody_has_this")
     assert error.count("\n") == 1
     assert not bag.exists()
