@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 IMAGE_TOPIC = "/NS/image_raw"
-LIVE = "image topic: without INPUT, of a running sensor; else of a bag that has several"
+LIVE = (
+    "image topic: without INPUT, of a running sensor; else of a bag that has several (LEFT,RIGHT "
+    "for two cameras)"
+)
 SENSOR = "description to start from: a file or a packaged name"
 PREPARING = "preparing tracker and rays (compiled once per version)"
 # Frames of a live camera unless --frames names another number.
