@@ -2,14 +2,16 @@
 
 PYTHON ?= python3
 PYTEST_ARGS ?=
-ROS ?=
 DEMO_ARGS ?=
 PAPER_ARGS ?=
 FAST ?=
 UV ?= $(firstword $(wildcard .venv/bin/uv) uv)
 LOCK_ARGS ?=
 
-export ROS
+# Only of the command line: a variable ROS of the shell may be meant for something else.
+ifeq ($(origin ROS),command line)
+export CMP_TACTILE_ROS := $(ROS)
+endif
 
 .DEFAULT_GOAL := help
 .PHONY: help build demo docs paper test check lock clean

@@ -1,6 +1,6 @@
 # Source this file from sh, bash or zsh: . setup/env.sh
 # It gives the shell ROS 2, the packages of this checkout and the command cmp_tactile.
-# ROS=jazzy set before chooses the environment that 'make build ROS=jazzy' has made.
+# CMP_TACTILE_ROS=jazzy set before chooses the environment that 'make build ROS=jazzy' has made.
 # A shell that cannot tell where a sourced file lies (dash) needs CMP_TACTILE_ROOT, or to be in the
 # checkout's folder.
 
@@ -12,12 +12,12 @@ else
     _cmp_tactile_root=$(CDPATH='' cd -- "${CMP_TACTILE_ROOT:-.}" && pwd -P)
 fi
 
-case "${ROS:-kilted}" in
+case "${CMP_TACTILE_ROS:-kilted}" in
     kilted) _cmp_tactile_install=install ;;
-    *) _cmp_tactile_install=install-$ROS ;;
+    *) _cmp_tactile_install=install-$CMP_TACTILE_ROS ;;
 esac
 if [ ! -f "$_cmp_tactile_root/$_cmp_tactile_install/cmp_tactile_environment.sh" ]; then
-    echo "cmp_tactile: $_cmp_tactile_root is not set up${ROS:+ for ROS=$ROS}: run 'make build${ROS:+ ROS=$ROS}' there first" >&2
+    echo "cmp_tactile: $_cmp_tactile_root is not set up${CMP_TACTILE_ROS:+ for $CMP_TACTILE_ROS}: run 'make build${CMP_TACTILE_ROS:+ ROS=$CMP_TACTILE_ROS}' there first" >&2
     unset _cmp_tactile_root _cmp_tactile_install
     return 1
 fi

@@ -103,7 +103,7 @@ def main(script: str) -> int:
     try:
         machine.check_checkout_path(root)
         ros = machine.sourced_ros(os.environ, root)
-        prepare(Layout(root, chosen_distribution(os.environ.get("ROS", ""), ros), ros))
+        prepare(Layout(root, chosen_distribution(os.environ.get("CMP_TACTILE_ROS", ""), ros), ros))
     except steps.SetupError as error:
         print(f"set-up: {error}", file=sys.stderr)
         return 1

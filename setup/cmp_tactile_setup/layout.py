@@ -5,33 +5,34 @@ And environment variables: those that a build runs in, and those that a user get
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
 from cmp_tactile_setup.machine import RosInstallation, is_below
-from cmp_tactile_setup.steps import SetupError, replace_file
+from cmp_tactile_setup.steps import SetupError, read_record, replace_file
 
 # The distributions that wheels exist for; the first is what a checkout is set up for by default.
 DISTRIBUTIONS = ("kilted", "jazzy")
 
 
 def chosen_distribution(value: str, ros: RosInstallation | None) -> str:
-    """The distribution that the variable ROS names.
+    """The distribution that the variable CMP_TACTILE_ROS names.
 
     Raises SetupError if there are no wheels of it, or another ROS 2 is sourced.
     """
     distro = value or DISTRIBUTIONS[0]
     if distro not in DISTRIBUTIONS:
         raise SetupError(
-            f"ROS={value}: found no wheels for it, expected {' and '.join(DISTRIBUTIONS)}; unset "
-            "the variable ROS, or set it to one of these"
+            f"CMP_TACTILE_ROS={value}: found no wheels for it, expected "
+            f"{' and '.join(DISTRIBUTIONS)}; unset this variable, or set it to one of these"
         )
     if value and ros is not None and ros.distro != value:
         raise SetupError(
-            f"ROS={value} asks for {value}, but this shell has sourced ROS 2 '{ros.distro}': "
-            "open a shell without ROS 2 to use wheels, or unset the variable ROS"
+            f"CMP_TACTILE_ROS={value} asks for {value}, but this shell has sourced ROS 2 "
+            f"'{ros.distro}': open a shell without ROS 2 to use wheels, or unset this variable"
         )
     return distro
 
@@ -59,6 +60,12 @@ class Layout:
         # What these were made from, once they are complete.
         self.venv_record = self.venv / "cmp_tactile_wheels.json"
         self.build_record = self.install / "cmp_tactile_build.json"
+        # Whether messages are built for C++, too: rosbag2 and other C++ nodes need it, ours do not.
+        self.cpp: bool = (
+            ros is not None
+            or os.environ.get("CMP_TACTILE_CPP") == "1"
+            or read_record(self.build_record).get("cpp", False)
+        )
         # What setup/env.sh sources.
         self.environment_file = self.install / "cmp_tactile_environment.sh"
 

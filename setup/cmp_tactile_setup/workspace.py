@@ -59,7 +59,7 @@ def build(layout: Layout, env: Mapping[str, str]) -> None:
         *("--event-handlers", "console_direct+"),
         *("--cmake-args", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release"),
         *(f"-DPython3_EXECUTABLE={layout.venv_python}", "--no-warn-unused-cli"),
-        *(["-DCMP_TACTILE_ONLY_PYTHON=ON"] if layout.ros is None else []),
+        f"-DCMP_TACTILE_ONLY_PYTHON={'OFF' if layout.cpp else 'ON'}",
     ]
     if not run_step("building the packages", command, log, env, layout.root):
         raise SetupError(explain_build_failure(log.read_text(errors="replace"), log))
@@ -91,6 +91,7 @@ def _record(layout: Layout) -> dict[str, Any]:
     set_up = layout.root.glob("setup/cmp_tactile_setup/*.py")
     return {
         "root": str(layout.root),
+        "cpp": layout.cpp,
         "built_against": _built_against(layout),
         "packages": [folder.name for folder in folders],
         "sources": digest([*contents, *set_up], names, layout.root),

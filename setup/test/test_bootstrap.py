@@ -10,7 +10,7 @@ import pytest
 
 def bootstrap(root, **variables):
     env = {name: value for name, value in os.environ.items() if not name.startswith("ROS_")}
-    for name in ("AMENT_PREFIX_PATH", "PYTHON", "ROS"):
+    for name in ("AMENT_PREFIX_PATH", "PYTHON", "CMP_TACTILE_ROS"):
         env.pop(name, None)
     env.update(variables)
     command = [sys.executable, str(root / "setup" / "bootstrap.py")]
@@ -46,7 +46,8 @@ def test_a_ros_distribution_that_is_too_old(checkout, tmp_path):
 
 def test_a_distribution_that_there_are_no_wheels_of(checkout):
     root = checkout("here")
-    assert_one_line(bootstrap(root, ROS="humble"), "ROS=humble", "kilted and jazzy")
+    result = bootstrap(root, CMP_TACTILE_ROS="humble")
+    assert_one_line(result, "CMP_TACTILE_ROS=humble", "kilted and jazzy")
     assert sorted(path.name for path in root.iterdir()) == ["setup"]
 
 
@@ -55,8 +56,8 @@ def test_wheels_asked_for_beside_another_ros(checkout, tmp_path):
     (prefix / "share" / "rclpy").mkdir(parents=True)
     (prefix / "share" / "rclpy" / "package.xml").touch()
     sourced = {"ROS_DISTRO": "kilted", "AMENT_PREFIX_PATH": str(prefix)}
-    result = bootstrap(checkout("here"), ROS="jazzy", **sourced)
-    assert_one_line(result, "ROS=jazzy asks for jazzy", "sourced ROS 2 'kilted'")
+    result = bootstrap(checkout("here"), CMP_TACTILE_ROS="jazzy", **sourced)
+    assert_one_line(result, "CMP_TACTILE_ROS=jazzy asks for jazzy", "sourced ROS 2 'kilted'")
 
 
 def test_a_registry_that_cannot_be_reached(checkout, tmp_path):

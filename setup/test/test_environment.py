@@ -83,7 +83,7 @@ def test_ros_chooses_among_environments_that_lie_side_by_side(ready):
     write_environment_file(jazzy, env)
     for value, chosen in (("jazzy", jazzy), ("kilted", ready), ("", ready)):
         for script in ("setup/run sh -c 'echo $PYTHONPATH'", ". setup/env.sh && echo $PYTHONPATH"):
-            result = shell("bash", script, ready.root, ROS=value)
+            result = shell("bash", script, ready.root, CMP_TACTILE_ROS=value, ROS="robot")
             assert result.stdout == f"{chosen.install}/a/python\n", result.stderr
 
 

@@ -86,6 +86,17 @@ def test_everything_is_built_again_for_other_wheels(built):
     assert not built.install.exists()
 
 
+def test_messages_are_built_for_cpp_from_the_time_it_is_asked_for(built, monkeypatch):
+    monkeypatch.setenv("CMP_TACTILE_CPP", "1")
+    asked = Layout(built.root)
+    assert not workspace.is_current(asked)
+    workspace.record_finished(asked)
+    monkeypatch.delenv("CMP_TACTILE_CPP")
+    later = Layout(built.root)
+    assert later.cpp
+    assert workspace.is_current(later)
+
+
 def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
     for name in ("tf2_msgs", "tf2_ros_py"):
         (tmp_path / "share" / name).mkdir(parents=True)

@@ -12,6 +12,7 @@ pytest.importorskip("rclpy")
 import rclpy
 from rclpy.parameter import Parameter
 
+from cmp_tactile_bringup.graphs.description import CONTAINER
 from cmp_tactile_bringup.graphs.packaged import load_graph
 
 pytestmark = pytest.mark.ros
@@ -49,18 +50,31 @@ def _analyzers(parameters: dict[str, Parameter[Any]]) -> dict[str, dict[str, Any
     return found
 
 
+def _taking(analyzers: dict[str, dict[str, Any]], status: str) -> list[str]:
+    """Names of the analyzers to which a status of that name goes."""
+    return [
+        name
+        for name, analyzer in analyzers.items()
+        if status.startswith(tuple(analyzer["find_and_remove_prefix"]))
+    ]
+
+
 def test_every_node_of_the_gripper_has_one_analyzer_that_expects_it(parameters):
     components = load_graph("gripper").components
     names = {f"{item.namespace}/{item.name}".lstrip("/") for item in components}
     analyzers = _analyzers(parameters)
     for name in names:
-        taking = [
-            analyzer
-            for analyzer in analyzers.values()
-            for start in analyzer.get("find_and_remove_prefix", analyzer.get("startswith", []))
-            if name.startswith(start)
-        ]
+        taking = _taking(analyzers, name)
         assert len(taking) == 1, name
-        assert name in taking[0]["expected"]
+        assert name in analyzers[taking[0]]["expected"]
     expected = {name for analyzer in analyzers.values() for name in analyzer.get("expected", [])}
     assert expected == names
+
+
+def test_every_analyzer_has_a_container_of_the_gripper(parameters):
+    analyzers = _analyzers(parameters)
+    taking = []
+    for part in load_graph("gripper").by_sensor():
+        namespace, name = part.namespace.lstrip("/"), part.components[0].name
+        taking += _taking(analyzers, f"{namespace}/{CONTAINER}: {namespace}/{name}")
+    assert sorted(taking) == sorted(analyzers)
