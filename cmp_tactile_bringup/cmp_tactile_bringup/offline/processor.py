@@ -316,9 +316,10 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
 
     Where one of them dies, all end: the jobs that are not finished have failed.
     """
-    # A worker would look for its modules in the current folder first; beside a recording,
-    # anybody's may lie.  Python 3.10 does not know the variable.
-    os.environ["PYTHONSAFEPATH"] = "1"
+    # A worker looks for modules in the folder that it is started in; beside a recording, anybody's
+    # may lie.  (Python 3.10 knows no PYTHONSAFEPATH.)  The paths of jobs are absolute.
+    folder = Path.cwd()
+    os.chdir("/")
     left = list(jobs)
     try:
         with joblib.parallel_config("loky", n_jobs=processes, inner_max_num_threads=1):
@@ -333,11 +334,12 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
         for job in left:
             yield job, TaskError(f"{job.label}: {reason}")
     finally:
+        os.chdir(folder)
         # A process that is killed leaves its own; what another run writes stays.
         for job in left:
-            folder = partial_folder(job)
-            with suppress(OSError), locked(folder.with_suffix(".lock"), LOCK_WAIT_S):
-                shutil.rmtree(folder, ignore_errors=True)
+            partial = partial_folder(job)
+            with suppress(OSError), locked(partial.with_suffix(".lock"), LOCK_WAIT_S):
+                shutil.rmtree(partial, ignore_errors=True)
 
 
 def _run_in_process(job: Job) -> Result:

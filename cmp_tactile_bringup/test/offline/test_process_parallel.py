@@ -82,6 +82,7 @@ def test_a_worker_runs_nothing_of_the_current_folder(tmp_path, monkeypatch, caps
     assert process(*folders, "--output", tmp_path / "out", "--jobs", 2) == 1
     assert ["found nothing" in line for line in error_lines(capsys)] == [True, True]
     assert not list(tmp_path.glob("*.ran"))
+    assert Path.cwd() == tmp_path
 
 
 @pytest.fixture

@@ -6,8 +6,9 @@ The fields declare what the keys of a file may hold.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -362,14 +363,18 @@ class GelRelaxation:
     time: float = field(metadata=positive(MAX_RELAXATION_S, "s"))
 
 
+# Python's own reader takes other forms in 3.10 than in later versions.
+_DATE_UTC = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(\.\d+)?(Z|[+-]00:00)", re.ASCII)
+
+
 def _read_date(section: YamlSection, key: str) -> str:
     text = section.text(key)
+    found = _DATE_UTC.fullmatch(text)
     try:
-        # Python 3.10 does not read the Z.
-        date = datetime.fromisoformat(text[:-1] + "+00:00" if text.endswith("Z") else text)
+        date = found and datetime.fromisoformat(found[1])
     except ValueError:
         date = None
-    if date is None or date.utcoffset() != timedelta(0):
+    if date is None:
         raise section.error(key, text, "a date and time in UTC, as 2026-07-01T12:00:00Z")
     return text
 

@@ -183,9 +183,12 @@ SAMPLE = RIGS["sample_rig"]
     ("broken", "expected"),
     [
         (replace(SAMPLE, camera=replace(SAMPLE.camera, fx=np.nan)), r"camera\.fx: found nan"),
-        (
-            replace(SAMPLE, calibration=replace(RECORD, date="now")),
-            r"calibration\.date: found 'now'",
+        *(
+            (
+                replace(SAMPLE, calibration=replace(RECORD, date=date)),
+                rf"calibration\.date: found '{date}'",
+            )
+            for date in ("now", "2026-02-30T12:00:00Z", "2026-07-01T12:00:00", "20260701T120000Z")
         ),
         (
             replace(SAMPLE, calibration=replace(RECORD, held=(1,))),
