@@ -43,6 +43,10 @@ def test_outliers_count_little():
     assert abs(fit.values[0]) < 1.5
     assert fit.weights[::5].max() < 0.1
     assert np.median(fit.weights) > 0.9
+    # Each residual counts by its weight, that of a loss that is linear beyond 3 deviations.
+    residuals = fit.values[0] - data
+    np.testing.assert_allclose(fit.weights, 1 / np.sqrt(1 + (residuals / 3) ** 2), rtol=1e-9)
+    assert fit.covariance[0, 0] == pytest.approx(1 / (fit.weights.sum() + 1e-6), rel=1e-6)
 
 
 def test_a_step_where_nothing_can_be_computed_is_refused():

@@ -15,6 +15,7 @@ from rosbags.highlevel import AnyReader
 
 from cmp_tactile_bringup.offline import processor
 from cmp_tactile_bringup.offline.jobs import Options, plan_jobs
+from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.pipeline import Pipeline
@@ -188,6 +189,26 @@ def test_pictures_of_two_cameras_are_processed_as_one_frame(images, tmp_path, ca
     capsys.readouterr()
     assert process(bag, "--topic", topics, "--output", tmp_path / "out") == 0
     assert "left and right pictures are up to 12.0 ms apart" in printed(capsys)
+
+
+def test_a_recording_that_goes_back_in_time_is_processed_as_a_new_one_from_there(
+    grasp_bag, tmp_path
+):
+    """Corners that are followed from the frame before differ from those found anew, a little."""
+    frames = [frame.image for frame in BagReader(grasp_bag).frames()]
+    earlier_ns = made_bags.FIRST_STAMP_NS - 5000 * MS
+    stamped = [(frames[5], earlier_ns + 5000 * MS), (frames[6], earlier_ns)]
+    results = []
+    for name, shown in (("back", stamped), ("fresh", stamped[1:])):
+        bag = made_bags.write(
+            tmp_path / "in" / name,
+            {"/rig/image_raw": [made_bags.image(*frame) for frame in shown]},
+        )
+        assert process(bag, "--output", tmp_path, "--arrays") == 0
+        with np.load(tmp_path / f"{name}.npz") as arrays:
+            results.append({key: arrays[key][-1] for key in ("wrench", "left_corners", "position")})
+    for key, wanted in results[1].items():
+        np.testing.assert_array_equal(results[0][key], wanted, err_msg=key)
 
 
 def test_an_unusable_input_does_not_keep_the_others_from_being_processed(images, tmp_path, capsys):

@@ -3,15 +3,18 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import pytest
 from waiting import wait_until
 
+from cmp_tactile_driver.bags import player as player_module
 from cmp_tactile_driver.bags.player import PREFETCH_DEPTH, Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_driver.sources.capture import Pacer
 from cmp_tactile_driver.sources.frames import SourceHealth
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 
@@ -115,6 +118,20 @@ def test_paused_at_first_and_later():
     player.set_paused(False)
     _wait_finished(player)
     assert sent == list(range(10))
+
+
+def test_a_pause_makes_no_frame_late(monkeypatch):
+    """On a clock that advances by 100 s in each pause, and not otherwise."""
+    now = [0.0]
+    monkeypatch.setattr(player_module, "Pacer", partial(Pacer, lambda: now[0]))
+    player, sent = _play(ReplayParameters(rate=10.0, paused=True))
+    for count in range(1, 4):
+        now[0] += 100.0
+        assert player.step()
+        _wait(lambda count=count: len(sent) == count)
+    player.set_paused(False)
+    _wait_finished(player)
+    assert player.progress.max_lateness == 0.0
 
 
 def test_stop_while_paused_ends_the_thread():

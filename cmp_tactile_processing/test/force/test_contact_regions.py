@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.force.contact_regions import ContactRegions, basins
+from cmp_tactile_processing.force.contact_regions import ContactRegions, basins, material_covariance
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
 Array = NDArray[np.float64]
@@ -169,6 +169,23 @@ def test_what_noise_or_ringing_makes_is_no_contact() -> None:
         contacts = found(regions, force, force[:, 2] < 0, surface(), *pair)
         assert len(contacts) == count
         assert all((item.covariance == sum(pair)).all() for item in contacts)
+
+
+def test_covariance_of_the_material_is_that_of_its_two_scales() -> None:
+    """J C J^T, J by differences: normal and tangential forces off the origin, each with a scale."""
+    place, force = np.array([3e-3, -5e-3, 2e-3]), np.array([0.4, -0.7, -3.0])
+    std = np.array([0.1, 0.03])
+
+    def wrench(scale: Array) -> Array:
+        scaled = force * scale[[1, 1, 0]]
+        return np.concatenate([scaled, np.cross(place, scaled)])
+
+    jacobian = np.stack([wrench(1 + step) - wrench(1 - step) for step in np.eye(2) / 2], axis=1)
+    np.testing.assert_allclose(
+        material_covariance(wrench(np.ones(2)), place, *std),
+        jacobian @ np.diag(std**2) @ jacobian.T,
+        atol=1e-15,
+    )
 
 
 def test_any_field_of_forces_is_answered() -> None:

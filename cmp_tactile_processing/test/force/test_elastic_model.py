@@ -57,6 +57,12 @@ def test_model_is_built_once_for_any_stiffness(other_rig, tmp_path, caplog):
     np.testing.assert_allclose(second.compliance * 2, first.compliance, rtol=1e-12)
 
 
+def test_a_stiff_skin_counts_by_its_modulus_over_that_of_the_body(sensor):
+    skin = replace(sensor.elastomer.shading_layer, young=2e6)
+    elastomer = replace(sensor.elastomer, young=5e5, shading_layer=skin)
+    assert ElasticProblem.from_sensor(replace(sensor, elastomer=elastomer)).layer_ratio == 4.0
+
+
 def test_mesh_follows_the_surface(sensor):
     """The marker surface at its level, the contact surface a layer above, the base flat."""
     problem = ElasticProblem.from_sensor(sensor)

@@ -120,20 +120,41 @@ def test_a_flat_face_does_not_tell_sticking_from_sliding(arm, pressing, radius):
     assert not slip_profile(Sliding.from_loads(stamp, arm, normal, FLAT_AXES)).is_rounded
 
 
+GRID = np.stack(np.meshgrid(*2 * (1e-3 * np.arange(5.0),)), axis=-1).reshape(-1, 2)
+PLACE = np.column_stack([GRID, np.zeros(25)])
+CONTACT = Contact(
+    nodes=np.arange(25),
+    wrench=np.zeros(6),
+    covariance=np.full((6, 6), np.nan),
+    area=1e-5,
+    centre_of_pressure=np.zeros(3),
+    outline=np.empty((0, 3)),
+    at_border=False,
+)
+
+
+def _patch(force, place=PLACE):
+    normal = np.tile([0.0, 0.0, 1.0], (25, 1))
+    return patch_of(CONTACT, force, DeformedNodes(GRID, place, normal, np.ones(25), 1e-3))
+
+
 def test_a_node_of_unknown_place_makes_the_contact_unknown() -> None:
     """Its normal may be known all the same, from its neighbours; all figures would be NaN."""
-    grid = np.stack(np.meshgrid(*2 * (1e-3 * np.arange(5.0),)), axis=-1).reshape(-1, 2)
-    place = np.column_stack([grid, np.zeros(25)])
-    normal, force = np.tile([0.0, 0.0, 1.0], (25, 1)), np.tile([0.01, 0.0, -0.1], (25, 1))
-    contact = Contact(
-        nodes=np.arange(25),
-        wrench=np.zeros(6),
-        covariance=np.full((6, 6), np.nan),
-        area=1e-5,
-        centre_of_pressure=np.zeros(3),
-        outline=np.empty((0, 3)),
-        at_border=False,
-    )
-    assert patch_of(contact, force, DeformedNodes(grid, place, normal, np.ones(25), 1e-3))
+    force = np.tile([0.01, 0.0, -0.1], (25, 1))
+    assert _patch(force)
+    place = PLACE.copy()
     place[12] = np.nan
-    assert patch_of(contact, force, DeformedNodes(grid, place, normal, np.ones(25), 1e-3)) is None
+    assert _patch(force, place) is None
+
+
+def test_forces_that_grow_together_use_no_friction() -> None:
+    """A press that goes on pulls its nodes outwards in proportion; only what is beyond that counts.
+
+    Friction by 0.1 of a normal force that doubles, then 0.2 N along y beside 5 N.
+    """
+    force = np.tile([0.01, 0.0, -0.1], (25, 1))
+    before = _patch(force).record()
+    assert _patch(2 * force).use.ratio == pytest.approx(0.1)
+    assert _patch(2 * force).since(before).ratio == pytest.approx(0.0, abs=1e-12)
+    more = 2 * force + [0.0, 8e-3, 0.0]
+    assert _patch(more).since(before).ratio == pytest.approx(0.04)

@@ -283,33 +283,38 @@ def test_missing_corners_are_bridged_and_never_extrapolated(sensor):
     np.testing.assert_array_equal(lines.rows(seen_rows, scene.nodes).position, whole.position)
 
 
-@pytest.mark.parametrize(
-    "surface",
-    [
-        PatternSurface(),
-        PatternSurface("sphere_cap", 0.027),
-        PatternSurface("cylinder", 0.02, "x"),
-        PatternSurface("cylinder", 0.02, "y"),
-    ],
-    ids=["plane", "sphere", "cylinder x", "cylinder y"],
-)
-def test_one_view_and_a_known_surface(sensor, surface):
-    """Markers moved within the surface, seen elsewhere along their gridlines than they are."""
-    pattern = replace(sensor.pattern, surface=surface)
-    one = replace(
+SURFACES = {
+    "plane": PatternSurface(),
+    "sphere": PatternSurface("sphere_cap", 0.027),
+    "cylinder x": PatternSurface("cylinder", 0.02, "x"),
+    "cylinder y": PatternSurface("cylinder", 0.02, "y"),
+}
+
+
+def one_view_on(sensor, surface):
+    return replace(
         sensor,
-        pattern=pattern,
+        pattern=replace(sensor.pattern, surface=surface),
         optics=replace(sensor.optics, type="monocular"),
         views={"right": sensor.views["right"]},
     )
 
+
+def within(surface, x, y, dx, dy):
+    """Displacement (..., 3) that moves points (x, y) of a surface along it."""
+    dz = surface_height(surface, x + dx, y + dy) - surface_height(surface, x, y)
+    return np.stack([dx, dy, dz], axis=-1)
+
+
+@pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
+def test_one_view_and_a_known_surface(sensor, surface):
+    """Markers moved within the surface, seen elsewhere along their gridlines than they are."""
+
     def drag(x, y):
         share = np.exp(-(x**2 + y**2) / 3e-3**2)
-        moved = np.stack([x + 2e-4 * share, y - 1e-4 * share], axis=-1)
-        z = surface_height(surface, moved[..., 0], moved[..., 1]) - surface_height(surface, x, y)
-        return np.concatenate([moved - np.stack([x, y], axis=-1), z[..., None]], axis=-1)
+        return within(surface, x, y, 2e-4 * share, -1e-4 * share)
 
-    scene = make_scene(one, drag, slide=1 / 55)
+    scene = make_scene(one_view_on(sensor, surface), drag, slide=1 / 55)
     covariance = np.array(scene.nodes.covariance)
     covariance[..., 2, :] = covariance[..., :, 2] = np.nan
     found = scene.triangulate(nodes=scene.nodes._replace(covariance=covariance))
@@ -317,3 +322,20 @@ def test_one_view_and_a_known_surface(sensor, surface):
         np.testing.assert_allclose(lines.position, truth, atol=ATOL_SMOOTH_M, rtol=0)
         assert (lines.status == Status.MEASURED).all()
         assert lines.std.max() < 2 * CORNER_STD_M
+
+
+@pytest.mark.parametrize("surface", SURFACES.values(), ids=SURFACES)
+def test_one_view_measures_a_bend_between_corners_along_the_surface(sensor, surface):
+    """Gridlines that swing by 5 um from corner to corner, which no corner shows."""
+    pattern = sensor.pattern
+
+    def swing(x, y):
+        of_rows = np.sin(np.pi * (x / pattern.pitch + (pattern.cols - 1) / 2)) ** 2
+        of_cols = np.sin(np.pi * (y / pattern.pitch + (pattern.rows - 1) / 2)) ** 2
+        return within(surface, x, y, 5e-6 * of_cols, 5e-6 * of_rows)
+
+    scene = make_scene(one_view_on(sensor, surface), swing)
+    rows, cols = scene.triangulate()
+    corners = scene.nodes.position
+    assert across(rows.position - scene.rows, corners, 1).max() < ATOL_MEASURED_M
+    assert across(cols.position - scene.cols, corners, 0).max() < ATOL_MEASURED_M

@@ -312,6 +312,14 @@ class TestKeeping:
         assert "zero" in keeper.warning()
         assert keeper.reference.id == 1, "without auto_rezero nothing is set by itself"
 
+    def test_drift_is_averaged_over_its_time_constant(self, sensor, nominal):
+        """With stamps of today: 5 s after rest without drift, 1 - exp(-5 / 10) of it is seen."""
+        keeper, today_s = _keeper(sensor, "never"), 1.7e9
+        exact = np.array([1.0, 1.0, 1.0]) * 1e-3 * UM
+        _feed(keeper, _frames(nominal, noise=exact), today_s)
+        _feed(keeper, _frames(nominal + [0, 0, 30 * UM], noise=exact), today_s + 5)
+        assert keeper.drift.shift == pytest.approx(30 * UM * (1 - np.exp(-0.5)), rel=1e-3)
+
     def test_contact_is_no_drift_and_never_zeroed(self, sensor, nominal):
         keeper = _keeper(sensor, rezero=True)
         _feed(keeper, _frames(nominal))

@@ -138,6 +138,7 @@ def test_a_grain_at_the_corner_shows_in_its_deviation(checkers):
             at = middle + away * np.array([np.cos(angle), np.sin(angle)])
             grain = np.hypot(x - at[0], y - at[1]) <= 2
             found = fitted(image, np.where(grain, 20, grey).astype(np.uint8))
+            assert not found.pull[~found.modelled].any()
             if np.isfinite(found.std[4]) and not found.modelled[4]:
                 ratio.append((found.position[4] - middle) / found.std[4])
     assert len(ratio) > 10
