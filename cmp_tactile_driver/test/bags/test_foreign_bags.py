@@ -38,7 +38,7 @@ from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.storage import BagStorage, bag_files
-from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
+from cmp_tactile_driver.bags.timeline import DEFAULT_STEP_S, TimeSpan, timeline
 from cmp_tactile_driver.errors import BagError, FrameSourceError
 
 IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
@@ -395,8 +395,18 @@ CLOCKS: dict[str, Clocks] = {
         lambda _, __: 0,
         lambda n, t: t - (n > 5) * HOUR_NS,
         "stamps: 1, the largest -3599.95 s at 0.30 s",
+    "stamps are set forward and later back by more": (
+        lambda n, t: t + (0, HOUR_NS, -HOUR_NS)[n // 4],
+        lambda _, t: t,
+        "stamps: 2, the largest -7199.95 s",
     ),
     "some stamps are zero": (lambda n, t: 0 if n in (0, 4, 5, 11) else t, lambda _, t: t + MS, ""),
+    # Frame 3 comes after frame 4; its delay alone is no clock that was set back.
+    "a frame is late, and the recorder falls behind": (
+        lambda _, t: t,
+        lambda n, t: t + n * MS + (n == 3) * 60 * MS,
+        "",
+    ),
     "all stamps are zero": (lambda _, __: 0, lambda _, t: t + MS, ""),
 }
 
@@ -416,6 +426,16 @@ def test_time_goes_on_from_frame_to_frame_whatever_the_clocks_did(tmp_path, fram
     assert [item.time_s for item in found] == pytest.approx(expected)
     assert reader.duration == pytest.approx(expected[-1])
     assert (said in reader.gaps) if said else reader.gaps == ""
+
+
+def test_a_frame_without_stamp_stays_between_its_neighbours(tmp_path, frames):
+    """Frame 4 was received early and frame 5, without a stamp, late: by receipts it is after 6."""
+    rows = [
+        (t + {4: -40, 5: 40}.get(n, 0) * MS, made_bags.image(frame, 0 if n == 5 else t))
+        for n, (frame, t) in enumerate(zip(frames, made_bags.stamps(len(frames)), strict=True))
+    ]
+    reader = BagReader(write_mcap(tmp_path / "bag.mcap", rows))
+    assert [item.stamp_ns for item in reader.frames()].index(0) == 5
 
 
 def test_time_begins_with_the_first_frame_whatever_was_recorded_before(tmp_path, frames):
@@ -456,6 +476,16 @@ def test_a_part_that_begins_at_a_frame_has_that_frame():
     for number, stamp in enumerate(stamps):
         start = (stamp - stamps[0]) / 1e9
         assert line.part(TimeSpan(start, start + 0.1))[0] is line.messages[number]
+    # The end is not part of it: parts that follow one another share no frame.
+    assert line.part(TimeSpan(0.2, 1.0))[-1] is line.messages[29]
+    assert [time_s in TimeSpan(0.2, 1.0) for time_s in (0.1, 0.2, 1.0)] == [False, True, False]
+
+
+def test_the_only_step_of_a_recording_is_skipped_where_it_is_a_jump():
+    stamps = (HOUR_NS, 3 * HOUR_NS)
+    line = timeline([StoredMessage(TOPIC, IMAGE, stamp, stamp, None) for stamp in stamps], TOPIC)
+    assert line.duration == pytest.approx(DEFAULT_STEP_S)
+    assert "the largest 7200 s" in line.gaps
 
 
 @pytest.mark.parametrize("options", [{}, UNINDEXED, {"compression": CompressionType.ZSTD}], ids=str)

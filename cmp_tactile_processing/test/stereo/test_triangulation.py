@@ -164,6 +164,20 @@ def test_stage_reports_why_a_marker_is_missing(sensor, points):
     assert (markers.status[1:] == Status.MEASURED).all()
 
 
+@pytest.mark.parametrize("method", ["weighted", "common_normal"])
+def test_no_corner_counts_as_known_to_the_last_digit(sensor, points, method):
+    """A tracker's standard deviation of 0 px is taken for 0.001 px: a covariance, not 0 or NaN."""
+    grids = grids_of(sensor, points)
+    rig = StereoRig(replace(sensor, triangulation=TriangulationParameters(method=method)))
+    covariances = []
+    for std in (0.0, 1e-3):
+        deviations = np.full(sensor.pattern.shape.corners, std)
+        left, right = (replace(grid, corner_std=deviations) for grid in grids.values())
+        covariances.append(rig.triangulate(left, right).covariance.copy())
+    assert (np.diagonal(covariances[0], axis1=-2, axis2=-1) > 0).all()
+    np.testing.assert_array_equal(*covariances)
+
+
 def test_parameters_choose_method_and_limit(sensor, points):
     grids = grids_of(sensor, points)
     grids["right"].corners[0, 0] += [0.0, 1.0]

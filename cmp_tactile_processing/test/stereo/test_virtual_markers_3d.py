@@ -192,6 +192,20 @@ def test_a_groove_that_neither_view_measures_shows_in_the_std(rig, blind):
     assert np.median(rows.std[:, middle]) > 10 * np.median(rows.std[:, : middle - 3])
 
 
+def test_the_std_of_a_bow_grows_from_the_corners_to_its_middle(rig):
+    """A groove whose section is a parabola: errors, and in the main their std, follow it."""
+    pitch = rig.pattern.pitch
+
+    def groove(x, y):
+        depth = 0.05 * pitch * np.maximum(1 - (2 * x / pitch) ** 2, 0)
+        return np.stack([0 * x, 0 * x, -depth], axis=-1)
+
+    rows, _ = make_scene(rig, groove).triangulate()
+    std = np.median(rows.std[:, rows.std.shape[1] // 2], axis=0)
+    share = np.arange(1, len(std) + 1) / (len(std) + 1)
+    np.testing.assert_allclose(std / std.max(), 4 * share * (1 - share), atol=0.25)
+
+
 def test_errors_are_as_large_as_their_std_says(rig):
     """Noise in all pixels: errors over std are those of one to two normal numbers."""
     scene = make_scene(rig, smooth)
