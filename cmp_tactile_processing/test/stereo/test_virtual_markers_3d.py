@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, Status
@@ -247,6 +248,17 @@ def test_status_follows_what_the_views_saw(sensor):
     assert np.isnan(cols.std[5, 6, 0])
     assert np.count_nonzero(cols.status != Status.MEASURED) == 12
     np.testing.assert_allclose(cols.position[3:5], scene.cols[3:5], atol=ATOL_SMOOTH_M, rtol=0)
+
+
+@pytest.mark.parametrize(("degrees", "status"), [(20, Status.PREDICTED), (40, Status.MEASURED)])
+def test_gridlines_are_measured_from_30_degrees_to_the_epipolar_plane_on(sensor, degrees, status):
+    """In a gel that is turned about its normal its rows make that angle with the baseline."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    optics = replace(sensor.optics, T_camera_gel=sensor.optics.T_camera_gel @ turn)
+    rows, cols = make_scene(replace(sensor, optics=optics)).triangulate()
+    assert (rows.status == status).all()
+    assert (cols.status == Status.MEASURED).all()
 
 
 def test_views_that_contradict_each_other_do_not_make_up_a_depth(sensor):
