@@ -10,11 +10,13 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     LANES,
     MODES,
     ROUGHNESS,
+    SHARE_BEFORE,
     Fits,
     FitScratch,
     MarkerBasis,
     blocks_of,
     fit_segments,
+    share_of_models,
 )
 from cmp_tactile_processing.tracking.virtual_markers.ridge import COLUMNS
 
@@ -75,3 +77,15 @@ def test_each_segment_has_the_posterior_of_its_own_measurements(segments):
             )
             variance = np.einsum("ka,ab,kb->k", markers, covariance, markers)
             np.testing.assert_allclose(fits.variance[number, :, s], variance, rtol=1e-3)
+
+
+def test_what_the_roughnesses_say_together_is_their_mixture():
+    """Of segments without measurements each is as likely as before; what they differ by counts."""
+    fits, random = Fits.from_shape(LANES, MARKERS), np.random.default_rng(5)
+    fits.deviation[:] = random.normal(0, 0.3, fits.deviation.shape)
+    fits.variance[:] = random.uniform(0.01, 0.1, fits.variance.shape)
+    share_of_models(np.zeros(LANES, np.int64), fits)
+    mean = np.tensordot(SHARE_BEFORE, fits.deviation, 1)
+    square = np.tensordot(SHARE_BEFORE, fits.variance + fits.deviation**2, 1)
+    np.testing.assert_allclose(fits.mean, mean, rtol=1e-12)
+    np.testing.assert_allclose(fits.spread, square - mean**2, rtol=1e-9)
