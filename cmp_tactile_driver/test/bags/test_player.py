@@ -11,7 +11,7 @@ from waiting import wait_until
 
 from cmp_tactile_driver.bags import player as player_module
 from cmp_tactile_driver.bags.player import PREFETCH_DEPTH, Player, PlayerState, StartGate
-from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer
@@ -132,6 +132,42 @@ def test_a_pause_makes_no_frame_late(monkeypatch):
     player.set_paused(False)
     _wait_finished(player)
     assert player.progress.max_lateness == 0.0
+
+
+class _WithInfos(_Recording):
+    """A camera info with each frame."""
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
+        for frame in super().messages(span):
+            yield RecordedCameraInfo(frame.time_s, frame.time_ns, b"")
+            yield frame
+
+
+def test_a_step_sends_all_up_to_the_next_frame():
+    sent: list[RecordedMessage] = []
+    player = Player([_WithInfos()], sent.append, ReplayParameters(paused=True))
+    player.start()
+    for frames in (1, 2):
+        _wait(player.step)
+        _wait(lambda frames=frames: player.progress.frames == frames)
+        assert [type(item) for item in sent] == [RecordedCameraInfo, RecordedFrame] * frames
+    player.stop()
+
+
+def test_a_frame_time_passes_between_recordings_that_end_with_a_camera_info(monkeypatch):
+    """Messages of one moment follow one another at once; their step is not that of frames."""
+    intervals: list[float] = []
+
+    class _Intervals(Pacer):
+        def delay(self, interval: float) -> float:
+            intervals.append(interval)
+            return 0.0
+
+    monkeypatch.setattr(player_module, "Pacer", _Intervals)
+    player = Player([_WithInfos(), _WithInfos()], lambda _: None, ReplayParameters())
+    player.start()
+    _wait_finished(player)
+    assert intervals == pytest.approx([0.0, 0.0, *[FRAME_NS * 1e-9, 0.0] * 19])
 
 
 def test_stop_while_paused_ends_the_thread():
