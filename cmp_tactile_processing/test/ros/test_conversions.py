@@ -343,7 +343,14 @@ def test_cloud_is_organised_and_keeps_nan(surface):
     np.testing.assert_array_equal(points, expected.astype(np.float32))
     assert not cloud.is_dense
     full = np.nan_to_num(surface.position)
-    assert organised_cloud(HEADER, full, full, ("dx", "dy", "dz")).is_dense
+    lacking = full.copy()
+    lacking[1, 2, 0] = np.nan
+    for parts, is_dense in (
+        ((full, full), True),
+        ((lacking, full), False),
+        ((full, lacking), False),
+    ):
+        assert organised_cloud(HEADER, *parts, ("dx", "dy", "dz")).is_dense == is_dense
 
 
 def test_message_constants_are_the_cores_codes():

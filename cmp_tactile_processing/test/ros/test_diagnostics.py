@@ -20,6 +20,7 @@ from cmp_tactile_processing.ros import diagnostics
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics import (
     SILENT_S,
+    Finding,
     InputWatch,
     SentFrames,
     StageDiagnostics,
@@ -220,6 +221,22 @@ def test_gaps_between_stamps_are_missing_frames_until_the_pace_is_another():
     assert watch.missing == 3 + 5 * 2
 
 
+def test_gaps_before_and_after_a_recording_begins_again_are_no_new_pace():
+    watch = StampWatch()
+    for steps in ([33] * 10 + [99] * 4, [99] * 4 + [33] * 3):
+        stamp = 1000
+        for step in steps:
+            stamp += step
+            watch.take(stamp * MS)
+    # The first stamp of the second pass is before the last one of the first: it ends no gap.
+    assert watch.missing == (4 + 3) * 2
+
+
+def test_the_worst_finding_comes_first():
+    findings = [Finding(WARN, "warm"), Finding(OK, ""), Finding(ERROR, "hot"), Finding(OK, "fine")]
+    assert summary(findings, "running") == (ERROR, "hot; warm; fine")
+
+
 def test_a_clock_that_is_set_and_another_recording_miss_no_frames():
     """Tried: 2591980 of 2592010 frames missing, where the second recording is of the next day.
 
@@ -275,6 +292,14 @@ def test_losses_are_warned_of_and_a_newer_frame_in_the_place_of_another_is_no_lo
         assert _reported(diagnostics) == (WARN, text)
         diagnostics.frames_in += 30
         assert _reported(diagnostics) == (OK, "running")
+
+
+@pytest.mark.parametrize(("received", "level"), [(98, WARN), (99, OK)])
+def test_one_frame_in_a_hundred_that_were_sent_may_be_lost(received, level):
+    diagnostics, end = StageDiagnostics(), _end()
+    diagnostics.inputs.append(InputWatch(end))
+    diagnostics.frames_in, end.dropped = received, 1
+    assert _reported(diagnostics)[0] == level
 
 
 @pytest.mark.parametrize("report_s", [0.1, 1.0])
