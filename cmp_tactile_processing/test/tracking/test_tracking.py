@@ -12,7 +12,7 @@ from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.tracking.detector import NominalGrid
-from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_processing.tracking.tracker import GridTracker, curve_residual
 
 # Measured on the sample frames (camera noise sigma 1, blur 0.7 px): 0.0068 to 0.0075, 0.025 and
 # 0.004 to 0.007 px; a third to spare.
@@ -199,3 +199,13 @@ def test_an_image_of_another_size_or_type_is_refused(trackers, image, message):
 def test_a_view_that_the_sensor_lacks_is_named(sensor):
     with pytest.raises(GeometryError, match="found no view 'top', expected one of left, right"):
         GridTracker(sensor, "top")
+
+
+def test_the_residual_is_the_error_of_a_corner_whatever_smooth_curve_it_is_on():
+    """0.1 px of noise per coordinate; a cubic alone leaves nothing."""
+    i, j = np.indices((60, 50), dtype=np.float64)
+    smooth = np.stack([16 * j + 1e-4 * i**3, 16 * i - 1e-4 * j**3], axis=-1)
+    assert curve_residual(smooth) < 1e-9
+    noise = np.random.default_rng(2).normal(0, 0.1, smooth.shape)
+    assert curve_residual(smooth + noise) == pytest.approx(0.1 * np.sqrt(2), rel=0.05)
+    assert np.isnan(curve_residual(smooth[:4, :4]))
