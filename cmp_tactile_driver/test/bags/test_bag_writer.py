@@ -109,6 +109,7 @@ def test_what_the_queue_cannot_hold_is_dropped_and_counted(tmp_path):
     assert recorder.progress.state is RecorderState.FINISHED
     assert recorder.progress.messages == {TOPIC: 3}
     assert recorder.progress.queued_bytes == 0
+    assert recorder.progress.duration_s == pytest.approx(2e-9)
     assert [m.time_ns for m in BagStorage(tmp_path / "bag").messages([TOPIC])] == [1, 2, 3]
     recorder.put(tap, 99, data)
     assert recorder.progress.messages == {TOPIC: 3}
