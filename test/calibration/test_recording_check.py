@@ -8,10 +8,15 @@ from calibration_rigs import gel_frames, gel_grids, one_view_rig, two_view_rig
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.practice import changed_rig
-from cmp_tactile_processing.calibration.check import check_grids, check_recording, rigid_drift
+from cmp_tactile_processing.calibration.check import (
+    CheckParameters,
+    check_grids,
+    check_recording,
+    rigid_drift,
+)
 from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.measured import Grid
-from cmp_tactile_processing.sensor.parts import Mirror
+from cmp_tactile_processing.sensor.parts import CalibrationRecord, Mirror
 from hard_frames.deformation import Zone
 
 PRESS = (Zone(1e-3, 0.0, 4e-3, depth=8e-4, spread=0.08),)
@@ -41,6 +46,17 @@ def test_a_good_calibration_holds(gel_rig, kind):
     assert ("ray gap" in names) == (kind != "one view")
     assert {"shift", "turn", "growth", "shape at rest", "corners at rest"} <= names
     assert all(np.isfinite([item.value, item.limit]).all() for item in report.figures)
+
+
+def test_corners_at_rest_are_held_against_what_the_calibration_promised(gel_rig):
+    """A calibration of 0.5 px leaves three times that at rest; one of 0.001 px the usual limit."""
+    limits = []
+    for promised_px in (0.5, 1e-3):
+        record = CalibrationRecord("gel", "2026-07-01T12:00:00Z", 1, promised_px)
+        rig = replace(gel_rig, calibration=record)
+        report = check_grids(rig, gel_grids(rig, 2))
+        limits.append(figure(report, "corners at rest").limit)
+    assert limits == [1.5, CheckParameters().rest_reprojection]
 
 
 def test_an_uncalibrated_sensor_is_refused(gel_rig):

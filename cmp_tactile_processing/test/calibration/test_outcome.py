@@ -1,9 +1,13 @@
 """Numbers of calibrations as people read them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.calibration.outcome import value_text
+from cmp_tactile_processing.calibration.observation import LEAST_STD, observed
+from cmp_tactile_processing.calibration.outcome import ViewResiduals, reprojection, value_text
+from cmp_tactile_processing.measured import Grid, GridShape, Status
 
 
 @pytest.mark.parametrize(
@@ -28,3 +32,33 @@ def test_a_figure_is_one_text_wherever_it_stands(value, unit, text):
     13 (0.2E2 for 20): no power of ten in any text of a calibration's figures.
     """
     assert value_text(value, unit) == text
+
+
+def test_outliers_do_not_count_in_the_reprojection_error():
+    pixels = np.zeros((3, 2))
+    residuals = np.array([[0.3, 0.4], [0.0, 0.5], [30.0, 40.0]])
+    used = np.array([True, True, False])
+    view = ViewResiduals("left", pixels, residuals, np.zeros(3, np.intp), used)
+    assert view.rms == pytest.approx(0.5)
+    assert reprojection([view, view]) == pytest.approx(0.5)
+    assert reprojection([view], all_corners=True) == pytest.approx(np.sqrt((0.5 + 2500) / 3))
+
+
+@pytest.mark.parametrize("reported_px", [0.01, 0.2])
+def test_a_mean_corner_is_as_sure_as_its_frames_scatter_or_say(reported_px):
+    """8 frames with 0.1 px of noise per coordinate; in 5 of them one corner is not seen."""
+    shape, frames, noise_px = GridShape(30, 40, 1), 8, 0.1
+    rng, empty = np.random.default_rng(4), Grid.missing(shape, "")
+    grids = []
+    for number in range(frames):
+        status = np.full(shape.corners, Status.MEASURED, np.uint8)
+        status[2, 3] = Status.MISSING if number < 5 else Status.MEASURED
+        corners = rng.normal(0, noise_px, (*shape.corners, 2))
+        deviations = np.full(shape.corners, reported_px)
+        grids.append(replace(empty, corners=corners, corner_status=status, corner_std=deviations))
+    seen = observed("left", grids, np.ones(frames, np.bool_))
+    one_px = max(noise_px, reported_px)
+    variance = np.nanmean(seen.std**2)
+    assert variance == pytest.approx(one_px**2 / frames + LEAST_STD**2, rel=0.03)
+    assert np.argwhere(~seen.seen).tolist() == [[2, 3]]
+    assert np.isnan(seen.std[2, 3])

@@ -19,25 +19,43 @@ def lattice(rows: int, cols: int) -> np.ndarray:
     return SIDE_PX * np.stack([j, i], axis=-1)
 
 
+def nominal_grid(rows: int, cols: int) -> NominalGrid:
+    corners = lattice(rows, cols)
+    tree = cKDTree(corners.reshape(-1, 2))
+    return NominalGrid(corners, corners, corners, SIDE_PX, SIDE_PX, SIDE_PX, tree)
+
+
+def component(nominal: NominalGrid, first: tuple[int, int], off_px: float = 0.0) -> Component:
+    """3 x 3 corners from `first` on, off along the diagonal, numbered from (0, 0)."""
+    number = np.indices((3, 3)).reshape(2, -1).T
+    i, j = (number + first).T
+    return Component(nominal.corners[i, j] + off_px, number, (i + j) % 2 == 0)
+
+
 @pytest.mark.parametrize(("share", "is_joined"), [(0.0, True), (0.25, True), (0.3, False)])
 def test_a_fragment_between_two_places_is_not_joined(share, is_joined):
     """Diagonal places of its colours are 1.41 sides apart: at 0.3 of that the nearer leads by 0.57.
 
     Of all other places the best one must not count: they are farther away.
     """
-    corners = lattice(9, 14)
-    nominal = NominalGrid(
-        corners.copy(), corners, corners, SIDE_PX, SIDE_PX, SIDE_PX, cKDTree(corners.reshape(-1, 2))
-    )
+    corners, nominal = lattice(9, 14), nominal_grid(9, 14)
     corners[:, 7:] = np.nan
-    # Rows 3 to 5 and columns 8 to 10, numbered from (0, 0).
-    number = np.indices((3, 3)).reshape(2, -1).T
-    position = nominal.corners[3:6, 8:11].reshape(-1, 2) + share * SIDE_PX
-    even = (number.sum(axis=1) + 3 + 8) % 2 == 0
-    shift = joined(corners, Component(position, number, even), nominal, even_first=True)
+    fragment = component(nominal, (3, 8), share * SIDE_PX)
+    shift = joined(corners, fragment, nominal, even_first=True)
     assert (shift is not None) == is_joined
     if is_joined:
         assert shift.tolist() == [3, 8]
+
+
+def test_a_slope_of_the_displacement_goes_on_with_restraint():
+    """0.08 sides between two columns would be 0.6 seven columns on, too far to be joined."""
+    corners, nominal = lattice(9, 14), nominal_grid(9, 14)
+    corners[:, 2:] = np.nan
+    corners[:, 1] -= 0.08 * SIDE_PX, 0.0
+    fragment = component(nominal, (3, 7))
+    shift = joined(corners, fragment, nominal, even_first=True)
+    assert shift is not None
+    assert shift.tolist() == [3, 7]
 
 
 @pytest.mark.parametrize("contradicting", [0, 1, 2])

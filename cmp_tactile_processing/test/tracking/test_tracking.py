@@ -10,7 +10,7 @@ import pytest
 
 from cmp_tactile_processing.errors import FrameError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import Status
+from cmp_tactile_processing.measured import GridFault, Status
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.tracker import GridTracker, curve_residual
 
@@ -43,6 +43,7 @@ def test_corners_and_virtual_markers_of_a_clean_frame(trackers, stills, view_ima
     error = errors(grid, truth[f"corners_{view}_px"])
     assert (grid.corner_status == Status.MEASURED).all()
     assert grid.reason == ""
+    assert grid.confidence > 0.9
     assert np.sqrt(np.mean(error**2)) < RMSE_CORNER_PX
     assert error.max() < MAX_CORNER_PX
     cols, col_status = (a.swapaxes(0, 1) for a in (grid.col_lines_frame, grid.col_line_status))
@@ -101,6 +102,10 @@ def test_what_is_hidden_is_missing_and_the_rest_keeps_its_numbers(
     assert seen.sum() > 100
     assert np.isnan(grid.corners[~placed]).all()
     assert "not seen" in grid.reason
+    assert grid.fault is GridFault.PARTLY_HIDDEN
+    # Where all borders are in sight nothing is in doubt.
+    assert 0 < grid.confidence <= 1
+    assert (grid.confidence == 1) == (cover == "middle")
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -139,7 +144,9 @@ def test_the_rim_of_a_spot_is_no_corner(trackers, stills, view_image, name, colo
         image = clean.copy()
         centre = rng.uniform(low, high).astype(int).tolist()
         cv2.circle(image, centre, int(rng.integers(20, 60)), colour, -1)
-        error = np.linalg.norm(trackers["left"].track(image).corners - truth, axis=-1)
+        grid = trackers["left"].track(image)
+        error = np.linalg.norm(grid.corners - truth, axis=-1)
+        assert np.isfinite(error).all() == (grid.fault is GridFault.NONE)
         assert np.nanmax(error) < WRONG_NUMBER_PX
         found += np.isfinite(error).sum()
         wrong += (error > 1.0).sum()

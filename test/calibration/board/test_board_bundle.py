@@ -94,3 +94,21 @@ def test_outliers_are_marked_and_change_nothing(clean, problem):
     out = [(k, int(n)) for k, used in enumerate(found.used) for n in np.flatnonzero(~used)]
     assert out == [(3, 10), (8, 20)]
     assert (np.abs(found.fit.values - clean.fit.values) / clean.fit.std).max() < 0.3
+
+
+def test_an_image_of_which_few_corners_fit_counts_for_nothing(clean, problem):
+    """All but five corners of one image are far off: the five would place its board anyhow."""
+    rig, observations, start = problem
+    image = observations[4].image
+    spoilt = [
+        replace(item, q=np.concatenate([item.q[:3], item.q[3:] + (40.0, -30.0)]))
+        if item.image == image
+        else item
+        for item in observations
+    ]
+    found = adjust(rig, spoilt, start)
+    left = [
+        used.any() for item, used in zip(spoilt, found.used, strict=True) if item.image == image
+    ]
+    assert left == [False, False]
+    assert (np.abs(found.fit.values - clean.fit.values) / clean.fit.std).max() < 1.5
