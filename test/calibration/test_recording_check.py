@@ -15,6 +15,7 @@ from cmp_tactile_processing.calibration.check import (
     rigid_drift,
 )
 from cmp_tactile_processing.errors import CalibrationError, FrameError
+from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.parts import CalibrationRecord, Mirror
 from hard_frames.deformation import Zone
@@ -57,6 +58,24 @@ def test_corners_at_rest_are_held_against_what_the_calibration_promised(gel_rig)
         report = check_grids(rig, gel_grids(rig, 2))
         limits.append(figure(report, "corners at rest").limit)
     assert limits == [1.5, CheckParameters().rest_reprojection]
+
+
+def test_the_epipolar_error_is_the_distance_across_epipolar_lines(gel_rig):
+    """In a camera that is rolled by 40 degrees they are oblique; pixels are off by 1 px along y."""
+    rig = two_view_rig(gel_rig)
+    roll = np.eye(4)
+    roll[:3, :3] = Rotation.from_euler("z", 40, degrees=True).as_matrix()
+    right = replace(rig.views["right"], T_view_gel=roll @ rig.views["right"].T_view_gel)
+    rig = replace(rig, views={**rig.views, "right": right})
+    grids = gel_grids(rig, 2)
+    grids["right"] = [replace(grid, corners=grid.corners + (0, 1)) for grid in grids["right"]]
+    found = figure(check_grids(rig, grids), "epipolar error")
+    left, right = build_views(rig).values()
+    points = rig.pattern.corners()
+    along = right.project(points + 1e-4 * left.rays(left.project(points))[1])
+    along -= right.project(points)
+    expected = np.median(np.abs(along[..., 0]) / np.linalg.norm(along, axis=-1))
+    assert found.median == pytest.approx(expected, rel=0.05)
 
 
 def test_an_uncalibrated_sensor_is_refused(gel_rig):

@@ -47,15 +47,18 @@ def test_a_fragment_between_two_places_is_not_joined(share, is_joined):
         assert shift.tolist() == [3, 8]
 
 
-def test_a_slope_of_the_displacement_goes_on_with_restraint():
-    """0.08 sides between two columns would be 0.6 seven columns on, too far to be joined."""
-    corners, nominal = lattice(9, 14), nominal_grid(9, 14)
-    corners[:, 2:] = np.nan
-    corners[:, 1] -= 0.08 * SIDE_PX, 0.0
-    fragment = component(nominal, (3, 7))
-    shift = joined(corners, fragment, nominal, even_first=True)
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_slope_of_the_displacement_goes_on_with_restraint(axis):
+    """0.08 sides between two lines would be 0.6 seven lines on, too far to be joined."""
+    nominal = nominal_grid(14, 14)
+    corners = nominal.corners.copy()
+    lines = corners.swapaxes(0, axis)
+    lines[2:] = np.nan
+    lines[1, :, 1 - axis] -= 0.08 * SIDE_PX
+    first = (7, 4) if axis == 0 else (4, 7)
+    shift = joined(corners, component(nominal, first), nominal, even_first=True)
     assert shift is not None
-    assert shift.tolist() == [3, 7]
+    assert tuple(shift) == first
 
 
 @pytest.mark.parametrize("contradicting", [0, 1, 2])
