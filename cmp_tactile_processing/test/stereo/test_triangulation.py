@@ -16,7 +16,7 @@ from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.measured import Grid, MarkerFault, Status
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
-from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.stereo.triangulation import meet_surface, triangulate
 
 LENSES = {
@@ -162,6 +162,30 @@ def test_stage_reports_why_a_marker_is_missing(sensor, points):
     assert np.isfinite(markers.position[0, 5:]).all()
     assert np.isnan(markers.covariance[0, :5]).all()
     assert (markers.status[1:] == Status.MEASURED).all()
+
+
+@pytest.mark.parametrize(
+    ("gap_um", "status", "share", "is_doubted"),
+    [
+        (177, Status.MEASURED, 1.0, True),
+        (41, Status.MEASURED, 1.0, False),
+        # Missing for its gap alone.
+        (177, Status.MISSING, 0.6, True),
+        # All others are predicted; a few may all lie under glare.
+        (177, Status.MEASURED, 0.4, False),
+        (177, Status.PREDICTED, 1.0, False),
+    ],
+)
+def test_gaps_of_most_markers_that_are_not_predicted_doubt_the_sensor(
+    gap_um, status, share, is_doubted
+):
+    states = np.full((10, 20), Status.PREDICTED, np.uint8)
+    states.ravel()[: round(share * states.size)] = status
+    text = implausible_ray_gap(np.full(states.shape, gap_um * 1e-6), states, "rig_7")
+    assert bool(text) == is_doubted
+    if is_doubted:
+        assert f"{gap_um} um apart" in text
+        assert "rig_7" in text
 
 
 @pytest.mark.parametrize("method", ["weighted", "common_normal"])
