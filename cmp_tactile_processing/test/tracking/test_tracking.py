@@ -108,6 +108,24 @@ def test_what_is_hidden_is_missing_and_the_rest_keeps_its_numbers(
     assert (grid.confidence == 1) == (cover == "middle")
 
 
+def test_a_corner_that_the_print_makes_doubtful_is_less_sure(trackers, stills, view_image):
+    image, tracker = view_image(stills["rest"], "left"), trackers["left"]
+    sound = tracker.track(image)
+    defects = tracker.inspect_print([image])
+    weight = np.ones_like(defects.corner_weight)
+    weight[5, 5], weight[8, 9] = 0.25, 0.0
+    tracker.use_print_defects(replace(defects, corner_weight=weight))
+    grid = tracker.track(image)
+    tracker.use_print_defects(None)
+    ratio = grid.corner_std / sound.corner_std
+    # Gridlines through it know the first as well; the second stands alone, with 20 times its own.
+    assert 1.05 < ratio[5, 5] < 4
+    assert 15 < ratio[8, 9] < 40
+    assert np.argwhere(grid.corner_status == Status.PREDICTED).tolist() == [[8, 9]]
+    far = np.hypot(*(np.indices(weight.shape) - np.array([6, 7])[:, None, None])) > 6
+    np.testing.assert_allclose(ratio[far], 1.0, rtol=0.02)
+
+
 @pytest.mark.parametrize("view", VIEWS)
 def test_dirt_that_joins_checkers_does_not_shift_numbers(trackers, stills, view_image, view):
     """Spots that make one outline of three checkers in a row: it is no checker of the pattern."""
