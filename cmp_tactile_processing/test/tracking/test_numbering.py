@@ -273,6 +273,9 @@ def test_a_fragment_continues_its_surroundings_or_is_left_out(rig, ringed, off, 
     numbered = ringed.copy()
     numbered[7:11, 7:11] = continues
     np.testing.assert_array_equal(np.isfinite(found.corners[..., 0]), numbered)
+    # All borders are in sight; what was joined without a gridline might still be wrong.
+    assert (found.confidence < 1) == continues
+    assert found.fault is GridFault.PARTLY_HIDDEN
 
 
 @pytest.mark.parametrize("change", [(-2, 0), (-1, 0), (2, 0), (0, -3), (1, 1)])
