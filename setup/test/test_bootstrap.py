@@ -14,7 +14,9 @@ def bootstrap(root, **variables):
         env.pop(name, None)
     env.update(variables)
     command = [sys.executable, str(root / "setup" / "bootstrap.py")]
-    return subprocess.run(command, env=env, capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run(
+        command, env=env, capture_output=True, text=True, timeout=600, check=False
+    )
 
 
 def assert_one_line(result, *words):
