@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from calibration_rigs import one_view_rig, two_view_rig
 
-from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 

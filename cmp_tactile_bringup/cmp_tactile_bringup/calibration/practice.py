@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.errors import SimulationError

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # What is being done, how much of it is done, how much there is.
@@ -96,6 +98,22 @@ class Estimate:
     after: float
     std: float
     determined: bool
+
+
+def rig_estimates(parameters: RigParameters, fit: MapFit) -> tuple[Estimate, ...]:
+    """All optical values before and after, of a fit of the free ones."""
+    found = {
+        name: (float(value), float(std), bool(determined))
+        for name, value, std, determined in zip(
+            parameters.names, fit.values, fit.std, fit.determined, strict=True
+        )
+    }
+    estimates = []
+    for item in parameters.all:
+        change, std, determined = found.get(item.name, (0.0, 0.0, False))
+        after, std = item.before + item.scale * change, abs(item.scale) * std
+        estimates.append(Estimate(item.name, item.unit, item.before, after, std, determined))
+    return tuple(estimates)
 
 
 def provenance(estimates: Iterable[Estimate], held: Iterable[str] = ()) -> dict[str, Any]:

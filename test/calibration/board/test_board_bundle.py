@@ -7,8 +7,9 @@ import pytest
 
 from cmp_tactile_bringup.calibration.practice import board_poses
 from cmp_tactile_processing.calibration.board.bundle import Observation, adjust
-from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
+from cmp_tactile_processing.calibration.outcome import rig_estimates
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 
 NOISE_PX = 0.02
 PRIOR = RigPrior(turn=0.09, shift=2e-3, focal=0.1, aspect=0.1, principal_point=50.0, distortion=0.5)
@@ -42,7 +43,7 @@ def test_errors_are_as_large_as_the_covariance_says(clean, problem, built):
     rig, *_ = problem
     assert clean.noise == pytest.approx(NOISE_PX, rel=0.05)
     found, true = rig.sensor(clean.fit.values).camera, built.camera
-    std = {item.name: item.std for item in rig.estimates(clean.fit)}
+    std = {item.name: item.std for item in rig_estimates(rig, clean.fit)}
     for name in ("fx", "cx", "cy"):
         assert abs(getattr(found, name) - getattr(true, name)) < 3.5 * std[f"camera.{name}"]
     assert found.fx == pytest.approx(true.fx, rel=1e-3)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit, soft_loss
-from cmp_tactile_processing.calibration.rig import RigParameters
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 
 # Residuals lose weight beyond this many standard deviations, and are outliers beyond so many.
 ROBUST, OUTLIER = 2.0, 6.0

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.board.bundle import Bundle, Observation, adjust
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.rig import RigParameters
 from cmp_tactile_processing.geometry.optics import ViewGeometry, view_geometry
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 from cmp_tactile_processing.measured import ViewPlacement
 from cmp_tactile_processing.sensor.parts import Camera
 

@@ -1,4 +1,4 @@
-"""The optical values of a sensor as a vector of changes, which every calibration of them fits.
+"""The optical values of a sensor as a vector of changes, which calibrations and the gauge fit.
 
 Zero is the description itself.  Turns and shifts are of the gel in its own frame (rotation vector,
 m), so that a turn moves the pattern about its apex instead of far about the camera.
@@ -13,8 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.calibration.map_fit import MapFit
-from cmp_tactile_processing.calibration.outcome import Estimate
 from cmp_tactile_processing.geometry.optics import (
     ViewGeometry,
     described_view,
@@ -84,11 +82,6 @@ class RigParameter:
     before: float = 0.0
     scale: float = 1.0
 
-    def estimate(self, change: float, std: float, determined: bool) -> Estimate:
-        """The value before and after such a change, for people."""
-        after = self.before + self.scale * change
-        return Estimate(self.name, self.unit, self.before, after, abs(self.scale) * std, determined)
-
 
 class RigParameters:
     """All optical values of one description; those with a prior are free.
@@ -118,16 +111,6 @@ class RigParameters:
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters, in the order of the vector."""
         return tuple(item.name for item in self.free)
-
-    def estimates(self, fit: MapFit) -> tuple[Estimate, ...]:
-        """All values before and after, of a fit of the free ones."""
-        found = {
-            name: (float(value), float(std), bool(determined))
-            for name, value, std, determined in zip(
-                self.names, fit.values, fit.std, fit.determined, strict=True
-            )
-        }
-        return tuple(item.estimate(*found.get(item.name, (0.0, 0.0, False))) for item in self.all)
 
     def views(self, changes: NDArray[np.float64]) -> dict[str, ViewGeometry]:
         """The views of the description changed by (n,), unchecked: see `described_view`."""
