@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum, IntFlag
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,6 +229,8 @@ class Markers3D:
     at its share of the material between its corners; row_status, col_status: measured where both
     views show where the gridline runs, predicted where that is interpolated between the corners;
     row_std, col_std: largest standard deviation across the gridline, m.
+    pixels: the corners (rows, cols, 2) px that the markers were seen at, by view; None where they
+    were not measured from images.
     """
 
     shape: GridShape
@@ -242,9 +245,10 @@ class Markers3D:
     col_position: NDArray[np.float64]
     col_status: NDArray[np.uint8]
     col_std: NDArray[np.float64]
+    pixels: Mapping[str, NDArray[np.float64]] | None = field(default=None, kw_only=True)
 
 
-def no_virtual_markers(shape: GridShape) -> dict[str, NDArray[Any]]:
+def no_virtual_markers(shape: GridShape) -> dict[str, Any]:
     """The fields of Markers3D for virtual markers where none is known."""
     return {
         "row_position": np.full((*shape.row_lines, 3), np.nan),
@@ -256,6 +260,34 @@ def no_virtual_markers(shape: GridShape) -> dict[str, NDArray[Any]]:
     }
 
 
+class ReferenceFault(IntFlag):
+    """What is wrong with the reference of a Surface; the bits of Surface.msg."""
+
+    NONE = 0
+    TOUCHED = 1  # something touched the gel when it was taken
+    DESCRIPTION = 2  # it shows the gel other than described: displacements are off by some percent
+
+
+@dataclass(frozen=True)
+class Systematics:
+    """Relative errors of displacements that are the same in all frames, second moments (11, 11).
+
+    Components: the gain G (3, 3) row by row, measured displacement = (1 + G) true displacement; by
+    how much the pattern is larger than described; by how much the gel is thicker.
+    bias: of what the gel at rest shows; spread: of what it leaves open.
+    """
+
+    COMPONENTS: ClassVar[int] = 11
+
+    bias: NDArray[np.float64]
+    spread: NDArray[np.float64]
+
+    @property
+    def total(self) -> NDArray[np.float64]:
+        """Both together."""
+        return np.asarray(self.bias + self.spread)
+
+
 @dataclass(frozen=True)
 class Surface(Markers3D):
     """Markers in 3-D with their displacement; position = reference + displacement.
@@ -264,12 +296,26 @@ class Surface(Markers3D):
     reference, displacement (rows, cols, 3): gel frame, m; NaN where missing.
     reference_id: 0 for the nominal surface of the sensor description, then counting up.
     reference_stamp_ns: stamp of the last frame averaged into the reference, ns; 0 if nominal.
+    reference_faults: what is wrong with it.  systematics: errors beside those of `covariance`;
+    None where no reference shows them.
     """
 
     reference: NDArray[np.float64]
     displacement: NDArray[np.float64]
     reference_id: int = 0
     reference_stamp_ns: int = 0
+    reference_faults: ReferenceFault = ReferenceFault.NONE
+    systematics: Systematics | None = None
+
+    @property
+    def systematic_std(self) -> NDArray[np.float64]:
+        """Standard deviation of the displacement by systematics alone, (rows, cols, 3) m."""
+        if self.systematics is None:
+            return np.zeros_like(self.displacement)
+        gain = self.systematics.total[:9, :9].reshape(3, 3, 3, 3)
+        moved = self.displacement
+        variance = np.einsum("ijik,...j,...k->...i", gain, moved, moved)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     @classmethod
     def from_exact_points(
@@ -405,6 +451,8 @@ class ForceFlag(IntFlag):
     )
     IMPLAUSIBLE = 256  # the markers moved as no gel of this description can: all is NaN
     ZERO_DOUBTFUL = 512  # a force without contact, or the reference was taken under load
+    DESCRIPTION_DOUBTFUL = 1024  # the gel at rest is not as described: the force is off by percents
+    SCALE_UNCERTAIN = 2048  # modulus, thickness or optics are known too badly for newtons
 
 
 @dataclass(frozen=True)
@@ -458,7 +506,8 @@ class ForceField:
     contact; force_std (M, 3) N: its standard deviations.  contact (M,) bool.
     wrench (6,): resultant force, N, and moment about reference_point, N m; forces act where their
     nodes have moved to, and so does centre_of_pressure (3,) m, NaN without contact.
-    wrench_covariance (6, 6): of noise, resolution and, where calibrated, material.
+    wrench_covariance (6, 6): of noise, resolution, and systematic_covariance (6, 6), what is the
+    same in all frames: errors of the description, as far as they are known, and of the material.
     contact_area m^2, undeformed.  contacts: each separate contact, the strongest first.
     slip_state: that of `slip`, which sums up all contacts.
     valid_fraction: share of the markers that the force rests on, 0 to 1.
@@ -492,6 +541,18 @@ class ForceField:
     noise_scale: float = NAN
     corrected: bool = False
     relaxed: bool = False
+    systematic_covariance: NDArray[np.float64] = field(default_factory=_unknown_covariance)
+
+    @property
+    def systematic_std(self) -> NDArray[np.float64]:
+        """Systematic part of `wrench_std`, (6,) N and N m."""
+        return np.asarray(np.sqrt(np.diag(self.systematic_covariance)))
+
+    @property
+    def random_std(self) -> NDArray[np.float64]:
+        """What differs from frame to frame of `wrench_std`, (6,) N and N m."""
+        systematic = np.nan_to_num(self.systematic_covariance)
+        return np.asarray(np.sqrt(np.diag(self.wrench_covariance - systematic)))
 
     @property
     def wrench_std(self) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from cmp_tactile_processing.measured import ForceField, Grid, Markers3D, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.gauge import RestGauge
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper, ZeroParameters
 from cmp_tactile_processing.tracking.print_inspection.defects import PrintDefects
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -56,7 +57,8 @@ class Pipeline:
             self._views = [_TrackedView(sensor, view) for view in views.values()]
             self._threads = ViewThreads(len(self._views))
             self._force = ForceStage(sensor)
-            self._keeper = ReferenceKeeper(Reference.nominal(sensor))
+            gauge = RestGauge(sensor) if sensor.views else None
+            self._keeper = ReferenceKeeper(Reference.nominal(sensor), gauge)
         self._auto = auto_reference != "never"
         self._keeper.zero(ZeroParameters(auto_reference=auto_reference))
         self._reference_note = ""

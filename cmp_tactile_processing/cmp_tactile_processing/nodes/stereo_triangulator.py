@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import threading
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -27,6 +28,7 @@ from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationPa
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
+from cmp_tactile_processing.surface.gauge import RestGauge
 from cmp_tactile_processing.surface.stillness import RestParameters
 
 
@@ -91,7 +93,9 @@ class StereoTriangulator(StageNode):
 
     def _set_up(self) -> None:
         self._build_rig(StageParameters(self, self.sensor.triangulation, self._build_rig).value)
-        self._keeper = reference_keeping.ReferenceKeeper(Reference.nominal(self.sensor))
+        gauge = RestGauge(self.sensor)
+        self._keeper = reference_keeping.ReferenceKeeper(Reference.nominal(self.sensor), gauge)
+        threading.Thread(target=gauge.prepare, name="gauge", daemon=True).start()
         self._pairing = StampPairing(("left", "right"))
         # Of the last second: why its frames are implausible, and of the last frame.
         self._doubt, self._tracked = "", math.nan

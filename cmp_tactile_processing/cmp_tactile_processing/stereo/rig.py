@@ -129,6 +129,7 @@ class StereoRig:
             fault=corners.fault.reshape(shape.corners),
             covariance=nodes.covariance,
             ray_gap=corners.gap.reshape(shape.corners),
+            pixels={name: grid.corners for name, grid in seen.items()},
             **lines,
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -16,8 +16,10 @@ from cmp_tactile_processing.measured import (
     GridShape,
     MarkerFault,
     Markers3D,
+    ReferenceFault,
     Status,
     Surface,
+    Systematics,
     no_virtual_markers,
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -44,6 +46,8 @@ class Reference:
     covariance (rows, cols, 3, 3) m^2: of these positions; 0 for the nominal surface, which is
     taken for exact, NaN where unknown.  id: 0 for the nominal surface, then counting up.
     stamp_ns: last frame averaged, 0 if nominal.  frames: averaged, 0 if nominal.
+    pixels: mean corners (rows, cols, 2) px by view, as Markers3D has them.
+    faults, systematics: as Surface has them.
     """
 
     position: NDArray[np.float64]
@@ -51,6 +55,9 @@ class Reference:
     id: int = 0
     stamp_ns: int = 0
     frames: int = 0
+    pixels: Mapping[str, NDArray[np.float64]] | None = None
+    faults: ReferenceFault = ReferenceFault.NONE
+    systematics: Systematics | None = None
 
     @classmethod
     def nominal(cls, sensor: SensorDescription) -> Reference:
@@ -82,10 +89,10 @@ class Reference:
         used = _at_rest(stack, seen)
         _require_markers(used)
         stack[~used] = np.nan
-        count = np.isfinite(stack).sum(axis=0)
-        mean = np.where(count > 0, np.nansum(stack, axis=0) / np.maximum(count, 1), np.nan)
         frames = int(np.count_nonzero(used.any(axis=(1, 2))))
-        return cls(mean, _covariance_of_mean(markers, used), reference_id, stamp_ns, frames)
+        covariance = _covariance_of_mean(markers, used)
+        pixels = _mean_pixels(markers, used)
+        return cls(_known_mean(stack), covariance, reference_id, stamp_ns, frames, pixels)
 
     def surface(self, markers: Markers3D) -> Surface:
         """Displacement of the markers; missing where either position or reference is.
@@ -110,6 +117,8 @@ class Reference:
             "displacement": displacement,
             "reference_id": self.id,
             "reference_stamp_ns": self.stamp_ns,
+            "reference_faults": self.faults,
+            "systematics": self.systematics,
         }
         return Surface(**(vars(markers) | changed))
 
@@ -183,6 +192,25 @@ def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.
     return used
 
 
+def _known_mean(stack: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean over frames (F, ...) of what is not NaN; NaN where there is nothing."""
+    count = np.isfinite(stack).sum(axis=0)
+    return np.where(count > 0, np.nansum(stack, axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _mean_pixels(
+    markers: Sequence[Markers3D], used: NDArray[np.bool_]
+) -> dict[str, NDArray[np.float64]] | None:
+    """Mean corners of the markers that are used (F, rows, cols), by view; None without images."""
+    seen = [item.pixels for item in markers if item.pixels is not None]
+    if len(seen) < len(markers):
+        return None
+    return {
+        view: _known_mean(np.where(used[..., None], [item[view] for item in seen], np.nan))
+        for view in seen[0]
+    }
+
+
 def _covariance_of_mean(
     markers: Sequence[Markers3D], used: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
@@ -216,6 +244,8 @@ def surface_at_rest(reference: Reference, shape: GridShape) -> Surface:
         **no_virtual_markers(shape),
         reference_id=reference.id,
         reference_stamp_ns=reference.stamp_ns,
+        reference_faults=reference.faults,
+        systematics=reference.systematics,
     )
 
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean
-from cmp_tactile_processing.measured import Markers3D
+from cmp_tactile_processing.measured import Markers3D, ReferenceFault
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.gauge import RestGauge
 from cmp_tactile_processing.surface.stillness import (
     FramesJudged,
     RestParameters,
@@ -24,6 +25,10 @@ from cmp_tactile_processing.surface.stillness import (
 )
 
 NS_PER_S = 1_000_000_000
+# Sets of frames after which the gauge looks again at a gel that seems touched, at most.
+MAX_PASSED_OVER = 31
+# Between what was done and why it is doubtful.
+DOUBTFUL = "; but "
 
 
 @dataclass(frozen=True)
@@ -144,15 +149,18 @@ class ReferenceKeeper:
     """Holds the `reference`, at first the nominal surface.
 
     `waiting`: a reference is still to be taken by itself.  `reason`: why none has been so far.
+    gauge: of a sensor with views; what it shows of the description goes into each reference.
     """
 
-    def __init__(self, nominal: Reference) -> None:
-        self._nominal = nominal
+    def __init__(self, nominal: Reference, gauge: RestGauge | None = None) -> None:
+        self._nominal, self._gauge = nominal, gauge
         self.reference = nominal
         self.waiting = True
         self.reason = ""
         self._doubt = ""
         self.judged: FramesJudged | None = None
+        # Sets of frames of a gel that seems touched, since the gauge last looked at one.
+        self._passed_over = self._between_tries = 0
         self._zero = ZeroParameters()
         self.watch(RestParameters(), DriftParameters())
 
@@ -179,18 +187,34 @@ class ReferenceKeeper:
         Raises ReferenceFramesError where they cannot serve; all then stays as it was.
         """
         reference = Reference.average(frames, self.reference.id + 1, stamp_ns)
-        return self._use(reference, self._why_touched(reference), len(frames))
+        return self._use(*self._gauged(reference), len(frames))
 
-    def _why_touched(self, reference: Reference) -> str:
-        return why_touched(rest_shape(self._nominal.position, reference.position), self._rest)
+    def _gauged(self, reference: Reference) -> tuple[Reference, str]:
+        """The reference with what it shows of the gel and the description, and that in words."""
+        shape, reading = rest_shape(self._nominal.position, reference.position), None
+        if self._gauge is not None and reference.pixels is not None:
+            reading = self._gauge.read(reference.pixels)
+        if reading is None or shape is None:
+            return reference, why_touched(shape, self._rest)
+        faults, doubt = ReferenceFault.NONE, reading.doubt
+        if reading.bump > self._rest.rest_tolerance:
+            # A dent looks like errors of the description, in part.
+            faults, doubt = ReferenceFault.TOUCHED, why_touched(shape, self._rest) or doubt
+        elif doubt:
+            faults = ReferenceFault.DESCRIPTION
+        reference = replace(reference, faults=faults, systematics=reading.systematics)
+        # What the description explains is no touch; a drag may be explained by the gel's pose.
+        shape = replace(shape, bump=min(shape.bump, reading.bump), scale=1.0)
+        return reference, doubt or why_touched(shape, self._rest)
 
     def _use(self, reference: Reference, doubt: str, frames: int) -> str:
         left_out = f" of {frames}" if reference.frames < frames else ""
         said = f"reference {reference.id} is the mean of {reference.frames}{left_out} frames"
         self.reference, self.waiting, self.reason = reference, False, ""
+        self._passed_over = self._between_tries = 0
         self._doubt = doubt
         self._drift = DriftMonitor(self._rest, self._drift_parameters)
-        return f"{said}; but {doubt}" if doubt else said
+        return f"{said}{DOUBTFUL}{doubt}" if doubt else said
 
     def add(self, markers: Markers3D, stamp_ns: int) -> str:
         """Take a frame into account; what is to be said where it led to a new reference."""
@@ -224,19 +248,24 @@ class ReferenceKeeper:
         return self._drift.warning()
 
     def _taken(self, judged: FramesJudged, stamp_ns: int) -> str:
-        reference = Reference.average(judged.frames, self.reference.id + 1, stamp_ns)
-        doubt = self._why_touched(reference)
-        if doubt:
+        average = Reference.average(judged.frames, self.reference.id + 1, stamp_ns)
+        reference, doubt = self._gauged(average)
+        # A gel that is described wrongly rests as well: its reference is used, and flagged.
+        if doubt and reference.faults != ReferenceFault.DESCRIPTION:
             raise ReferenceFramesError(doubt)
-        return self._use(reference, "", len(judged.frames)) + ", taken automatically"
+        return self._use(reference, doubt, len(judged.frames)) + ", taken automatically"
 
     def _awaited(self, judged: FramesJudged, stamp_ns: int) -> str:
         self.reason = judged.reason
-        if judged.at_rest:
+        if judged.still and (judged.untouched or self._passed_over >= self._between_tries):
             try:
                 return self._taken(judged, stamp_ns)
             except ReferenceFramesError as error:
                 self.reason = str(error)
+                # The gauge takes as long as some frames: what lasts is looked at more rarely.
+                self._passed_over = 0
+                self._between_tries = min(2 * self._between_tries + 1, MAX_PASSED_OVER)
+        self._passed_over += 1
         if judged.seen and self._zero.auto_reference == "at_start":
             self.waiting = False
         return ""

@@ -11,6 +11,7 @@ from typing import Any
 import viser
 
 from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.surface.reference_keeping import DOUBTFUL
 from cmp_tactile_viewer.meshes import band_colours
 from cmp_tactile_viewer.page.scene import ARROWS, COLOURS, PRESETS, UNITS, Look
 from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, Playback, Setting
@@ -181,7 +182,8 @@ class ControlPanel:
     def _press(self, label: str, run: Callable[[], str], _event: object) -> None:
         self._say(Level.OK, label, "...")
         try:
-            self._say(Level.OK, label, run())
+            said = run()
+            self._say(Level.WARN if DOUBTFUL in said else Level.OK, label, said)
         except CmpTactileError as error:
             self._say(Level.ERROR, label, str(error))
 
