@@ -167,7 +167,7 @@ class Errors:
             np.concatenate(corners, axis=None),
             np.linalg.norm(moved, axis=-1),
             (found.force.wrench - frame.force.wrench)[:3],
-            found.force.wrench_std[:3],
+            found.force.random_std[:3],
             int(found.force.flags),
         )
 

@@ -207,7 +207,7 @@ def solved(sensor: SensorDescription, mesh: Mesh) -> dict[str, Array]:
 def line(name: str, outside: float, true: Array, fields: list[ForceField]) -> str:
     """A row of the table: means over the frames, share of components within two deviations."""
     force = np.array([field.wrench[:3] for field in fields])
-    std = np.array([field.wrench_std[:3] for field in fields])
+    std = np.array([field.random_std[:3] for field in fields])
     within = float((np.abs(force - true) <= 2 * std).mean())
     flags = ForceFlag(int(np.bitwise_or.reduce([int(field.flags) for field in fields])))
     texts = (" ".join(f"{part:7.4f}" for part in row) for row in (true, force.mean(0), std.mean(0)))

@@ -239,7 +239,7 @@ class ErrorBars:
                 continue
             acts = case.force_on_nodes[:, 2] < -0.02 * np.abs(case.force_on_nodes[:, 2]).max()
             for field in reconstructed(model, noisy(case, frames)):
-                wrench.append((field.wrench - case.wrench) / field.wrench_std)
+                wrench.append((field.wrench - case.wrench) / field.random_std)
                 loads.append(case.newton)
                 if field.force_std is not None:
                     off = (field.force - case.force_on_nodes)[acts]
@@ -322,5 +322,5 @@ def dependence(model: ForceModel) -> Dependence:
 
 
 def _ratio(field: ForceField, other: ForceField) -> float:
-    std = np.minimum(field.wrench_std, other.wrench_std)
+    std = np.minimum(field.random_std, other.random_std)
     return float(np.max(np.abs(field.wrench - other.wrench) / std))

@@ -267,7 +267,7 @@ def _error(pipeline: Pipeline, frame: SimulatedFrame) -> tuple[float, ...]:
         float(abs(off[2])),
         float(np.linalg.norm(off[:2])),
         float(np.linalg.norm(off[3:])),
-        float(found.wrench_std[2]),
+        float(found.random_std[2]),
     )
 
 

@@ -40,6 +40,7 @@ DOUBTED = (
     | ForceFlag.POOR_FIT
     | ForceFlag.IMPLAUSIBLE
     | ForceFlag.ZERO_DOUBTFUL
+    | ForceFlag.DESCRIPTION_DOUBTFUL
 )
 # A force is another one where it differs by more than so many deviations, this share and this, N.
 DEVIATIONS, FORCE_SHARE, LEAST_FORCE_N = 3.0, 0.1, 0.03

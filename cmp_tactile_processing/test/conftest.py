@@ -18,7 +18,7 @@ from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import USUAL_STD, Pattern, PatternSurface, Uncertainty
 
 DATA = Path(__file__).parent / "data"
 
@@ -68,8 +68,10 @@ def sample() -> Callable[[str], Still]:
 
 @pytest.fixture(scope="session")
 def sensor() -> SensorDescription:
-    """The rig that rendered the sample frames."""
-    return SensorDescription.load(CONFIG / "sample_rig.yaml")
+    """The rig that rendered the sample frames; its gel is known exactly, as that of the truth."""
+    sensor = SensorDescription.load(CONFIG / "sample_rig.yaml")
+    exact = {name: 0.0 for name in USUAL_STD if name.startswith("elastomer")}
+    return replace(sensor, uncertainty=Uncertainty(exact))
 
 
 @pytest.fixture(scope="session")

@@ -29,6 +29,8 @@ UNUSABLE = (
     | ForceField.FLAG_POOR_FIT
     | ForceField.FLAG_IMPLAUSIBLE
     | ForceField.FLAG_ZERO_DOUBTFUL
+    | ForceField.FLAG_DESCRIPTION_DOUBTFUL
+    | ForceField.FLAG_SCALE_UNCERTAIN
 )
 # Reliable, like the publisher; only the newest message waits.
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

@@ -30,6 +30,8 @@ UNUSABLE = (
     | ForceField.FLAG_POOR_FIT
     | ForceField.FLAG_IMPLAUSIBLE
     | ForceField.FLAG_ZERO_DOUBTFUL
+    | ForceField.FLAG_DESCRIPTION_DOUBTFUL
+    | ForceField.FLAG_SCALE_UNCERTAIN
 )
 LONGEST_S = 0.2  # a longer gap between two forces counts as that
 PERIOD_S = 0.05  # of looking whether the sensor is still there

@@ -22,6 +22,8 @@ UNKNOWN = (
     | ForceField.FLAG_POOR_FIT
     | ForceField.FLAG_IMPLAUSIBLE
     | ForceField.FLAG_ZERO_DOUBTFUL
+    | ForceField.FLAG_DESCRIPTION_DOUBTFUL
+    | ForceField.FLAG_SCALE_UNCERTAIN
 )
 
 

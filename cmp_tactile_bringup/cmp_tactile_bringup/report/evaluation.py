@@ -245,7 +245,7 @@ def _evaluate_force(results: DemoResults) -> ForceEvaluation:
     truth = results.recording.truth
     frames = np.array([frame.index for frame in results.frames], np.intp)
     wrench = np.array([frame.force.wrench for frame in results.frames]).reshape(-1, 6)
-    std = np.array([frame.force.wrench_std for frame in results.frames]).reshape(-1, 6)
+    std = np.array([frame.force.random_std for frame in results.frames]).reshape(-1, 6)
     area = np.array([frame.force.contact_area for frame in results.frames])
     known = np.isfinite(wrench) & (std > 0)
     inside = known & (np.abs(wrench - truth.wrench[frames]) <= BAND * std)

@@ -13,6 +13,8 @@ UNUSABLE = (
     | ForceFlag.POOR_FIT
     | ForceFlag.IMPLAUSIBLE
     | ForceFlag.ZERO_DOUBTFUL
+    | ForceFlag.DESCRIPTION_DOUBTFUL
+    | ForceFlag.SCALE_UNCERTAIN
 )
 _ZERO = "zero again while nothing touches the gel"
 _REFERENCE = (
@@ -58,6 +60,15 @@ ADVICE: dict[ForceFlag, str] = {
     ),
     ForceFlag.ZERO_DOUBTFUL: (
         f"there is a force without a contact, or the reference was taken under load: {_ZERO}"
+    ),
+    ForceFlag.DESCRIPTION_DOUBTFUL: (
+        "the gel at rest is not where the sensor description has it, so forces are off by some "
+        "percent: measure the print and the rig, or run `cmp_tactile calibrate gel`"
+    ),
+    ForceFlag.SCALE_UNCERTAIN: (
+        "modulus, thickness, optics or unit of length of the description were assumed (see "
+        "`cmp_tactile info`): ratios of forces hold, newtons do not; measure what was assumed, or "
+        "run `cmp_tactile calibrate force`"
     ),
 }
 # The same for a recording, which cannot be zeroed.

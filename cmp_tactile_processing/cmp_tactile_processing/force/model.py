@@ -27,7 +27,15 @@ from cmp_tactile_processing.force.large_press import GradualSettling, LargePress
 from cmp_tactile_processing.force.measurements import Measurements, Whitening
 from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.force.solution import ForceSolution, ForceSolver
-from cmp_tactile_processing.measured import Contact, ForceField, ForceFlag, SlipState, SurfaceGrid
+from cmp_tactile_processing.force.systematics import SystematicErrors
+from cmp_tactile_processing.measured import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    SlipState,
+    SurfaceGrid,
+    Systematics,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Share of the markers under a contact, or of those around it, that may be missing before it is
@@ -76,11 +84,8 @@ class FieldBuilder:
         nodes = elastic.nodes
         self._position = elastic.node_position
         self._every = np.arange(len(self._position))
-        error, record = sensor.force.model_error, sensor.elastomer.calibration
-        stated = (0.0, 0.0) if record is None else (record.normal_std, record.tangential_std)
-        material = float(np.hypot(error, stated[0])), float(np.hypot(error, stated[1]))
-        height = float(sensor.elastomer.size[2])
-        self._doubt = float(error), material, height, bool(whitening.depth_seen)
+        error, height = float(sensor.force.model_error), float(sensor.elastomer.size[2])
+        self._doubt = error, height, bool(whitening.depth_seen)
         area = nodes.spacing[0] * nodes.spacing[1] * elastic.node_stretch
         self._regions = ContactRegions(nodes, area)
         self._to_nodes = interpolation_matrix(elastic.markers, nodes)
@@ -235,13 +240,12 @@ class FieldBuilder:
 
 @kernel
 def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
-    force: Array, place: Array, nodes: Numbers, error: float, material: tuple[float, float],
-    height: float, depth_seen: bool,
+    force: Array, place: Array, nodes: Numbers, error: float, height: float, depth_seen: bool
 ) -> Array:  # fmt: skip
-    """What the model and its calibration leave open of the wrench of some nodes (k,), (6, 6).
+    """What the model leaves open of the wrench of some nodes (k,), (6, 6).
 
-    force (M, 3) N, place (M, 3) m: of all nodes.  error: of the model; material: of the normal and
-    of the tangential scale; all relative.  height: of the gel, m.
+    force (M, 3) N, place (M, 3) m: of all nodes.  error: of the model, relative.  height: of the
+    gel, m.
     """
     wrench = wrench_of(force, place, nodes)
     centre, total = np.zeros(3), 0.0
@@ -252,7 +256,7 @@ def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler 
             centre[c] += size * place[n, c]
     if total > 0:
         centre /= total
-    found: Array = material_covariance(wrench, centre, material[0], material[1])
+    found: Array = material_covariance(wrench, centre, error, error)
     across = np.hypot(wrench[0], wrench[1])
     size = np.hypot(across, wrench[2])
     # Where the forces act is as uncertain as the mesh that says how far they have moved.
@@ -338,6 +342,7 @@ class ForceModel:
         with one_thread():
             self._solver = ForceSolver(markers, nodes, response, self._parameters)
             self._builder = FieldBuilder(sensor, self.elastic, self._solver, self._whitening)
+        self._systematics = SystematicErrors(sensor)
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
         self._gradual: GradualSettling | None = None
@@ -361,6 +366,7 @@ class ForceModel:
         covariance: Array | None = None,
         *,
         contacts: bool = True,
+        systematics: Systematics | None = None,
     ) -> ForceField:
         """Force on the gel from the displacement of the markers.
 
@@ -371,8 +377,23 @@ class ForceModel:
         that is not finite count as not measured.  Too few markers give a field of NaN, and so does
         what no gel can show.  contacts: without them the contacts, their area and flags, and the
         wrench's covariance stay unknown, and `contact` is every node that is pressed, by noise too;
-        that saves a third of the time.  Raises GeometryError for arrays of other shapes.
+        that saves a third of the time.  systematics: errors of all displacements beside those of
+        `covariance`.  Raises GeometryError for arrays of other shapes.
         """
+        field = self._reconstructed(displacement, status, covariance, contacts)
+        field = self._systematics.add(field, systematics)
+        if self._systematics.scale_is_uncertain:
+            return replace(field, flags=field.flags | ForceFlag.SCALE_UNCERTAIN)
+        return field
+
+    def _reconstructed(
+        self,
+        displacement: Array,
+        status: NDArray[np.uint8],
+        covariance: Array | None,
+        contacts: bool,
+    ) -> ForceField:
+        """The field without systematic errors."""
         measured = self._whitening.measurements(displacement, status, covariance)
         measured = measured._replace(contacts=contacts)
         if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():

@@ -17,7 +17,7 @@ from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.plausibility import BorderContact
-from cmp_tactile_processing.measured import ForceField, ForceFlag, Surface
+from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
@@ -85,9 +85,14 @@ class ForceStage:
         # Entered here it costs nothing within.
         with one_thread():
             field = self._model.reconstruct(
-                displacement, surface.status, surface.covariance, contacts=contacts
+                displacement,
+                surface.status,
+                surface.covariance,
+                contacts=contacts,
+                systematics=surface.systematics,
             )
             flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
+            flags |= _of_reference(surface.reference_faults)
         relaxed = self._relaxation is not None and stamp_ns is not None
         self._last = field
         field = replace(field, relaxed=relaxed, flags=flags)
@@ -164,9 +169,18 @@ class ForceStage:
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
 
 
+def _of_reference(faults: ReferenceFault) -> ForceFlag:
+    flags = ForceFlag.NONE
+    if faults & ReferenceFault.TOUCHED:
+        flags |= ForceFlag.ZERO_DOUBTFUL
+    if faults & ReferenceFault.DESCRIPTION:
+        flags |= ForceFlag.DESCRIPTION_DOUBTFUL
+    return flags
+
+
 def _is_force(field: ForceField) -> bool:
     """Whether a field's force is more than noise makes of none."""
-    limit = np.maximum(DOUBTED_DEVIATIONS * field.wrench_std[:3], LEAST_DOUBTED_N)
+    limit = np.maximum(DOUBTED_DEVIATIONS * field.random_std[:3], LEAST_DOUBTED_N)
     return bool((np.abs(field.wrench[:3]) > limit).any())
 
 

@@ -25,10 +25,12 @@ from cmp_tactile_processing.measured import (
     Grid,
     GridFault,
     GridShape,
+    ReferenceFault,
     SlipEstimate,
     SlipState,
     Status,
     Surface,
+    Systematics,
 )
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
@@ -48,7 +50,13 @@ pytestmark = pytest.mark.ros
 SHAPE = GridShape(rows=5, cols=7, points_per_segment=3)
 # What travels as float64; all other numbers are float32 on the wire.
 IN_FULL = {
-    ForceField: {"wrench", "wrench_covariance", "centre_of_pressure", "reference_point"},
+    ForceField: {
+        "wrench",
+        "wrench_covariance",
+        "systematic_covariance",
+        "centre_of_pressure",
+        "reference_point",
+    },
     Contact: {"wrench", "covariance", "centre_of_pressure"},
 }
 HEADER = Header(stamp=Time(sec=1_700_000_000, nanosec=123_456_789), frame_id="rig_gel_frame")
@@ -118,6 +126,8 @@ def surface() -> Surface:
         col_std=rng.uniform(size=SHAPE.col_lines) * 1e-5,
         reference_id=3,
         reference_stamp_ns=1_700_000_000_000_000_007,
+        reference_faults=ReferenceFault.TOUCHED,
+        systematics=Systematics(rng.uniform(size=(11, 11)), rng.uniform(size=(11, 11))),
     )
 
 
@@ -156,6 +166,7 @@ def field() -> ForceField:
         poisson=0.48,
         force_std=rng.uniform(size=(rows * cols, 3)),
         wrench_covariance=rng.normal(size=(6, 6)),
+        systematic_covariance=rng.normal(size=(6, 6)),
         contacts=(
             _contact(rng, [34, 0, 7], 5),
             replace(_contact(rng, [3], 0), covariance=np.full((6, 6), np.nan)),

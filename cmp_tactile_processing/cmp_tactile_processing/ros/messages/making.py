@@ -147,6 +147,7 @@ class MessageMaker:
 
     def surface(self, surface: measured.Surface, header: Any) -> Any:
         """cmp_tactile_msgs/Surface."""
+        seen = surface.systematics
         return self.new(
             SURFACE,
             header=header,
@@ -166,6 +167,9 @@ class MessageMaker:
             col_std=self._floats(surface.col_std),
             reference_stamp=self.time(surface.reference_stamp_ns),
             reference_id=surface.reference_id,
+            reference_faults=int(surface.reference_faults),
+            systematic_bias=self._floats(None if seen is None else seen.bias),
+            systematic_spread=self._floats(None if seen is None else seen.spread),
         )
 
     def force_field(self, field: measured.ForceField, header: Any) -> Any:
@@ -181,6 +185,7 @@ class MessageMaker:
             contact=self._bytes(field.contact),
             wrench=self.wrench(field.wrench),
             wrench_covariance=field.wrench_covariance.ravel(),
+            systematic_covariance=field.systematic_covariance.ravel(),
             reference_point=self.point(field.reference_point),
             contact_area=float(field.contact_area),
             centre_of_pressure=self.point(field.centre_of_pressure),

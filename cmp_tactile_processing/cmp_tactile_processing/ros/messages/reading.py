@@ -106,6 +106,8 @@ def surface_from_msg(msg: Any, shape: measured.GridShape) -> measured.Surface:
         col_std=_read_points(msg, "col_std", shape.col_lines),
         reference_id=msg.reference_id,
         reference_stamp_ns=stamp_ns(msg.reference_stamp),
+        reference_faults=measured.ReferenceFault(getattr(msg, "reference_faults", 0)),
+        systematics=_read_systematics(msg),
     )
     # One view alone gives no z, and a marker without a reference has a position all the same.
     _check_seen("position", surface.position[..., :2], surface.status)
@@ -128,6 +130,7 @@ def force_field_from_msg(msg: Any) -> measured.ForceField:
         contact=_read_array(msg, "contact", np.uint8, (nodes,)) != 0,
         wrench=_six(msg.wrench),
         wrench_covariance=np.array(msg.wrench_covariance).reshape(6, 6),
+        systematic_covariance=_read_systematic_covariance(msg),
         contact_area=msg.contact_area,
         centre_of_pressure=_xyz(msg.centre_of_pressure),
         reference_point=_xyz(msg.reference_point),
@@ -163,6 +166,21 @@ def _contact_from_msg(msg: Any, nodes: int, owner: str) -> measured.Contact:
         at_border=msg.at_border,
         slip=_read_slip(msg, owner),
     )
+
+
+def _read_systematics(msg: Any) -> measured.Systematics | None:
+    """Recordings of earlier versions have none."""
+    if not len(getattr(msg, "systematic_bias", ())):
+        return None
+    shape = (measured.Systematics.COMPONENTS,) * 2
+    return measured.Systematics(
+        _read_points(msg, "systematic_bias", shape), _read_points(msg, "systematic_spread", shape)
+    )
+
+
+def _read_systematic_covariance(msg: Any) -> NDArray[np.float64]:
+    values = getattr(msg, "systematic_covariance", np.full(36, math.nan))
+    return np.array(values, np.float64).reshape(6, 6)
 
 
 def _read_slip(msg: Any, owner: str) -> measured.SlipEstimate:

@@ -1,0 +1,125 @@
+"""Errors that all forces share, against forces that were changed by drawn errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.force.stage import ForceStage
+from cmp_tactile_processing.force.systematics import BY_PATTERN, BY_THICKNESS, SystematicErrors
+from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Systematics
+from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.parts import MaterialRecord, Uncertainty
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
+
+DRAWS = 20_000
+# Of a standard deviation from so many draws, four times over.
+MONTE_CARLO = 4 / np.sqrt(2 * DRAWS)
+EXACT = dict.fromkeys(("young", "poisson", "thickness", "shading_layer"), 0.0)
+
+
+def _exact(sensor: SensorDescription, **std: float) -> SensorDescription:
+    """A gel that is known exactly, but for some deviations."""
+    named = {f"elastomer.{name}": value for name, value in (EXACT | std).items()}
+    return replace(sensor, uncertainty=Uncertainty(named))
+
+
+def _field(sensor: SensorDescription) -> ForceField:
+    """Some forces on a few nodes, known without noise."""
+    random = np.random.default_rng(2)
+    position = random.uniform(-5e-3, 5e-3, (30, 3)) * [1, 1, 0.05] + [2e-3, 0, 0]
+    force = random.normal(0, 0.1, (30, 3)) + [0.05, -0.02, -0.2]
+    stage = ForceStage(sensor)
+    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    empty = stage.process(surface)
+    wrench = np.concatenate([force.sum(axis=0), np.cross(position, force).sum(axis=0)])
+    return replace(
+        empty,
+        position=position,
+        force=force,
+        force_std=np.zeros_like(force),
+        wrench=wrench,
+        wrench_covariance=np.zeros((6, 6)),
+        contacts=(),
+    )
+
+
+def _drawn(
+    field: ForceField, total: NDArray[np.float64], random: np.random.Generator
+) -> NDArray[np.float64]:
+    """Forces (draws, 3) N by drawn errors of the displacements."""
+    g = random.multivariate_normal(np.zeros(len(total)), total, DRAWS)
+    gain = g[:, :9].reshape(-1, 3, 3)
+    gain = gain + (BY_PATTERN * g[:, 9] + BY_THICKNESS * g[:, 10])[:, None, None] * np.eye(3)
+    return np.einsum("nij,j->ni", gain, field.wrench[:3])
+
+
+def test_errors_of_the_geometry_go_into_the_wrench(sensor: SensorDescription) -> None:
+    random = np.random.default_rng(7)
+    root = random.normal(0, 0.01, (11, 11))
+    seen = Systematics(0.4 * root @ root.T, 0.6 * root @ root.T)
+    field = _field(sensor)
+    found = SystematicErrors(_exact(sensor)).add(field, seen)
+    drawn = _drawn(field, seen.total, random)
+    expected = np.cov(drawn.T)
+    np.testing.assert_allclose(
+        found.systematic_covariance[:3, :3], expected, atol=3 * MONTE_CARLO * expected.max()
+    )
+    np.testing.assert_array_equal(found.wrench_covariance, found.systematic_covariance)
+    np.testing.assert_allclose(found.random_std, 0.0, atol=1e-9)
+
+
+def test_moments_follow_their_forces(sensor: SensorDescription) -> None:
+    # All forces larger by a share: so are all moments.
+    share = 0.07
+    field = _field(sensor)
+    found = SystematicErrors(_exact(sensor, young=share)).add(field, None)
+    np.testing.assert_allclose(found.systematic_std, share * np.abs(field.wrench), rtol=1e-6)
+    np.testing.assert_allclose(found.force_std, share * np.abs(field.force), rtol=1e-6)
+
+
+def test_a_modulus_leaves_ratios_of_forces_alone(sensor: SensorDescription) -> None:
+    field = _field(sensor)
+    found = SystematicErrors(_exact(sensor, young=0.3)).add(field, None)
+    by_ratio = np.array([1 / field.wrench[2], 0, -field.wrench[0] / field.wrench[2] ** 2])
+    assert by_ratio @ found.systematic_covariance[:3, :3] @ by_ratio == pytest.approx(0, abs=1e-12)
+
+
+def test_a_calibrated_gel_has_the_deviations_of_its_record(sensor: SensorDescription) -> None:
+    record = MaterialRecord("weights", "2026-07-01T12:00:00Z", 5, 0.02, 0.04)
+    known = replace(sensor, elastomer=replace(sensor.elastomer, calibration=record))
+    field = _field(sensor)
+    found = SystematicErrors(known).add(field, None)
+    expected = np.array([0.04, 0.04, 0.02]) * np.abs(field.wrench[:3])
+    np.testing.assert_allclose(found.systematic_std[:3], expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("std", "flag"), [(0.05, ForceFlag.NONE), (0.5, ForceFlag.SCALE_UNCERTAIN)]
+)
+def test_newtons_by_an_assumed_modulus_are_flagged(
+    sensor: SensorDescription, std: float, flag: ForceFlag
+) -> None:
+    stage = ForceStage(_exact(sensor, young=std))
+    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    assert stage.process(surface).flags & ForceFlag.SCALE_UNCERTAIN == flag
+
+
+@pytest.mark.parametrize(
+    ("faults", "flag"),
+    [
+        (ReferenceFault.NONE, ForceFlag.NONE),
+        (ReferenceFault.TOUCHED, ForceFlag.ZERO_DOUBTFUL),
+        (ReferenceFault.DESCRIPTION, ForceFlag.DESCRIPTION_DOUBTFUL),
+    ],
+)
+def test_faults_of_the_reference_flag_each_force(
+    sensor: SensorDescription, faults: ReferenceFault, flag: ForceFlag
+) -> None:
+    surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
+    field = ForceStage(sensor).process(replace(surface, reference_faults=faults))
+    doubted = ForceFlag.ZERO_DOUBTFUL | ForceFlag.DESCRIPTION_DOUBTFUL
+    assert field.flags & doubted == flag
