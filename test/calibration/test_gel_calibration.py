@@ -149,3 +149,18 @@ def test_a_held_focal_length_stays(gel_rig):
     assert found.accepted, found.findings
     assert found.sensor is not None
     assert found.sensor.camera == gel_rig.camera
+
+
+def test_the_result_states_what_stays_open(gel_rig, outcome):
+    known = outcome.sensor.uncertainty
+    names = list(known.std)
+    assert not any("gel: " in name for name in names)
+    # Images of another print are those of another distance: the fit follows the pitch.
+    covariance = known.covariance(names, np.ones(len(names)))
+    pitch, distance = names.index("pattern.pitch"), names.index("views.left.mirror.distance")
+    by_pitch = covariance[distance, pitch] / covariance[pitch, pitch]
+    assert abs(by_pitch) > 0.5 * abs(gel_rig.views["left"].mirror.distance)
+    by_name = {item.name: item for item in outcome.estimates}
+    for name in ("camera.fx", "views.left.mirror.distance"):
+        scale = gel_rig.camera.fx if name == "camera.fx" else 1.0
+        assert known.std[name] * scale >= by_name[name].std * (1 - 1e-6)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     from cmp_tactile_processing.calibration.counting import Worth
     from cmp_tactile_processing.calibration.proposal import Proposal
+    from cmp_tactile_processing.sensor.description import SensorDescription
 
     Images = Generator[NDArray[np.uint8] | None, None, None]
 
@@ -55,6 +56,16 @@ YOUNG, THICKNESS = Number(1, 1e7, "kPa"), Number(0.5, 100, "mm")
 # Keys of a description that no picture shows, and those that one view does not.
 ASSUMED = "poisson:", "shading_layer:", "cx:", "cy:", "layers:"
 OF_ONE_VIEW = "surface:", "distortion:", "fx:", "fy:"
+# The same in the description's uncertainty, with deviations as wide as what labs use: silicones of
+# 30 to 2000 kPa, gels 2 to 10 mm thick.
+ASSUMED_STD = {
+    "young:": ("elastomer.young", 0.5),
+    "size:": ("elastomer.thickness", 0.3),
+    "poisson:": ("elastomer.poisson", 0.02),
+    "shading_layer:": ("elastomer.shading_layer", 0.5),
+}
+# Of a focal length, relative, and of a principal point, in widths of the frame.
+FOCAL_STD, CENTRE_STD = 0.1, 0.02
 # A camera adjusts its exposure in the first frames.
 FRAMES_TO_SETTLE = 15
 
@@ -384,6 +395,7 @@ class Init(Looking):
         """The file of the description, what is assumed marked."""
         from cmp_tactile_processing.calibration.counting import THICKNESS_M, YOUNG_PA
         from cmp_tactile_processing.sensor.description import sensor_description_text
+        from cmp_tactile_processing.sensor.parts import Uncertainty
 
         gel, assumed = found.sensor.elastomer, list(ASSUMED)
         if found.layout == "one":
@@ -392,13 +404,27 @@ class Init(Looking):
             assumed.append("young:")
         if self.thickness is None and gel.size[2] == THICKNESS_M:
             assumed.append("size:")
+        std = dict(named for key, named in ASSUMED_STD.items() if key in assumed)
+        known = Uncertainty({**std, **_optical_std(found.sensor)}, assumed=tuple(std))
+        sensor = replace(found.sensor, uncertainty=known)
         marked = (
             f"{line}{',' if '#' in line else '  #'} assumed"
             if line.strip().startswith(tuple(assumed))
             else line
-            for line in sensor_description_text(found.sensor).splitlines()
+            for line in sensor_description_text(sensor).splitlines()
         )
         return "".join(f"{line}\n" for line in marked)
+
+
+def _optical_std(sensor: SensorDescription) -> dict[str, float]:
+    """Deviations of the cameras' values, of which one picture shows little."""
+    owners = ["camera"] if sensor.camera else [f"views.{name}.camera" for name in sensor.views]
+    centre = CENTRE_STD * sensor.image.width
+    return {
+        f"{owner}.{key}": std
+        for owner in owners
+        for key, std in (("fx", FOCAL_STD), ("cx", centre), ("cy", centre))
+    }
 
 
 def _report(found: Proposal, output: Path) -> None:

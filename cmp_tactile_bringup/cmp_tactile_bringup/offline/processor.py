@@ -109,7 +109,14 @@ class Processor:
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_share((frame.time_s - begin_s) / length_s)
         on_share(1.0)
-        doubts = (*watch.misfits, *watch.doubts, *faults.doubts, self._doubt_of_reference(pipeline))
+        doubts = (
+            *watch.misfits,
+            *watch.doubts,
+            *faults.doubts,
+            self._doubt_of_reference(pipeline),
+            self._sensor.size_doubt,
+            self._doubt_of_assumed(),
+        )
         problems = (self._recording.health.summary, watch.problem)
         return Outcome(
             frames=count,
@@ -117,6 +124,10 @@ class Processor:
             doubts=tuple(filter(None, doubts)),
             reference=pipeline.reference_note or (AS_RECORDED if is_surface else NOMINAL),
         )
+
+    def _doubt_of_assumed(self) -> str:
+        assumed = ", ".join(self._sensor.uncertainty.assumed)
+        return f"assumed, not measured: {assumed}" if assumed else ""
 
     def _doubt_of_reference(self, pipeline: Pipeline) -> str:
         if self._options.auto_reference == "never" or pipeline.reference_note:

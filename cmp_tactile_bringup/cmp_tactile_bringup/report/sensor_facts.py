@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.misfit import margin_words
+from cmp_tactile_processing.force.systematics import material_std
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import StereoRig
@@ -39,7 +40,17 @@ def description_facts(sensor: SensorDescription) -> dict[str, str]:
         "Gel": f"{size} mm, {elastomer.model}, Young's modulus {elastomer.young / 1e3:g} kPa, "
         f"Poisson's ratio {elastomer.poisson:g}",
         "Shading layer": f"{layer.thickness * 1e3:g} mm, {layer.young / 1e3:g} kPa",
+        "Forces known to": _uncertainty_words(sensor),
     }
+
+
+def _uncertainty_words(sensor: SensorDescription) -> str:
+    """How well the size of forces is known by the gel, and what of the description was assumed."""
+    words = f"{material_std(sensor):.1%} by what is known of the gel (one standard deviation)"
+    assumed = sensor.uncertainty.assumed
+    if assumed:
+        words += f"; assumed, not measured: {', '.join(assumed)}"
+    return f"{words}; {sensor.size_doubt}" if sensor.size_doubt else words
 
 
 def geometry_facts(sensor: SensorDescription) -> dict[str, str]:

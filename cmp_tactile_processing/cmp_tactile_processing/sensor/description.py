@@ -37,6 +37,8 @@ FORMAT_VERSION = 1
 # A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.
 MOST_WIDTH_PER_FOCAL = 30.0
 VIEW_NAMES = ("left", "right")
+# Larger gels and checkers are mostly lengths in cm.
+USUAL_PITCH_M, USUAL_SIDE_M = 5e-3, 0.1
 
 HEADER = """\
 # Sensor description of cmp_tactile; docs/sensor_description.md explains every key.
@@ -99,6 +101,9 @@ class SensorDescription:
     calibration: parts.CalibrationRecord | None = field(
         default=None, metadata=part(parts.CalibrationRecord)
     )
+    uncertainty: parts.Uncertainty = field(
+        default_factory=parts.Uncertainty, metadata=part(parts.Uncertainty)
+    )
     file: str = field(default="", compare=False, repr=False)
     comments: Mapping[str, Comment] = field(default_factory=dict, compare=False, repr=False)
 
@@ -119,6 +124,24 @@ class SensorDescription:
     def sheet(self) -> parts.Pattern:
         """The whole print on the gel: the pattern, and what goes on around it beyond the view."""
         return self.pattern.sheet(self.elastomer.size[:2])
+
+    @property
+    def size_doubt(self) -> str:
+        """Why the lengths may be in another unit; empty where they are usual or stated."""
+        if "pattern.pitch" in self.uncertainty.std:
+            return ""
+        pitch, side = self.pattern.pitch, max(self.elastomer.size)
+        for key, value, limit in (
+            ("pattern.pitch", pitch, USUAL_PITCH_M),
+            ("elastomer.size", side, USUAL_SIDE_M),
+        ):
+            if value > limit:
+                return (
+                    f"{self.origin}: {key}: found {value:g} m, expected at most {limit:g} m in "
+                    "front of a camera: are all lengths in cm? If not, state how well the pitch "
+                    "is known, as uncertainty: {std: {pattern.pitch: 0.005}}"
+                )
+        return ""
 
     @property
     def ros_name(self) -> str:
@@ -334,7 +357,7 @@ def _entry(line: _Line, value: Any, shared: parts.Camera | None) -> Iterator[_Li
         below = [
             found
             for name, item in value.items()
-            for found in _entry(_Line(f"{path}.{name}", f"{name}:"), item, shared)
+            for found in _entry(_Line(f"{path}.{name}", f"{yaml_text(name)}:"), item, shared)
         ]
     elif is_dataclass(value):
         below = list(_lines(value, path, shared))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -18,6 +19,7 @@ from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED, LARGEST_SHEET, 
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
     choice,
+    did_you_mean,
     meant,
     number,
     or_else,
@@ -415,6 +417,95 @@ class Elastomer:
     shading_layer: ShadingLayer = field(metadata=read_by(_read_shading_layer))
     relaxation: GelRelaxation | None = field(default=None, metadata=part(GelRelaxation))
     calibration: MaterialRecord | None = field(default=None, metadata=part(MaterialRecord))
+
+
+# Where a description states none: of the modulus, the thickness and the skin, relative, as of a gel
+# that was cast by its data sheet and measured with a caliper; of Poisson's ratio, absolute.
+USUAL_STD = {
+    "elastomer.young": 0.05,
+    "elastomer.thickness": 0.015,
+    "elastomer.shading_layer": 0.1,
+    "elastomer.poisson": 0.005,
+    "pattern.pitch": 0.005,
+}
+
+
+CORRELATION_DIGITS = 9
+# Optical values as RigParameters names them, without the gel's pose.
+OPTICAL_VALUE = re.compile(
+    r"(views\.(left|right)\.)?(camera\.(fx|fy / fx|cx|cy|distortion\[[0-4]\])"
+    r"|mirror: tilt towards [xyz]|mirror\.distance)|optics\.layers\[\d+\]\.(z|index)"
+)
+
+
+def _read_std(section: YamlSection, key: str) -> dict[str, float]:
+    values = section.section(key)
+    std = {name: values.number(name, 0.0) for name, _ in values.items()}
+    for name, value in std.items():
+        if name not in USUAL_STD and not OPTICAL_VALUE.fullmatch(name):
+            known = (*USUAL_STD, "camera.fx", "camera.cx", "camera.cy", "optics.layers[0].index")
+            expected = f"no such key; known: {', '.join(known)}{did_you_mean(name, known)}"
+            raise values.error(name, value, expected)
+    return std
+
+
+def _read_correlation(section: YamlSection, key: str) -> tuple[tuple[float, ...], ...]:
+    count = len(_read_std(section, "std"))
+    rows = section.number_rows(key, count, count)
+    matrix = np.array(rows).reshape(count, count)
+    likely = np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)
+    if not likely or np.linalg.eigvalsh(matrix).min(initial=0.0) < -UNIT_TOLERANCE:
+        expected = "a symmetric matrix with 1 on its diagonal and no negative eigenvalue"
+        raise section.error(key, rows, expected)
+    return rows
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How well the values of a description are known.
+
+    std: standard deviations by name, relative for elastomer.young, .thickness, .shading_layer,
+    pattern.pitch and focal lengths, else in the value's unit; optical ones as in RigParameters.
+    correlation: of these, in their order; without it they are independent.
+    assumed: names of the values that nobody measured.
+    """
+
+    std: Mapping[str, float] = field(default_factory=dict, metadata=read_by(_read_std))
+    correlation: tuple[tuple[float, ...], ...] = field(
+        default=(), metadata=read_by(_read_correlation)
+    )
+    assumed: tuple[str, ...] = field(default=(), metadata=texts())
+
+    def of(self, name: str) -> float:
+        """The standard deviation of one of USUAL_STD."""
+        return self.std.get(name, USUAL_STD[name])
+
+    def updated(self, names: Sequence[str], covariance: NDArray[np.float64]) -> Uncertainty:
+        """With what a fit of some values (n,) found, (n, n); the others keep their deviations.
+
+        The pose of the gel is left out: it is that of one gel, and changes no displacement.
+        """
+        kept = [k for k, name in enumerate(names) if "gel: " not in name]
+        std = np.sqrt(np.diag(covariance))
+        fitted = {names[k]: float(std[k]) for k in kept}
+        others = {name: value for name, value in self.std.items() if name not in fitted}
+        matrix = np.eye(len(fitted) + len(others))
+        found = (covariance / np.outer(std, std))[np.ix_(kept, kept)]
+        matrix[: len(kept), : len(kept)] = found.round(CORRELATION_DIGITS)
+        assumed = tuple(name for name in self.assumed if name not in fitted)
+        rows = tuple(tuple(row) for row in matrix.tolist())
+        return Uncertainty({**fitted, **others}, rows, assumed)
+
+    def covariance(self, names: Sequence[str], usual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n, n) of some values; usual (n,): their deviations where none is stated."""
+        stated = list(self.std)
+        std = np.array([self.std.get(name, s) for name, s in zip(names, usual, strict=True)])
+        matrix = np.eye(len(names))
+        known = [k for k, name in enumerate(names) if name in self.std]
+        if self.correlation and known:
+            at = [stated.index(names[k]) for k in known]
+            matrix[np.ix_(known, known)] = np.array(self.correlation)[np.ix_(at, at)]
+        return np.asarray(matrix * np.outer(std, std))
 
 
 @dataclass(frozen=True)

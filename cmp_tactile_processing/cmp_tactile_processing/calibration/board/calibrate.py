@@ -29,11 +29,11 @@ from cmp_tactile_processing.calibration.board.start import (
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding
-from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, rig_estimates
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Camera, Optics, Roi, ViewDescription
@@ -212,7 +212,7 @@ def _pair_estimates(
     known = {} if sensor is None else {item.name: item.before for item in RigParameters(sensor).all}
     found = [
         replace(item, before=known.get(item.name, np.nan))
-        for item in rig.estimates(fit)
+        for item in rig_estimates(rig, fit)
         if ".camera." in item.name
     ]
     views = rig.sensor(fit.values).views
@@ -304,10 +304,18 @@ def calibrate_mirror_rig(
         return result.refused([*found, result.of_no_fit()])
     on_progress("fitting camera and mirrors", 1, 1)
     residuals = result.residuals_of(fit)
-    estimates = [item for item in rig.estimates(fit.bundle.fit) if not item.name.startswith("gel")]
+    estimates = [
+        item for item in rig_estimates(rig, fit.bundle.fit) if not item.name.startswith("gel")
+    ]
     optics = rig.sensor(fit.bundle.fit.values)
     record = result.record_of(fit, residuals, estimates, (GAUGE,))
-    calibrated = replace(sensor, camera=optics.camera, views=optics.views, calibration=record)
+    calibrated = replace(
+        sensor,
+        camera=optics.camera,
+        views=optics.views,
+        calibration=record,
+        uncertainty=sensor.uncertainty.updated(rig.names, fit.bundle.fit.covariance),
+    )
     found += result.of_residuals(residuals)
     infos, shown = {}, {}
     try:

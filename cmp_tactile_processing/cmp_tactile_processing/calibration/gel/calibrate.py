@@ -22,6 +22,7 @@ from cmp_tactile_processing.calibration.gel.fit import (
     count_findings,
     deviation_findings,
     fit_gel,
+    fitted_uncertainty,
     gel_shape,
     motion_findings,
     reprojection_findings,
@@ -41,6 +42,7 @@ from cmp_tactile_processing.calibration.outcome import (
     number_text,
     provenance,
     reprojection,
+    rig_estimates,
     silent,
 )
 from cmp_tactile_processing.errors import CalibrationError
@@ -97,7 +99,7 @@ def calibrate_gel_grids(
         raise CalibrationError(_unseen(grids, options))
     seen = [observation.observed(name, view, usable) for name, view in grids.items()]
     found = fit_gel(sensor, seen, options)
-    evidence = _Evidence(sensor, seen, found, gel_shape(found.sensor, seen))
+    evidence = _Evidence(sensor, seen, found, gel_shape(found.sensor, seen), options)
     findings = (
         *count_findings(int(usable.sum()), options),
         *sight_findings(grids, seen, options),
@@ -113,6 +115,7 @@ class _Evidence:
     seen: Sequence[observation.ViewObservation]
     found: GelFit
     shape: GelShape
+    options: GelCalibrationParameters
 
 
 def _usable(
@@ -216,7 +219,8 @@ def _outcome(evidence: _Evidence, findings: tuple[Finding, ...]) -> CalibrationO
         ray_gap=evidence.shape.rms_gap,
         **provenance(estimates),
     )
-    sensor = replace(found.sensor, calibration=record)
+    uncertainty = fitted_uncertainty(evidence.before, seen, found, evidence.options)
+    sensor = replace(found.sensor, calibration=record, uncertainty=uncertainty)
     info = Rectification(sensor)
     outcome = CalibrationOutcome(
         method="gel",
@@ -232,7 +236,7 @@ def _outcome(evidence: _Evidence, findings: tuple[Finding, ...]) -> CalibrationO
 def _estimates(found: GelFit) -> tuple[Estimate, ...]:
     """All optical values, then the combinations of them that the images leave open."""
     fit, names = found.fit, found.parameters.names
-    estimates = list(found.parameters.estimates(fit))
+    estimates = list(rig_estimates(found.parameters, fit))
     for combination in fit.combinations:
         if not combination.held:
             continue

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
 from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals, number_text
-from cmp_tactile_processing.calibration.rig import RigParameters, RigPrior
 from cmp_tactile_processing.errors import CalibrationError, DescriptionError, GeometryError
 from cmp_tactile_processing.geometry.optics import build_views
+from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import parameter
+from cmp_tactile_processing.sensor.parts import Uncertainty
 from cmp_tactile_processing.stereo.rig import StereoRig
 
 # Deviation of a print's corners from the regular pattern, px: the first guess leaves room for all
@@ -44,6 +45,8 @@ NOISE_MOTION = 3.0
 # Of the surface's deviations, this many standard deviations may be noise and flaws of the print.
 NOISE_SHAPE = 4.0
 MOST_LISTED = 6
+# The pitch, and the share of its deviation by which it is changed to see what follows it.
+PITCH, PITCH_STEP = "pattern.pitch", 0.1
 
 _LOOK = (
     "Check in the recording that the whole pattern is lit, in focus, clean, and within its part "
@@ -158,6 +161,34 @@ def fit_gel(
         start = fit.values
         print_px = _beyond_noise(fit.residuals.reshape(-1, 2) * spread[:, None], seen)
     return GelFit(parameters.sensor(fit.values), parameters, fit, print_px)
+
+
+def fitted_uncertainty(
+    sensor: SensorDescription,
+    seen: Sequence[ViewObservation],
+    found: GelFit,
+    options: GelCalibrationParameters,
+) -> Uncertainty:
+    """What the fit leaves open, with all that the description stated before beside it.
+
+    The fit takes the pitch for exact: what another one, by its own deviation, would have found
+    comes on top of the fit's covariance.
+    """
+    pitch_std = sensor.uncertainty.of(PITCH)
+    step = PITCH_STEP * pitch_std
+    wider = replace(sensor.pattern, pitch=sensor.pattern.pitch * (1 + step))
+    spread = np.concatenate([np.hypot(view.std[view.seen], found.print_px) for view in seen])
+    other = map_fit(
+        _Residuals(RigParameters(replace(sensor, pattern=wider), options), seen, spread),
+        found.parameters.prior_std,
+        start=found.fit.values,
+        robust_scale=options.robust_scale,
+    )
+    by_pitch = (other.values - found.fit.values) / step
+    slopes = np.append(by_pitch, 1.0)
+    covariance = pitch_std**2 * np.outer(slopes, slopes)
+    covariance[:-1, :-1] += found.fit.covariance
+    return sensor.uncertainty.updated((*found.parameters.names, PITCH), covariance)
 
 
 def view_residuals(
