@@ -52,8 +52,8 @@ def show(
 ) -> NotebookViewer:
     """Serve a page for a sensor and print its address; in Jupyter it appears below the cell.
 
-    host: address to listen on, this machine only as it comes.  port: None for the first that is
-    free from 8080 on.  token: that the address must then have.
+    host: address to listen on; by default only this machine can connect.  port: None for the first
+    that is free from 8080 on.  token: that the address must then have.
     Raises ViewerError where the address cannot be listened on.
 
     >>> viewer = show(sensor)

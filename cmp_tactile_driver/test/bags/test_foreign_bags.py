@@ -395,6 +395,7 @@ CLOCKS: dict[str, Clocks] = {
         lambda _, __: 0,
         lambda n, t: t - (n > 5) * HOUR_NS,
         "stamps: 1, the largest -3599.95 s at 0.30 s",
+    ),
     "stamps are set forward and later back by more": (
         lambda n, t: t + (0, HOUR_NS, -HOUR_NS)[n // 4],
         lambda _, t: t,

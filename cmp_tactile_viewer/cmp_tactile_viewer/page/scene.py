@@ -37,6 +37,8 @@ NOTHING = np.zeros((0, 2, 3))
 # Viewers want at least one line: this one has no length.
 NO_LINES = np.zeros((1, 2, 3))
 HANDLE_MM, BALL_MM = 4.0, 0.4
+# Beside the handle until it is dragged.
+HANDLE_HINT = "drag the arrows to press and slide"
 INDENTER_COLOUR = (240, 228, 66)
 # After so long without the mouse the handle is where the indenter is again.
 RELEASED_S = 2.0
@@ -250,6 +252,7 @@ class DraggedIndenter:
                 f"{root}/handle", HANDLE_MM, depth_test=False, opacity=0.8, visible=False
             )
             self._handle.on_update(self._drag)
+            self._hint = scene.add_label(f"{root}/handle/hint", HANDLE_HINT)
 
     def draw(self) -> None:
         """Show where it is."""
@@ -266,6 +269,7 @@ class DraggedIndenter:
         if event.client is None or self._handle is None or self._touch.move is None:
             return
         self._dragged_s = time.monotonic()
+        self._hint.visible = False
         x, y, z = (self._handle.position / MM).tolist()
         a, b, c, d = self._handle.wxyz.tolist()
         self._touch.move(Pose((x, y, z), (a, b, c, d)))
