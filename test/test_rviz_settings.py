@@ -4,7 +4,7 @@ RViz shows nothing of a topic that is not there, without a word.
 """
 
 import re
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ pytest.importorskip("rclpy")
 
 
 from markers import look_of, mounts, moved
-from rviz_view import View, picture_px, text_box
+from rviz_view import View, picture_px, read_settings, text_box
 
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
@@ -39,7 +39,9 @@ TYPES = {
 }
 LEAST_TEXT_PX = 12
 # Of the picture that each gel covers where one or two are shown.
-LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.04}}
+LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.025}}
+# Sizes of RViz's 3-D panel beside that of the packaged window, px.
+PANELS_PX = (960, 720), (1280, 720)
 
 
 @pytest.fixture(params=FILES)
@@ -171,19 +173,44 @@ def test_texts_can_be_read_in_each_view(name, settings):
         assert not any("\n" in marker.text for marker in texts)
 
 
+def _extents(markers, view):
+    """Lower left and upper right of the gel, and of each text and legend, px from the middle."""
+    gel, *bars = (
+        (place.min(axis=0), place.max(axis=0))
+        for kind in ("surface", "legend")
+        for place in (
+            view.project(m.points)[0] for m in markers if m.namespace == kind and len(m.points)
+        )
+    )
+    return gel, [*bars, *(text_box(m, view) for m in markers if m.text)]
+
+
 def test_gels_are_large_and_whole_in_each_view(name, settings):
     """With all texts of one contact in the picture."""
     sensors = _shown(name, _touch(0.0, 0.0))
     size = np.array(picture_px(settings))
     for view, chosen in _views(settings):
-        drawn = [marker for markers in sensors[chosen] for marker in markers]
-        places = [view.project(m.points)[0] for m in drawn if m.namespace == "surface"]
-        gels = [(place.min(axis=0), place.max(axis=0)) for place in places]
-        texts = [text_box(marker, view) for marker in drawn if marker.text]
-        assert (np.abs([*texts, *gels]) < size / 2).all()
+        gels, beside = zip(*(_extents(markers, view) for markers in sensors[chosen]), strict=True)
+        assert (np.abs([*gels, *chain(*beside)]) < size / 2).all()
         assert _are_apart(gels)
         smallest = min(np.prod(high - low) for low, high in gels)
         assert smallest > LEAST_SHARES[name][len(gels)] * np.prod(size)
+
+
+@pytest.mark.parametrize("panel_px", PANELS_PX)
+def test_both_fingers_are_whole_and_alike_in_panels_of_other_shapes(panel_px):
+    settings = read_settings("gripper.rviz")
+    view = View.of(settings["Visualization Manager"]["Views"]["Current"], panel_px[1])
+    shown = _shown("gripper.rviz", _touch(0.0, 0.0))
+    gels, beside = zip(*(_extents(markers, view) for markers in shown), strict=True)
+    assert (np.abs([*gels, *chain(*beside)]) < np.array(panel_px) / 2).all()
+    left, right = (high - low for low, high in gels)
+    assert left == pytest.approx(right, rel=0.01)
+    for markers in shown:
+        surface = next(m.points for m in markers if m.namespace == "surface")
+        centre = surface.mean(axis=0)
+        outwards = np.array([0.0, -np.sign(centre[1]), 0.0])
+        assert (view.camera - centre) @ outwards > 0, "the sensing side faces the viewer"
 
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):

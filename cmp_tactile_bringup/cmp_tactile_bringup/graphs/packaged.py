@@ -30,7 +30,7 @@ from cmp_tactile_bringup.graphs.one_sensor import (
 from cmp_tactile_processing.cache.files import expanded_path
 
 # Height of the letters at two fingers, which are seen from farther away than one sensor, m.
-FINGER_TEXT_M = 0.001
+FINGER_TEXT_M = 0.0009
 
 # What a gripper sets for both fingers, as its user does, or by itself.
 OF_BOTH = ("rate", "start", "end", "loop", "paused", "record_topics", "record_compression")

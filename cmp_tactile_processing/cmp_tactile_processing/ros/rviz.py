@@ -33,6 +33,8 @@ RGBA = tuple[float, float, float, float]
 LINE_STEP = 1.2
 # Width of a letter in its height: what texts need that stand beside one another.
 LETTER_WIDTH = 0.6
+# More between texts of a gel that is seen from its edge: the nearer one is drawn larger, letters.
+EDGE_GAP = 3.0
 # Of up, the part in the gel's plane below which the gel lies flat.
 LEAST_SLOPE = 0.05
 FLAT = np.array([0.0, 1.0, 0.0])
@@ -276,8 +278,10 @@ def clear_places(
 ) -> list[NDArray[np.float64]]:
     """Where the middles of texts may stand so that none covers another; places (3,) are wished.
 
-    The lowest stays where it is; one that is higher gives way upwards.
+    The lowest stays where it is; one that is higher gives way upwards.  On a gel that stands
+    upright, which may be seen from its edge, texts never stand beside one another.
     """
+    is_upright = abs(page.up[2]) < LEAST_SLOPE
     found = [place.copy() for place in places]
     ways = [(page.slope, 1.0), (OUTWARDS * (np.sign(page.up[2]) or 1.0), abs(page.up[2]))]
     done: list[int] = []
@@ -285,9 +289,9 @@ def clear_places(
         for other in done:
             both = [texts[number], texts[other]]
             width = LETTER_WIDTH * size * sum(max(map(len, lines)) for lines in both) / 2
-            if abs((found[number] - found[other]) @ page.right) >= width:
+            if not is_upright and abs((found[number] - found[other]) @ page.right) >= width:
                 continue
-            gap = LINE_STEP * size * (sum(map(len, both)) + 1) / 2
+            gap = LINE_STEP * size * (sum(map(len, both)) + 1) / 2 + is_upright * EDGE_GAP * size
             for way, share in ways:
                 missing = share * gap - (found[number] - found[other]) @ way
                 found[number] += max(0.0, missing) * way
