@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 
+# With these the force is wrong by an amount that its standard deviation may not include.
+DOUBTS = ForceFlag.ZERO_DOUBTFUL | ForceFlag.DESCRIPTION_DOUBTFUL | ForceFlag.SCALE_UNCERTAIN
 # With these the force is not that of the object (docs/results.md, "Flags").
 UNUSABLE = (
     ForceFlag.FEW_MARKERS
     | ForceFlag.BEYOND_MARKERS
     | ForceFlag.POOR_FIT
     | ForceFlag.IMPLAUSIBLE
-    | ForceFlag.ZERO_DOUBTFUL
-    | ForceFlag.DESCRIPTION_DOUBTFUL
-    | ForceFlag.SCALE_UNCERTAIN
+    | DOUBTS
 )
 _ZERO = "zero again while nothing touches the gel"
 _REFERENCE = (
@@ -81,6 +81,11 @@ SLIP_WORDS: dict[SlipState, str] = {
     SlipState.INCIPIENT: "begins to slip",
     SlipState.FULL: "slips",
 }
+
+
+def doubt_names(flags: ForceFlag) -> list[str]:
+    """The flags of DOUBTS among these in words, as "zero doubtful"."""
+    return [(flag.name or "").lower().replace("_", " ") for flag in single_flags(flags & DOUBTS)]
 
 
 def single_flags(flags: ForceFlag) -> Iterator[ForceFlag]:

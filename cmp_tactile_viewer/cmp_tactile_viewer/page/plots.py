@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,12 @@ import viser
 from numpy.typing import NDArray
 from viser import uplot
 
+from cmp_tactile_processing.force.advice import DOUBTS, doubt_names
 from cmp_tactile_viewer.snapshot import Snapshot
 
 FIGURES = (
     "time_s", "fx", "fy", "fz", "std_x", "std_y", "std_z", "contact", "slip_ratio", "latency_ms",
-    "rate_hz",
+    "rate_hz", "begins", "doubtful",
 )  # fmt: skip
 # Two minutes at 60 Hz.
 CAPACITY = 7200
@@ -22,6 +23,8 @@ CAPACITY = 7200
 MOST_POINTS = 300
 # The rate is that of so many frames.
 RATE_FRAMES = 30
+# A step in time is a jump if it is longer than both: s, and in median steps.
+MIN_JUMP_S, MIN_JUMP_STEPS = 0.5, 5.0
 RGB = tuple[int, int, int]
 Dash = tuple[int, ...]
 # Okabe and Ito's colours, which the colour-blind tell apart; the lines differ in dashes as well.
@@ -45,6 +48,8 @@ BANDS_SIGMA = 2.0
 LEGEND_STYLE = "font-size:0.8em;display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em"
 # A contact fills the lowest part of its plot.
 CONTACT_SCALE = (0.0, 14.0)
+# A doubtful force has all of its plot filled in the colour of warnings.
+DOUBT_COLOUR = (230, 120, 0)
 # Ends of the y axis: at least so far apart, and so much of that beyond the values.
 LEAST_SPAN, MARGIN, LEAST_LENGTH_S = 0.02, 0.08, 0.5
 Ends = tuple[float, float]
@@ -53,7 +58,10 @@ Columns = tuple[NDArray[np.float64], ...]
 
 
 class History:
-    """Keeps the figures of the last CAPACITY snapshots in a ring."""
+    """Keeps the figures of the last CAPACITY snapshots in a ring.
+
+    doubts: why the newest force is doubtful, in words; empty where it is not.
+    """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         # Each row is kept twice, a capacity apart: the newest are then always in one piece.
@@ -61,6 +69,7 @@ class History:
         self._capacity = capacity
         self._count = 0
         self._begin_ns: int | None = None
+        self.doubts: Sequence[str] = ()
 
     def add(self, snapshot: Snapshot) -> None:
         """Take a snapshot in; one that is not later than the last begins a new history.
@@ -80,9 +89,13 @@ class History:
             row[1:4], row[4:7] = force.wrench[:3], force.wrench_std[:3]
             row[7] = 1.0 if force.contacts else 0.0
             row[8] = force.slip.slip_ratio
-        recent = self._ordered()[-RATE_FRAMES:, 0]
+            self.doubts = doubt_names(force.flags)
+            row[12] = 1.0 if force.flags & DOUBTS else np.nan
+        recent = self._ordered()[-RATE_FRAMES:]
+        recent = recent[_last_begin(recent) :, 0]
+        row[11] = float(_is_jump(recent, time_s))
         row[10] = snapshot.rate_hz
-        if np.isnan(row[10]) and len(recent):
+        if np.isnan(row[10]) and len(recent) and not row[11]:
             row[10] = len(recent) / (time_s - recent[0])
         place = self._count % self._capacity
         self._table[[place, place + self._capacity]] = row
@@ -91,6 +104,7 @@ class History:
     def window(self, length_s: float, back_s: float = 0.0) -> dict[str, NDArray[np.float64]]:
         """The figures from `length_s` before the end, which lies `back_s` before the newest.
 
+        It begins at the last jump in time at the earliest: uPlot joins points across NaN.
         No more than MOST_POINTS; one point, all NaN, where nothing is known.
         """
         rows = self._ordered()
@@ -100,6 +114,7 @@ class History:
         end = rows[-1, 0] - back_s
         first, last = np.searchsorted(rows[:, 0], (end - length_s, end + 1e-9))
         chosen = rows[first : max(last, first + 1)]
+        chosen = chosen[_last_begin(chosen) :]
         if len(chosen) > MOST_POINTS:
             chosen = chosen[np.linspace(0, len(chosen) - 1, MOST_POINTS).astype(int)]
         return dict(zip(FIGURES, np.ascontiguousarray(chosen.T), strict=True))
@@ -108,6 +123,19 @@ class History:
         """The rows that are kept, the oldest first."""
         first = self._count % self._capacity if self._count > self._capacity else 0
         return self._table[first : first + min(self._count, self._capacity)]
+
+
+def _is_jump(times: NDArray[np.float64], time_s: float) -> bool:
+    """Whether frames are missing between the last of these times (N,) and `time_s`, all s."""
+    if len(times) < 2:
+        return False
+    step_s = time_s - float(times[-1])
+    return step_s > max(MIN_JUMP_S, MIN_JUMP_STEPS * float(np.median(np.diff(times))))
+
+
+def _last_begin(rows: NDArray[np.float64]) -> int:
+    """Index of the last row that follows a jump, 0 if none does."""
+    return int(np.flatnonzero(rows[:, FIGURES.index("begins")] == 1.0)[-1:].sum())
 
 
 class Plots:
@@ -120,10 +148,13 @@ class Plots:
         contact = uplot.Series(
             label="contact", scale="contact", width=0, fill=_css(CONTACT_COLOUR, 0.8)
         )
-        gui.add_html(_legend("Force, N", [*FORCES, ("", "", "contact", CONTACT_COLOUR, ())]))
+        doubtful = uplot.Series(
+            label="doubtful", scale="contact", width=0, fill=_css(DOUBT_COLOUR, 0.25)
+        )
+        self._legend = gui.add_html(_force_legend(()))
         self._forces = gui.add_uplot(
             _force_data(empty),
-            series=(uplot.Series(label="s"), *lines, *limits, contact),
+            series=(uplot.Series(label="s"), *lines, *limits, contact, doubtful),
             bands=_bands(),
             **_common(height_px),
         )
@@ -140,10 +171,13 @@ class Plots:
 
     def draw(self, history: History, length_s: float, back_s: float) -> None:
         """Show the part of a history that `History.window` gives."""
+        legend = _force_legend(history.doubts)
+        if legend != self._legend.content:
+            self._legend.content = legend
         window = history.window(length_s, back_s)
         times = _times(window["time_s"])
         data = _force_data(window)
-        self._forces.scales = _scales(times, _ends(np.concatenate(data[1:-1])))
+        self._forces.scales = _scales(times, _ends(np.concatenate(data[1:-2])))
         self._forces.data = data
         for plot, name, factor in self._others:
             values = factor * window[name]
@@ -212,6 +246,14 @@ def _legend(title: str, lines: Iterable[tuple[Any, Any, str, RGB, Dash]]) -> str
     return f'<div style="{LEGEND_STYLE}">{"".join(parts)}</div>'
 
 
+def _force_legend(doubts: Iterable[str]) -> str:
+    """With what is doubtful about the force that is shown."""
+    legend = _legend("Force, N", [*FORCES, ("", "", "contact", CONTACT_COLOUR, ())])
+    colour = _css(DOUBT_COLOUR)
+    marks = "".join(f'<b style="color:{colour}">! {doubt}</b> ' for doubt in doubts)
+    return f'{legend}<div style="{LEGEND_STYLE}">{marks}</div>'
+
+
 def _bands() -> tuple[uplot.Band, ...]:
     first = 1 + len(FORCES)
     return tuple(
@@ -226,4 +268,5 @@ def _force_data(window: Window) -> Columns:
         half = BANDS_SIGMA * window[deviation]
         limits += [window[name] + half, window[name] - half]
     lines = (window[name] for name, *_ in FORCES)
-    return (window["time_s"], *lines, *limits, window["contact"])
+    doubtful = CONTACT_SCALE[1] * window["doubtful"]
+    return (window["time_s"], *lines, *limits, window["contact"], doubtful)

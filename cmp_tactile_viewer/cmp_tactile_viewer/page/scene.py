@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.drawing import FORCE_COLOUR, contact_lines
+from cmp_tactile_processing.force.advice import doubt_names
 from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 from cmp_tactile_viewer import meshes
@@ -109,7 +110,7 @@ class Gel:
         contacts = force.contacts if force is not None and look.contacts else ()
         for number, drawn in enumerate(self._contacts):
             if number < len(contacts) and force is not None:
-                drawn.draw(contacts[number], force.reference_point, look)
+                drawn.draw(contacts[number], force, look)
             else:
                 drawn.hide()
 
@@ -200,12 +201,12 @@ class _DrawnContact:
         )  # fmt: skip
         self.hide()
 
-    def draw(self, contact: Contact, moment_point: Array, look: Look) -> None:
-        """Draw it in the colour of its slip state."""
+    def draw(self, contact: Contact, force: ForceField, look: Look) -> None:
+        """Draw it in the colour of its slip state; doubts of the force stand below its number."""
         colour, gain = meshes.slip_colour(contact.slip.state), look.arrow_gain
         for lines, ends in (
             (self._outline, meshes.outline(contact)),
-            (self._moment, meshes.moment_lines(contact, moment_point, gain)),
+            (self._moment, meshes.moment_lines(contact, force.reference_point, gain)),
         ):
             lines.visible = len(ends) > 0
             if len(ends):
@@ -217,11 +218,12 @@ class _DrawnContact:
             part.visible = known
         self._text.visible = known and look.texts
         if known:
+            marks = [f"! {doubt}" for doubt in doubt_names(force.flags)]
             self._centre.position, self._centre.color = arrow[1], colour
             self._resultant.points = arrow[None].astype(np.float32)
             self._resultant.colors = np.array(colour, np.uint8)
             self._text.position = arrow[0] + (0.0, 0.0, 1.0)
-            self._text.text = "\n".join(contact_lines(contact))
+            self._text.text = "\n".join([*contact_lines(contact), *marks])
         error = meshes.error_ellipsoid(contact, gain)
         self._error.visible = error is not None
         if error is not None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from made_forces import made_contact, made_field
 
+from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_viewer.page.plots import History
 from cmp_tactile_viewer.snapshot import Snapshot
 
@@ -53,3 +54,36 @@ def test_contact_is_marked_and_what_is_not_known_is_nan():
     window = history.window(1.0)
     assert window["contact"] == pytest.approx([1.0, 0.0, np.nan], nan_ok=True)
     assert np.isnan(window["latency_ms"]).all()
+
+
+def test_what_was_jumped_is_neither_joined_nor_a_rate():
+    """leeoniya/uPlot 996: NaN does not break a line, so the part before is shown scrolled back."""
+    history = filled(20)
+    begin_s = 3.0
+    for number in range(5):
+        stamp_ns = 5 + round(begin_s * 1e9) + number * STEP_NS
+        history.add(Snapshot(stamp_ns, force=made_field(1, 1, wrench=np.full(6, -3.0))))
+    window = history.window(20.0)
+    assert window["time_s"] == pytest.approx(begin_s + 0.01 * np.arange(5.0))
+    assert window["fx"] == pytest.approx(-3.0)
+    assert np.isnan(window["rate_hz"][0])
+    assert window["rate_hz"][1:] == pytest.approx(100.0)
+    assert history.window(20.0, back_s=1.0)["fx"] == pytest.approx(np.arange(20.0))
+
+
+def test_a_slow_sensor_is_one_line():
+    history = History()
+    for number in range(5):
+        history.add(Snapshot(1 + number * 2_000_000_000))
+    assert history.window(20.0)["rate_hz"][1:] == pytest.approx(0.5)
+
+
+def test_a_doubtful_force_is_marked():
+    history = History()
+    flags = ForceFlag.ZERO_DOUBTFUL | ForceFlag.AT_BORDER
+    history.add(Snapshot(1, force=made_field(1, 1)))
+    history.add(Snapshot(2, force=made_field(1, 1, flags=flags)))
+    assert history.window(1.0)["doubtful"] == pytest.approx([np.nan, 1.0], nan_ok=True)
+    assert history.doubts == ["zero doubtful"]
+    history.add(Snapshot(3, force=made_field(1, 1)))
+    assert not history.doubts
