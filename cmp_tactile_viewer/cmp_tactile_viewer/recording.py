@@ -51,6 +51,10 @@ SURFACE, FORCE_FIELD, GRID = (
 BACK_S = 0.5
 # Recordings up to this length begin again at their end, as long as nobody says otherwise.
 LOOPED_S = 10.0
+PREPARING = (
+    "preparing the models of optics and gel for the first frame; where nothing was compiled yet, "
+    "this takes about a minute"
+)
 # Messages of one frame come within so many others.
 MOST_OPEN = 20
 
@@ -244,7 +248,8 @@ class RecordingSource(PassiveSource):
     def __init__(
         self, sensor: ShownSensor, frames: Frames, indenter: IndenterPoses | None = None
     ) -> None:
-        playback = Playback(frames.length_s, loop=frames.length_s <= LOOPED_S)
+        loops = frames.length_s <= LOOPED_S
+        playback = Playback(frames.length_s, loop=loops, preparing=True)
         super().__init__((sensor,), playback)
         self.frames, self.indenter = frames, indenter
         self._player = threading.Thread(target=self._play, name="recording", daemon=True)
@@ -277,6 +282,8 @@ class RecordingSource(PassiveSource):
         self._player.join()
 
     def _play(self) -> None:
+        self._looked_at.wait()
+        self._show_lines([HealthLine(Level.OK, "recording:", PREPARING)])
         while self._looked_at.wait() and not self._ended.is_set():
             if not self._play_on_or_report():
                 return
@@ -366,6 +373,7 @@ class RecordingSource(PassiveSource):
         self._show_lines([HealthLine(level, "recording:", text)])
 
     def _show_lines(self, lines: list[HealthLine]) -> None:
+        self.playback.preparing = lines[0].text == PREPARING
         if self.audience is not None:
             self.audience.show_health(lines)
 

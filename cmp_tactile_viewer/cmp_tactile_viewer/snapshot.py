@@ -92,9 +92,11 @@ class Action:
 class Setting:
     """A parameter that may be changed on the page.
 
+    owner: the node that has it.
     change: takes the new value and returns what to say; raises CmpTactileError where it is refused.
     """
 
+    owner: str
     name: str
     value: bool | float | str
     description: str
@@ -129,6 +131,7 @@ class Playback:
 
     length_s: 0 until it is known.  position_s: of the frame on show.  seek_s: where to go, None
     when there.  steps: frames to go on while it is paused.  loop: begin again at the end.
+    preparing: nothing can be shown yet.
     """
 
     length_s: float
@@ -139,6 +142,7 @@ class Playback:
     steps: int = 0
     ended: bool = False
     loop: bool = False
+    preparing: bool = False
 
     @property
     def is_sought(self) -> bool:

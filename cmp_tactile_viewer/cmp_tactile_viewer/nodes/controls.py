@@ -68,9 +68,7 @@ def _settings_of(node: Node, owner: str) -> Iterator[Setting]:
             continue
         low, high = _range(descriptor)
         change = partial(_change, node, owner, descriptor)
-        yield Setting(
-            f"{short}.{descriptor.name}", plain, descriptor.description, change, low, high
-        )
+        yield Setting(short, descriptor.name, plain, descriptor.description, change, low, high)
 
 
 def _range(descriptor: ParameterDescriptor) -> tuple[float | None, float | None]:

@@ -12,7 +12,8 @@ PANEL_PX, LEFT_PX, LEFT_OF_SEVERAL_PX = 330, 400, 310
 PHONE, SMALL = "36em", "1150px"
 # Width of a panel beside the scene of a small window, px, and share of the scene above panels, %.
 SMALL_PANEL_PX, SCENE_PERCENT, PHONE_SCENE_PERCENT = 285, 52, 42
-HEALTH_EM = 6.5
+# Whole lines of health: as many times size and height of one (panels.SMALL), em.
+HEALTH_EM = 8 * 0.85 * 1.35
 # A page hears a beat each BEAT_S; one that has heard none for SILENT_S has lost its server.
 BEAT_S, SILENT_S = 1.0, 5.0
 LOST = "connection lost"
@@ -64,9 +65,9 @@ STYLE = f"""<style>
 @media (min-width: {PHONE}) and (max-width: {SMALL}) and (min-aspect-ratio: 1/1) {{ {_BESIDE} }}
 @media (min-width: {PHONE}) and (max-width: {SMALL}) and (max-aspect-ratio: 1/1) {{ {_BELOW} }}
 @media (max-width: {PHONE}) {{ {_ON_A_PHONE} }}
-.cmp-health {{ height: {HEALTH_EM}em; overflow-y: auto }}
+.cmp-health {{ height: {HEALTH_EM:.2f}em; overflow-y: auto }}
 .cmp-lost {{ animation: cmp-show 0s {SILENT_S}s forwards; visibility: hidden; position: absolute;
-  left: 0; right: 0; bottom: 0; height: {HEALTH_EM + 1}em; padding: 0.5em; font-weight: bold;
+  left: 0; right: 0; bottom: 0; height: {HEALTH_EM + 1:.2f}em; padding: 0.5em; font-weight: bold;
   color: #d00000; background: var(--mantine-color-body) }}
 @keyframes cmp-show {{ to {{ visibility: visible }} }}
 </style>"""

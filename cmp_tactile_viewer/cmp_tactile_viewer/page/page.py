@@ -158,7 +158,12 @@ class Page:
             sensor.name: self._add_sensor(sensor, number == 0)
             for number, sensor in enumerate(source.sensors)
         }
-        self._framed = framed_points(source.sensors)
+        dragged = {
+            name
+            for name, touch in source.touches().items()
+            if touch.move is not None and not access.read_only
+        }
+        self._framed = framed_points(source.sensors, dragged)
         gui.add_html(STYLE)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)

@@ -26,8 +26,10 @@ TIME_STEP_S = 0.01
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 BUTTONS_IN_ROW = 3
 # An answer has its place before it comes, so that what is below stays where it is.
-ANSWER = '<div style="height:3.6em;overflow-y:auto">{}</div>'
-SMALL = "font-size:0.85em;line-height:1.35;padding:0 0.6em"
+# Four lines of SMALL.
+ANSWER = '<div style="height:4.59em;overflow-y:auto">{}</div>'
+SMALL = "font-size:0.85em;line-height:1.35;padding:0 0.6em;overflow-wrap:anywhere"
+HANGING = "padding-left:1em;text-indent:-1em"
 
 
 class ShowPanel:
@@ -107,7 +109,7 @@ def health_html(lines: Iterable[HealthLine]) -> str:
         sign, colour = SIGNS[line.level]
         about, text = html.escape(line.about), html.escape(line.text)
         items.append(
-            f'<div style="margin:0.3em 0"><b style="color:{colour}">{sign} {about}</b> {text}</div>'
+            f'<div style="{HANGING}"><b style="color:{colour}">{sign} {about}</b> {text}</div>'
         )
     return f'<div style="{SMALL}">{"".join(items) or "nothing to report yet"}</div>'
 
@@ -129,13 +131,16 @@ class ControlPanel:
         )
         for first in range(0, len(known), BUTTONS_IN_ROW):
             row = {action.label: action for action in known[first : first + BUTTONS_IN_ROW]}
-            hint = "; ".join(f"{action.label}: {action.hint}" for action in row.values())
-            group = gui.add_button_group("", tuple(row), hint=hint)
+            group = gui.add_button_group("", tuple(row))
             group.on_click(partial(self._pressed, row))
         self._lasting = [
             _LastingButton(gui, action, self._press) for action in actions if action.state
         ]
-        self._answer = gui.add_html(ANSWER.format(""))
+        # A tooltip would cover the buttons, of which a row has one in common.
+        hints = "".join(
+            f'<div style="{HANGING}"><b>{action.label}:</b> {action.hint}</div>' for action in known
+        )
+        self._answer = gui.add_html(ANSWER.format(f'<div style="{SMALL}">{hints}</div>'))
         self._folder = gui.add_folder("parameters", visible=False)
         self._handles: list[Any] = []
 
@@ -152,12 +157,21 @@ class ControlPanel:
         found = self._settings()
         for handle in self._handles:
             handle.remove()
-        with self._folder:
-            self._handles = [self._add(self._gui, setting) for setting in found]
+        groups: dict[str, list[Setting]] = {}
+        for setting in found:
+            groups.setdefault(setting.owner, []).append(setting)
+        self._handles = []
+        for owner, settings in groups.items():
+            with self._folder:
+                folder = self._gui.add_folder(owner, expand_by_default=False)
+            self._handles.append(folder)
+            with folder:
+                for setting in settings:
+                    self._add(self._gui, setting)
         self._folder.visible = bool(found)
         return f"{len(found)} that may change"
 
-    def _add(self, gui: viser.GuiApi, setting: Setting) -> Any:
+    def _add(self, gui: viser.GuiApi, setting: Setting) -> None:
         value, hint = setting.value, setting.description
         handle: Any
         if setting.choices:
@@ -173,11 +187,12 @@ class ControlPanel:
         else:
             handle = gui.add_text(setting.name, value, hint=hint)
         handle.on_update(partial(self._change, setting))
-        return handle
 
     def _change(self, setting: Setting, event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
-            self._press(setting.name, lambda: setting.change(event.target.value), event)
+            self._press(
+                f"{setting.owner}.{setting.name}", lambda: setting.change(event.target.value), event
+            )
 
     def _press(self, label: str, run: Callable[[], str], _event: object) -> None:
         self._say(Level.OK, label, "...")
@@ -238,10 +253,9 @@ class PlaybackPanel:
         running = playback.playing
         self._play.label = "pause" if running else "play"
         state = "at the end" if playback.ended else "playing" if running else "paused"
-        self._state.content = (
-            f'<div style="{SMALL}">{playback.position_s:.2f} of {playback.length_s:.2f} s, '
-            f"{state}</div>"
-        )
+        place = f"{playback.position_s:.2f} of {playback.length_s:.2f} s, {state}"
+        shown = "preparing the first picture" if playback.preparing else place
+        self._state.content = f'<div style="{SMALL}">{shown}</div>'
 
     def _seek(self, event: viser.GuiEvent[Any]) -> None:
         # The page moves the slider, too.

@@ -90,7 +90,7 @@ class History:
             row[7] = 1.0 if force.contacts else 0.0
             row[8] = force.slip.slip_ratio
             self.doubts = doubt_names(force.flags)
-            row[12] = 1.0 if force.flags & DOUBTS else np.nan
+            row[12] = 1.0 if force.flags & DOUBTS else 0.0
         recent = self._ordered()[-RATE_FRAMES:]
         recent = recent[_last_begin(recent) :, 0]
         row[11] = float(_is_jump(recent, time_s))

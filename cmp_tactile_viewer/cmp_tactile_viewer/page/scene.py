@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -49,6 +49,8 @@ PRESETS = tuple(DIRECTIONS)
 UP = np.array((0.0, 0.0, 1.0))
 # Share of the window's half that the gel fills, and what stands above the gel in the picture, mm.
 FILLED, ABOVE_MM = 0.9, 2.0
+# Height above the gel at which simulated indenters begin, mm.
+INDENTER_MM = 8.0
 # Windows whose ratio of width to height differs by less are of one shape.
 SAME_SHAPE = 0.01
 
@@ -277,12 +279,16 @@ class DraggedIndenter:
         self._touch.move(Pose((x, y, z), (a, b, c, d)))
 
 
-def framed_points(sensors: Sequence[ShownSensor]) -> Array:
-    """Corners of the boxes around the gels, each with its pose, (8 n, 3) mm in the scene."""
+def framed_points(sensors: Sequence[ShownSensor], dragged: Container[str] = ()) -> Array:
+    """Corners of the boxes around the gels, each with its pose, (8 n, 3) mm in the scene.
+
+    dragged: names of the sensors whose indenter has a handle, which is framed as well.
+    """
     boxes = []
     for sensor in sensors:
         corners = MM * sensor.description.pattern.corners().reshape(-1, 3)
-        low, high = corners.min(axis=0), corners.max(axis=0) + (0.0, 0.0, ABOVE_MM)
+        above = INDENTER_MM + HANDLE_MM if sensor.name in dragged else ABOVE_MM
+        low, high = corners.min(axis=0), corners.max(axis=0) + (0.0, 0.0, above)
         box = np.array(list(product(*zip(low, high, strict=True))))
         w, x, y, z = sensor.orientation
         boxes.append(Rotation.from_quat((x, y, z, w)).apply(box) + MM * np.array(sensor.position))
