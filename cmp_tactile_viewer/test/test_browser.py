@@ -5,7 +5,7 @@ import pytest
 
 from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.recording import open_source
-from cmp_tactile_viewer.snapshot import Action, PassiveSource, Pose, ShownSensor, Touch
+from cmp_tactile_viewer.snapshot import Action, PassiveSource, Pose, Setting, ShownSensor, Touch
 
 BUTTON = "press me"
 
@@ -48,6 +48,12 @@ class Controlled(PassiveSource):
     def touches(self):
         return {self.sensors[0].name: self.touch}
 
+    def settings(self, _sensor):
+        return tuple(
+            Setting(owner, f"{owner}'s rate", 1.0, "", lambda value: f"is now {value}")
+            for owner in ("tracker", "visualizer")
+        )
+
     def _press(self):
         self.pressed += 1
         return f"pressed {self.pressed} times"
@@ -69,6 +75,18 @@ def test_a_button_does_it_and_its_answer_appears(controlled, serve, opened):
     tab.tab.get_by_text("fail", exact=True).click()
     tab.sees("the service is not there")
     assert controlled.pressed == 1
+
+
+def test_parameters_are_in_a_folder_of_their_node(controlled, serve, opened):
+    tab = opened(serve(controlled))
+    tab.sees("adds one")
+    tab.tab.get_by_text("parameters", exact=True).first.click()
+    tab.sees("2 that may change")
+    rate = tab.tab.get_by_text("tracker's rate", exact=True)
+    assert not rate.is_visible()
+    tab.tab.get_by_text("tracker", exact=True).click()
+    tab.wait(rate.is_visible, "the parameters of the tracker")
+    assert not tab.tab.get_by_text("visualizer's rate", exact=True).is_visible()
 
 
 def test_a_page_to_read_has_no_buttons(controlled, serve, opened):
