@@ -70,7 +70,9 @@ def playing(sensor):
 
 def test_frames_are_processed_when_they_are_shown(grasp_bag, playing, snapshots):
     source, looker = playing(grasp_bag)
+    assert source.playback.preparing
     wait_until(lambda: source.playback.ended, "the end of the recording")
+    assert not source.playback.preparing
     assert len(looker.snapshots) == FRAMES
     for found, expected in zip(looker.snapshots, snapshots, strict=False):
         assert found.stamp_ns == expected.stamp_ns
