@@ -243,11 +243,12 @@ def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
     node = ros.start(StereoTriangulator, sensor_description=rig.description)
     found = rig.do(lambda: controls.node_settings(ros.node, ros.namespace, views=()))
     settings = {item.name: item for item in found}
-    frames = settings["stereo_triangulator.reference_frames"]
+    assert {item.owner for item in found} == {"stereo_triangulator"}
+    frames = settings["reference_frames"]
     assert (frames.value, frames.low, frames.high) == (10, 1, 1000)
     assert frames.description == "number of frames that a reference averages"
     assert not any("diagnostics" in name for name in settings)
-    assert "stereo_triangulator.sensor_description" not in settings  # cannot change
+    assert "sensor_description" not in settings  # cannot change
     assert rig.do(lambda: frames.change(20.0)) == "is now 20"
     assert node.get_parameter("reference_frames").value == 20
     assert isinstance(rig.do(lambda: frames.change(0)), ViewerError)
