@@ -83,11 +83,6 @@ SLIP_WORDS: dict[SlipState, str] = {
 }
 
 
-def doubt_names(flags: ForceFlag) -> list[str]:
-    """The flags of DOUBTS among these in words, as "zero doubtful"."""
-    return [(flag.name or "").lower().replace("_", " ") for flag in single_flags(flags & DOUBTS)]
-
-
 def single_flags(flags: ForceFlag) -> Iterator[ForceFlag]:
     """The known flags that are set; bits that a newer sender knows are passed over."""
     return (flag for flag in ADVICE if flag & flags)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import viser
 from numpy.typing import NDArray
 from viser import uplot
 
-from cmp_tactile_processing.force.advice import DOUBTS, doubt_names
+from cmp_tactile_processing.force.advice import DOUBTS, flag_names
 from cmp_tactile_viewer.snapshot import Snapshot
 
 FIGURES = (
@@ -60,7 +60,7 @@ Columns = tuple[NDArray[np.float64], ...]
 class History:
     """Keeps the figures of the last CAPACITY snapshots in a ring.
 
-    doubts: why the newest force is doubtful, in words; empty where it is not.
+    doubts: flags for which the newest force is doubtful; empty where it is not.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -69,7 +69,7 @@ class History:
         self._capacity = capacity
         self._count = 0
         self._begin_ns: int | None = None
-        self.doubts: Sequence[str] = ()
+        self.doubts = ""
 
     def add(self, snapshot: Snapshot) -> None:
         """Take a snapshot in; one that is not later than the last begins a new history.
@@ -89,7 +89,7 @@ class History:
             row[1:4], row[4:7] = force.wrench[:3], force.wrench_std[:3]
             row[7] = 1.0 if force.contacts else 0.0
             row[8] = force.slip.slip_ratio
-            self.doubts = doubt_names(force.flags)
+            self.doubts = flag_names(force.flags & DOUBTS)
             row[12] = 1.0 if force.flags & DOUBTS else 0.0
         recent = self._ordered()[-RATE_FRAMES:]
         recent = recent[_last_begin(recent) :, 0]
@@ -151,7 +151,7 @@ class Plots:
         doubtful = uplot.Series(
             label="doubtful", scale="contact", width=0, fill=_css(DOUBT_COLOUR, 0.25)
         )
-        self._legend = gui.add_html(_force_legend(()))
+        self._legend = gui.add_html(_force_legend(""))
         self._forces = gui.add_uplot(
             _force_data(empty),
             series=(uplot.Series(label="s"), *lines, *limits, contact, doubtful),
@@ -246,12 +246,12 @@ def _legend(title: str, lines: Iterable[tuple[Any, Any, str, RGB, Dash]]) -> str
     return f'<div style="{LEGEND_STYLE}">{"".join(parts)}</div>'
 
 
-def _force_legend(doubts: Iterable[str]) -> str:
+def _force_legend(doubts: str) -> str:
     """With what is doubtful about the force that is shown."""
     legend = _legend("Force, N", [*FORCES, ("", "", "contact", CONTACT_COLOUR, ())])
     colour = _css(DOUBT_COLOUR)
-    marks = "".join(f'<b style="color:{colour}">! {doubt}</b> ' for doubt in doubts)
-    return f'{legend}<div style="{LEGEND_STYLE}">{marks}</div>'
+    mark = f'<b style="color:{colour}">! {doubts}</b>' if doubts else ""
+    return f'{legend}<div style="{LEGEND_STYLE}">{mark}</div>'
 
 
 def _bands() -> tuple[uplot.Band, ...]:

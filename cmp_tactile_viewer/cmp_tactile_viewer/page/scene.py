@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.drawing import FORCE_COLOUR, contact_lines
-from cmp_tactile_processing.force.advice import doubt_names
+from cmp_tactile_processing.force.advice import DOUBTS, flag_names
 from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surface
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 from cmp_tactile_viewer import meshes
@@ -220,12 +220,14 @@ class _DrawnContact:
             part.visible = known
         self._text.visible = known and look.texts
         if known:
-            marks = [f"! {doubt}" for doubt in doubt_names(force.flags)]
+            doubts = flag_names(force.flags & DOUBTS, "\n! ")
             self._centre.position, self._centre.color = arrow[1], colour
             self._resultant.points = arrow[None].astype(np.float32)
             self._resultant.colors = np.array(colour, np.uint8)
             self._text.position = arrow[0] + (0.0, 0.0, 1.0)
-            self._text.text = "\n".join([*contact_lines(contact), *marks])
+            self._text.text = "\n".join(
+                [*contact_lines(contact), *([f"! {doubts}"] if doubts else [])]
+            )
         error = meshes.error_ellipsoid(contact, gain)
         self._error.visible = error is not None
         if error is not None:

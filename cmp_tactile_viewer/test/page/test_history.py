@@ -84,6 +84,6 @@ def test_a_doubtful_force_is_marked():
     history.add(Snapshot(1, force=made_field(1, 1)))
     history.add(Snapshot(2, force=made_field(1, 1, flags=flags)))
     assert history.window(1.0)["doubtful"] == pytest.approx([0.0, 1.0])
-    assert history.doubts == ["zero doubtful"]
+    assert history.doubts == "zero_doubtful"
     history.add(Snapshot(3, force=made_field(1, 1)))
     assert not history.doubts
