@@ -52,7 +52,14 @@ def texts(outcome, severity):
 
 @pytest.mark.parametrize(
     ("share", "tau", "hold_s", "noise"),
-    [(0.2, 2.0, 15, 0.03), (0.05, 4.0, 30, 0.01), (0.3, 10.0, 40, 0.03)],
+    [
+        (0.2, 2.0, 15, 0.03),
+        (0.05, 4.0, 30, 0.01),
+        (0.3, 10.0, 40, 0.03),
+        # Most of the reading is creep.
+        (0.7, 2.0, 60, 0.03),
+        (0.8, 10.0, 300, 0.03),
+    ],
 )
 def test_a_weight_determines_share_and_time(share, tau, hold_s, noise):
     time_s = clock(hold_s)
@@ -69,6 +76,25 @@ def test_a_weight_determines_share_and_time(share, tau, hold_s, noise):
         else:
             assert abs(found.scale - SCALE) < DEVIATIONS * found.scale_std < 0.1
         assert f"{found.relaxation.share:.1%}" in found.verdict
+
+
+def test_a_weight_that_is_taken_away_leaves_creep_that_is_no_load():
+    """A gel of a large share shows more than half of its highest reading without a load."""
+    time_s, share, tau, end_s = clock(60), 0.7, 2.0, 40.0
+    reading = weight(time_s, share, tau, 0.02)
+    late = time_s > end_s
+    reading[late] -= weight(time_s - end_s + BEGIN_S, share, tau, 0.0)[late]
+    found = fit_relaxation(time_s, reading, LOAD_N)
+    assert found.accepted, found.findings
+    assert abs(found.relaxation.share - share) < DEVIATIONS * found.share_std < 0.1
+    assert abs(found.relaxation.time - tau) < DEVIATIONS * found.time_std < 0.5
+
+
+def test_a_gel_that_shows_creep_alone_is_refused():
+    time_s = clock(100)
+    found = fit_relaxation(time_s, weight(time_s, 0.95, 2.0, 0.03), LOAD_N)
+    assert not found.accepted
+    assert "Within 0.3 s the reading rises" in texts(found, Severity.ERROR)
 
 
 def test_a_force_sensor_with_an_offset_determines_share_and_time():

@@ -31,8 +31,13 @@ from cmp_tactile_processing.sensor.parts import GelRelaxation
 Array = NDArray[np.float64]
 
 FEWEST_SAMPLES = 30
-# A weight rests where the reading is above this share of its highest, this long after it came.
-LOADED_SHARE, SETTLE_S = 0.5, 0.3
+# Beside a force sensor, the gel is loaded where its reading is above this share of the highest.
+LOADED_SHARE = 0.5
+# A weight comes and goes within this time.
+SETTLE_S = 0.3
+# In it the reading changes by this share of the highest at least: a gel that loses more of its
+# modulus, or a weight that comes slowly, shows creep alone.
+MIN_STEP_SHARE = 0.12
 # How much better creep must make the fit, in variances, to be believed: its time constant was
 # looked for, so that noise alone gets to 15 in one record of 1,000.
 SIGNIFICANT = 20.0
@@ -95,7 +100,7 @@ def fit_relaxation(
     least_share = SEEN * usual.share_std
     creeps = elastic.squares - fit.squares >= SIGNIFICANT * fit.variance
     seen = creeps and fit.share > 0
-    findings = _start_findings(record)
+    findings = [*_start_findings(record), *_step_findings(record)]
     if not creeps:
         findings.append(_unseen_finding(record, least_share))
     elif not seen:
@@ -123,6 +128,8 @@ class _Record:
 
     force (n,): the reference; known (n,): where it is to be compared.  has_offset: whether the
     reference may have one.  highest: reading, N.  held_s: how long the gel was loaded.
+    step: change of the reading as a weight comes, N; onset_std: of the time at which it came, s;
+    NaN and 0 beside a force sensor.
     """
 
     time: Array
@@ -132,6 +139,8 @@ class _Record:
     has_offset: bool
     highest: float
     held_s: float
+    step: float = math.nan
+    onset_std: float = 0.0
 
     @classmethod
     def from_readings(
@@ -140,11 +149,15 @@ class _Record:
         """The record of what `fit_relaxation` takes, with its errors."""
         time, shown, force = _checked(time_s, reading, reference)
         highest = float(np.abs(shown).max())
-        loaded = np.abs(shown) > LOADED_SHARE * highest
         from_sensor = reference is not None and np.ndim(reference) > 0
+        step, onset_std = math.nan, 0.0
         if from_sensor:
+            loaded = np.abs(shown) > LOADED_SHARE * highest
             known = np.isfinite(force)
         else:
+            step = _largest_step(time, np.abs(shown))
+            loaded = _under_weight(np.abs(shown), step / 2)
+            onset_std = _onset_std(time, np.abs(shown), int(np.argmax(loaded)), step)
             force = np.where(loaded, 1.0 if reference is None else float(reference or 0.0), 0.0)
             known = loaded & ~_beside(time, ~loaded)
         if known.sum() < FEWEST_SAMPLES or not force[known].any():
@@ -156,7 +169,7 @@ class _Record:
         given = np.isfinite(force)
         force = np.interp(time, time[given], force[given])
         held_s = float(np.diff(time)[loaded[1:]].sum())
-        return cls(time, shown, force, known, from_sensor, highest, held_s)
+        return cls(time, shown, force, known, from_sensor, highest, held_s, step, onset_std)
 
     @property
     def longest(self) -> float:
@@ -184,10 +197,10 @@ class _Record:
         A, read = np.stack(columns, axis=1)[self.known], self.reading[self.known]
         x = np.linalg.lstsq(A, read, rcond=None)[0]
         if lag is None:
-            return _Fit(float(x[0]), 0.0, math.nan, A, read - A @ x)
+            return _Fit(float(x[0]), 0.0, math.nan, A, read - A @ x, self.onset_std)
         slope = (self._remembered(lag * math.exp(STEP)) - columns[1])[self.known] / STEP
         jacobian = np.column_stack([A[:, :2], x[1] * slope, A[:, 2:]])
-        return _Fit(float(x[0]), float(x[1]), lag, jacobian, read - A @ x)
+        return _Fit(float(x[0]), float(x[1]), lag, jacobian, read - A @ x, self.onset_std)
 
     def _remembered(self, lag: float) -> Array:
         """The force (n,) as a gel with that lag remembers it; at first it was always as then."""
@@ -227,6 +240,34 @@ def _checked(
     return time, shown, force
 
 
+def _largest_step(time: Array, reading: Array) -> float:
+    """Largest rise of a reading (n,) N within the time that a weight takes to settle."""
+    last = np.searchsorted(time, time + SETTLE_S, side="right") - 1
+    return float(np.max(reading[last] - reading))
+
+
+def _onset_std(time: Array, reading: Array, came: int, step: float) -> float:
+    """Of the time at which a weight came, s: between samples before and after most of its step."""
+    risen = reading - reading[:came].min(initial=reading[came])
+    before = np.flatnonzero(risen[: came + 1] < step / 4)
+    after = np.flatnonzero(risen[came:] > 3 * step / 4)
+    if not len(before) or not len(after):
+        return SETTLE_S
+    return float(time[came + after[0]] - time[before[-1]]) / math.sqrt(12)
+
+
+def _under_weight(reading: Array, step: float) -> NDArray[np.bool_]:
+    """Samples (n,) after a rise by a step above the lowest since the last fall by as much."""
+    loaded = np.zeros(len(reading), dtype=np.bool_)
+    turned, under = reading[0], False
+    for k, value in enumerate(reading):
+        turned = max(turned, value) if under else min(turned, value)
+        if abs(value - turned) > step:
+            under, turned = not under, value
+        loaded[k] = under
+    return loaded
+
+
 def _beside(time: Array, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which samples (n,) are nearer in time to one without load than a weight takes to settle."""
     before = np.maximum.accumulate(np.where(free, time, -np.inf))
@@ -238,6 +279,7 @@ def _beside(time: Array, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
 class _Fit:
     """Parameters of the prediction, its derivatives (m, n) by stiffness, creep, log of the lag and
     offset (by stiffness and offset alone without creep), and read minus predicted (m,) N.
+    onset_std: of the time of the load, s: a later one looks like less creep and more stiffness.
     """
 
     stiffness: float
@@ -245,6 +287,12 @@ class _Fit:
     lag: float
     jacobian: Array
     residuals: Array
+    onset_std: float
+
+    @property
+    def _onset_share(self) -> float:
+        """Standard deviation of the creep before the onset, relative."""
+        return self.onset_std / self.lag if self.creep else 0.0
 
     @property
     def share(self) -> float:
@@ -274,19 +322,21 @@ class _Fit:
     @property
     def stiffness_std(self) -> float:
         """Standard deviation of the stiffness."""
-        return self._std([1.0])
+        return math.hypot(self._std([1.0]), self.creep * self._onset_share)
 
     @property
     def share_std(self) -> float:
         """Standard deviation of the share."""
         whole = self.stiffness + self.creep
-        return self._std([-self.creep / whole**2, self.stiffness / whole**2])
+        by_noise = self._std([-self.creep / whole**2, self.stiffness / whole**2])
+        return math.hypot(by_noise, self.share * self._onset_share)
 
     @property
     def time_std(self) -> float:
         """Standard deviation of the time constant, s."""
         whole = self.stiffness + self.creep
-        return self.time * self._std([1 / self.stiffness - 1 / whole, -1 / whole, 1.0])
+        by_noise = self.time * self._std([1 / self.stiffness - 1 / whole, -1 / whole, 1.0])
+        return math.hypot(by_noise, self.share * self.onset_std)
 
     def _std(self, slope: list[float]) -> float:
         """Standard deviation of a value with these derivatives by the first parameters."""
@@ -321,6 +371,17 @@ def _start_findings(record: _Record) -> list[Finding]:
         "Begin the record while nothing touches the gel, after it has recovered from the last "
         "contact."
     )
+    return [Finding(Severity.ERROR, text, advice)]
+
+
+def _step_findings(record: _Record) -> list[Finding]:
+    if not record.step < MIN_STEP_SHARE * record.highest:
+        return []
+    text = (
+        f"Within {SETTLE_S:g} s the reading rises by {record.step / record.highest:.0%} of its "
+        f"highest at most (limit {MIN_STEP_SHARE:.0%}), so it is not known when the weight came."
+    )
+    advice = "Put the weight down quickly, or use a force sensor (--wrench-topic)."
     return [Finding(Severity.ERROR, text, advice)]
 
 
