@@ -101,7 +101,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
         except BAD_MESSAGE as error:
             msg = f"{bag}: {topic} at {stored.time_ns} ns: not a {WRENCH_STAMPED}: {error}"
             raise RecordingError(msg) from None
-        frame_id = frame_id or message.header.frame_id
+        frame_id = frame_id or message.header.frame_id.lstrip("/")
         vector = message.wrench.force
         rows[stamps[stored.file, stored.where]] = [vector.x, vector.y, vector.z]
     return WrenchSeries.from_rows(f"{bag}: {topic}", rows, frame_id)
@@ -115,16 +115,7 @@ def at_frames(
     ahead_s: what the reference sensor's clock is ahead of the camera's.  Raises RecordingError
     where no frame lies within its time.
     """
-    time_s, known_s = (
-        (stamps - series.stamp_ns[0]) / NS_PER_S for stamps in (stamp_ns, series.stamp_ns)
-    )
-    force = np.stack(
-        [
-            np.interp(time_s + ahead_s, known_s, column, left=np.nan, right=np.nan)
-            for column in series.force.T
-        ],
-        axis=1,
-    )
+    force = interpolated(series, stamp_ns, ahead_s)
     if np.isnan(force[:, 0]).all():
         frames = f"{stamp_ns[0] / NS_PER_S:.3f} to {stamp_ns[-1] / NS_PER_S:.3f} s"
         msg = (
@@ -134,6 +125,20 @@ def at_frames(
         )
         raise RecordingError(msg)
     return force
+
+
+def interpolated(
+    series: WrenchSeries, stamp_ns: NDArray[np.int64], ahead_s: float
+) -> NDArray[np.float64]:
+    """As `at_frames`, but NaN everywhere if no frame lies within the time of the reference."""
+    time_s, known_s = (
+        (stamps - series.stamp_ns[0]) / NS_PER_S for stamps in (stamp_ns, series.stamp_ns)
+    )
+    columns = (
+        np.interp(time_s + ahead_s, known_s, column, left=np.nan, right=np.nan)
+        for column in series.force.T
+    )
+    return np.stack([*columns], axis=1)
 
 
 def fixed_rotation(bag: Path, to: str, from_: str) -> Rotation | None:
@@ -296,21 +301,6 @@ def _mass_text(mass: float) -> str:
     return f"{mass:.4g} kg" if mass >= 1 else f"{mass * 1e3:.4g} g"
 
 
-@dataclass(frozen=True)
-class SensorSampling:
-    """Which frames beside a reference sensor's topic become samples, and how well it is known.
-
-    steady: mean of each stretch in which gel and force stand still, or else single frames.
-    least_frames: of a stretch.  most: samples, evenly over the recording.
-    std: of the reference sensor's force, N.
-    """
-
-    steady: bool = True
-    least_frames: int = 4
-    most: int = 60
-    std: float = 0.01
-
-
 def averaged(
     motion: GelMotion, frames: Sequence[int]
 ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
@@ -367,7 +357,7 @@ def _timed(load: KnownLoad, motion: GelMotion) -> Sequence[int]:
 
 def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -> list[range]:
     """The still press of each of the loads, which have no times."""
-    found = _loaded(motion, steady_stretches(motion.displacement, least_frames))
+    found = loaded_stretches(motion, steady_stretches(motion.displacement, least_frames))
     if len(loads) == 1 and found:
         return [max(found, key=len)]
     if len(found) == len(loads):
@@ -384,51 +374,8 @@ def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -
     raise RecordingError(msg)
 
 
-def _loaded(motion: GelMotion, stretches: Sequence[range]) -> list[range]:
+def loaded_stretches(motion: GelMotion, stretches: Sequence[range]) -> list[range]:
     """Those in which something rests on the gel."""
     limit = TOUCHED * motion_limit(motion.displacement)
     rest = np.zeros(motion.displacement.shape[1:])
     return [item for item in stretches if largest_motion(rest, averaged(motion, item)[0]) > limit]
-
-
-def zeroed(force: NDArray[np.float64], rest: Sequence[int]) -> NDArray[np.float64]:
-    """The force (n, 3) less what is read in the frames at rest, where that is known."""
-    known = [frame for frame in rest if np.isfinite(force[frame]).all()]
-    return force - force[known].mean(axis=0) if known else force
-
-
-def samples_of_sensor(
-    motion: GelMotion, force: NDArray[np.float64], sampling: SensorSampling
-) -> list[LoadSample]:
-    """Samples beside a reference sensor's force on the gel at the frames, (n, 3) N.
-
-    NaN where it is not known: such frames are left out.  What it reads in the frames at rest, from
-    which the gel's motion is counted, is its zero.  Raises RecordingError where no frame is left.
-    """
-    force = zeroed(force, motion.rest)
-    known = np.asarray(np.isfinite(force).all(axis=1))
-    shown = np.where(known[:, None, None, None], motion.displacement, np.nan)
-    if sampling.steady:
-        stretches = steady_stretches(shown, sampling.least_frames, force)
-    else:
-        stretches = [range(int(k), int(k) + 1) for k in np.flatnonzero(known)]
-    loaded = _loaded(motion, [item for item in stretches if known[item.start]])
-    if not loaded:
-        what = f"{sampling.least_frames} still frames in a row" if sampling.steady else "frame"
-        msg = (
-            f"{motion.source}: found no {what} in which the gel is pressed and the force known, "
-            f"expected some{'; --every-frame takes frames in motion' if sampling.steady else ''}"
-        )
-        raise RecordingError(msg)
-    every = max(1, -(-len(loaded) // sampling.most))
-    return [_sensor_sample(motion, force, item, sampling) for item in loaded[::every]]
-
-
-def _sensor_sample(
-    motion: GelMotion, force: NDArray[np.float64], frames: range, sampling: SensorSampling
-) -> LoadSample:
-    displacement, status = averaged(motion, frames)
-    part = force[frames.start : frames.stop]
-    std = np.sqrt(part.var(axis=0) / len(part) + sampling.std**2)
-    name = f"{motion.time_s[frames.start]:.2f} s"
-    return LoadSample(displacement, status, part.mean(axis=0), std, name)

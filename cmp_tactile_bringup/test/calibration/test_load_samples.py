@@ -16,15 +16,19 @@ from cmp_tactile_bringup.calibration.gel_recording import (
 )
 from cmp_tactile_bringup.calibration.live import Weighing
 from cmp_tactile_bringup.calibration.loads import (
-    SensorSampling,
     WrenchSeries,
     at_frames,
     averaged,
     fixed_rotation,
     read_known_loads,
     read_wrench,
-    samples_of_sensor,
     samples_of_weights,
+)
+from cmp_tactile_bringup.calibration.reference_sensor import (
+    SensorSampling,
+    lag_s,
+    samples_of_sensor,
+    zeroed,
 )
 from cmp_tactile_bringup.commands.calibrate.sources import WrenchSensor, force_at_frames
 from cmp_tactile_bringup.recordings.library import RecordingError
@@ -267,7 +271,7 @@ def test_the_force_is_that_of_the_frames_by_a_clock_that_is_ahead(ahead_s):
 def test_samples_of_a_sensor_are_its_still_loads_counted_from_its_reading_at_rest():
     motion = pressed_motion(DEPTH)
     series = force_of(DEPTH, motion, 0.0, np.full(3, 3.0))
-    force = at_frames(series, motion.stamp_ns, 0.0)
+    force = zeroed(motion, at_frames(series, motion.stamp_ns, 0.0))
     (sample,) = samples_of_sensor(motion, force, SensorSampling(std=0.02))
     # The sensor's sample after the last still frame is of the release already.
     np.testing.assert_allclose(sample.force, [0, 0, -2], atol=0.01)
@@ -278,6 +282,38 @@ def test_samples_of_a_sensor_are_its_still_loads_counted_from_its_reading_at_res
     assert len(samples_of_sensor(motion, force, SensorSampling(steady=False, most=5))) <= 5
     with pytest.raises(RecordingError, match="found no 12 still frames in a row"):
         samples_of_sensor(motion, force, SensorSampling(least_frames=12))
+
+
+@pytest.mark.parametrize("late_s", [0.25, -0.1])
+def test_a_force_that_comes_late_is_noticed_whatever_its_axes_unit_and_zero(late_s):
+    motion = pressed_motion(np.concatenate([DEPTH, 2 * DEPTH, DEPTH]))
+    series = force_of(np.concatenate([DEPTH, 2 * DEPTH, DEPTH]), motion, late_s, np.zeros(3))
+    series = dataclasses.replace(series, force=3.0 - series.force[:, [2, 0, 1]] / 4.448)
+    # Frames are 33 ms apart, and straight lines lie between them.
+    assert lag_s(motion, series, 0.0) == pytest.approx(late_s, abs=0.015)
+    assert lag_s(motion, series, late_s) == 0.0
+
+
+def test_a_drift_of_the_zero_is_subtracted_and_what_is_no_line_is_in_the_deviation():
+    depth = np.concatenate([DEPTH, np.zeros(30), DEPTH, np.zeros(30)])
+    motion = pressed_motion(depth)
+    series = force_of(depth, motion, 0.0, np.full(3, 3.0))
+    drift = np.array([0.02, -0.05, 0.15])
+    elapsed = (series.stamp_ns - motion.stamp_ns[0])[:, None] * 1e-9
+    true = at_frames(series, motion.stamp_ns, 0.0) - 3.0
+    drifting = dataclasses.replace(series, force=series.force + drift * elapsed)
+    zero = zeroed(motion, at_frames(drifting, motion.stamp_ns, 0.0))
+    np.testing.assert_allclose(zero.drift, drift, atol=0.005)
+    np.testing.assert_allclose(zero.force, true, atol=0.02)
+    for sample in samples_of_sensor(motion, zero, SensorSampling(std=0.01)):
+        np.testing.assert_allclose(sample.force, [0, 0, -2], atol=0.02)
+    bent = dataclasses.replace(series, force=series.force + 0.1 * elapsed**2)
+    zero = zeroed(motion, at_frames(bent, motion.stamp_ns, 0.0))
+    for sample in samples_of_sensor(motion, zero, SensorSampling(std=0.01)):
+        assert (np.abs(sample.force - [0, 0, -2]) < 2 * sample.std).all()
+    # Held to the end, nothing shows whether the zero drifts.
+    held = pressed_motion(DEPTH[:20])
+    assert np.isnan(zeroed(held, at_frames(drifting, held.stamp_ns, 0.0)).drift).all()
 
 
 def test_frames_and_surfaces_of_a_bag_tell_the_same_motion(weigh_bag):

@@ -12,11 +12,17 @@ import pytest
 from command_output import printed, run
 from made_bags import STORE
 from rosbags.rosbag2 import Reader
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from waiting import in_background
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
+from cmp_tactile_processing.sensor.description import (
+    SensorDescription,
+    load_sensor,
+    write_sensor_description,
+)
+from cmp_tactile_processing.sensor.parts import Camera, Optics, Roi, ViewDescription
 from cmp_tactile_simulation.recording.truth import read_truth
 
 WRENCH_STEP_NS = 5_000_000
@@ -87,6 +93,81 @@ def test_a_reference_sensor_beside_it_finds_the_gel(
     assert calibrate(wrench_bag, *given, "--output", new) == 0, printed(capsys)
     assert "Offset of the reference sensor" in printed(capsys)
     check_gel(new, weigh_bag, "force_sensor", 2)
+
+
+# Frames of the weighing, as often: at rest, 200 g, at rest, 500 g, at rest.
+LONG = (
+    5 * [0, 1, 2] + 6 * [4, 5, 6, 7, 8] + 10 * [9, 10, 11] + 6 * [*range(13, 19)] + 10 * [9, 10, 11]
+)
+
+
+@pytest.fixture(scope="module")
+def long_weighing(weigh_bag):
+    """Images at 20 Hz, and stamps and forces of a reference at 200 Hz."""
+    frames, wrench = list(BagReader(weigh_bag).frames()), read_truth(weigh_bag).wrench[:, :3]
+    images = [(FRAME_NS * (k + 1), frames[number].image) for k, number in enumerate(LONG)]
+    stamps = np.arange(FRAME_NS, FRAME_NS * (len(LONG) + 1), WRENCH_STEP_NS)
+    shown = np.rint(stamps / FRAME_NS - 1).clip(0, len(LONG) - 1).astype(int)
+    return images, stamps, wrench[LONG][shown]
+
+
+def low_pass(stamps, forces):
+    """A filter of first order, 0.15 s."""
+    kept = np.exp(-np.diff(stamps)[0] * 1e-9 / 0.15)
+    return lfilter([1 - kept], [1, -kept], forces, axis=0)
+
+
+SPOILT = {
+    "drift": (
+        lambda stamps, forces: forces - np.outer(stamps * 1e-9, (0, 0, 0.15)),
+        0,
+        "drifts by +0.000, +0.000, -0.150 N/s",
+    ),
+    "low-pass": (low_pass, 0, "ms late: --time-offset 0.1"),
+    "late": (lambda _, forces: np.roll(forces, 50, axis=0), 0, "250 ms late: --time-offset 0.25"),
+    "pounds": (lambda _, forces: forces / 4.448, 1, "in pounds"),
+    "grams": (lambda _, forces: forces / 9.80665e-3, 1, "in grams"),
+}
+
+
+@pytest.mark.parametrize("how", SPOILT)
+def test_what_is_wrong_with_a_reference_is_named_and_in_the_doubt(
+    how, long_weighing, weigh_bag, tmp_path, capsys
+):
+    spoil, code, said = SPOILT[how]
+    images, stamps, forces = long_weighing
+    rows = [
+        ("/rig/image_raw", time_ns, made_bags.image(image, time_ns)) for time_ns, image in images
+    ]
+    for stamp, force in zip(map(int, stamps), spoil(stamps, forces), strict=True):
+        rows.append(("/ft/wrench", stamp, made_bags.wrench(stamp, [*force, 0, 0, 0])))
+    bag, new = made_bags.write_rows(tmp_path / "bag", rows), tmp_path / "new.yaml"
+    given = ("--wrench-topic", "/ft/wrench", *YOUNG_ALONE, "--output", new)
+    assert calibrate(bag, *given, "--sensor", weigh_bag / "sensor.yaml") == code
+    assert said in printed(capsys)
+    if not code:
+        found, true = SensorDescription.load(new).elastomer, load_sensor("sample_rig").elastomer
+        assert abs(found.young / true.young - 1) < 2 * found.calibration.normal_std < 0.05
+
+
+@pytest.mark.usefixtures("weights")
+def test_one_view_is_refused_with_what_it_can_show(weigh_bag, tmp_path, capsys):
+    sensor = load_sensor("sample_rig")
+    one = tmp_path / "one.yaml"
+    write_sensor_description(
+        one,
+        dataclasses.replace(
+            sensor,
+            camera=Camera("pinhole", 800.0, 800.0, 319.5, 239.5, 5 * (0.0,)),
+            optics=Optics("monocular", np.eye(4), ()),
+            views={"left": ViewDescription(Roi(0, 0, *sensor.frame_size))},
+        ),
+    )
+    given = (weigh_bag, "--weights", "weights.yaml", "--output", "new.yaml")
+    assert calibrate(*given, "--sensor", one) == 1
+    said = printed(capsys)
+    assert "does not show depth" in said
+    assert "harder" not in said
 
 
 def check_gel(new, bag, method, samples):

@@ -132,9 +132,11 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
         from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
         from cmp_tactile_bringup.terminal import shown_count
         from cmp_tactile_processing.calibration.material.calibrate import fit_material
+        from cmp_tactile_processing.calibration.material.loads import check_views
 
         self._check_usage()
         sensor = _sensor(self)
+        check_views(sensor)
         files = CalibrationFiles.of_sensor(self.output, ())
         files.check_free(overwrite=self.overwrite)
         samples = _samples(self, sensor)
@@ -215,20 +217,33 @@ def _weight_samples(
 def _sensor_samples(
     arguments: Force, sensor: SensorDescription, on_stage: OnStage
 ) -> list[LoadSample]:
-    from cmp_tactile_bringup.calibration.loads import SensorSampling, samples_of_sensor
+    from cmp_tactile_bringup.calibration.reference_sensor import (
+        SensorSampling,
+        drift_text,
+        lag_s,
+        samples_of_sensor,
+        zeroed,
+    )
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
 
     motion, series = _motion_and_wrench(arguments, sensor, on_stage)
-    for doubt in motion.doubts:
+    lag = lag_s(motion, series, arguments.time_offset)
+    if lag:
+        arguments = replace(arguments, time_offset=arguments.time_offset + lag)
+        warn(
+            f"the force comes {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'}: "
+            f"--time-offset {arguments.time_offset:.3g} is used"
+        )
+    zero = zeroed(motion, sources.force_at_frames(arguments, sensor, motion, series))
+    for doubt in (*motion.doubts, drift_text(motion, zero)):
         warn(doubt)
-    on_gel = sources.force_at_frames(arguments, sensor, motion, series)
     sampling = SensorSampling(
         steady=not arguments.every_frame,
         least_frames=arguments.frames,
         most=MOST_SAMPLES,
         std=WRENCH_STD_N,
     )
-    return samples_of_sensor(motion, on_gel, sampling)
+    return samples_of_sensor(motion, zero, sampling)
 
 
 def _motion_and_wrench(
@@ -372,7 +387,8 @@ def _record(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | float | None]:
     """A press over time: s, reading and true force into the gel, (n,) N; NaN where not known."""
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
-    from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, read_wrench, zeroed
+    from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, read_wrench
+    from cmp_tactile_bringup.calibration.reference_sensor import zeroed
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
     from cmp_tactile_bringup.recordings.library import recorded_source
 
@@ -387,7 +403,7 @@ def _record(
         reference = arguments.mass * STANDARD_GRAVITY
     elif series is not None:
         on_gel = sources.force_at_frames(arguments, sensor, motion, series)
-        reference = -zeroed(on_gel, motion.rest)[:, 2]
+        reference = -zeroed(motion, on_gel).force[:, 2]
     return motion.time_s, _reading(motion, sensor, on_stage), reference
 
 

@@ -8,6 +8,7 @@ description has them; what that leaves open is in the error bar of every force.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -65,6 +66,10 @@ CROSS_TALK = 0.2
 # out of this mesh to 0.014 % of the response.
 COARSE = MeshDensity(across=12, rim=2, depth=3)
 LARGEST_POISSON = 0.4995
+# What a reference force sensor may give in place of newtons, N each; and how far, as a ratio, the
+# factor of the modulus may be from the unit: a described modulus is known to YOUNG_STD.
+FORCE_UNITS_N = {"pounds": 4.44822, "kilograms": 9.80665, "grams": 9.80665e-3, "millinewtons": 1e-3}
+MAX_UNIT_RATIO = 1.3
 # The deviations depend a little on the factor itself.
 ROUNDS = 3
 
@@ -321,6 +326,7 @@ class _Calibration:
                 *self._left_out_findings(),
                 *load_findings(self.sensor, [self.samples[k] for k in self.used]),
                 *certainty_findings(fit),
+                *(unit_findings(self.sensor, fit.factor) if fit.factor > 0 else []),
             ),
         )
         return replace(outcome, verdict=material_verdict(outcome))
@@ -469,6 +475,24 @@ def load_findings(sensor: SensorDescription, samples: Sequence[LoadSample]) -> l
         )
         findings.append(Finding(Severity.WARNING, text, advice))
     return findings
+
+
+def unit_findings(sensor: SensorDescription, factor: float) -> list[Finding]:
+    """Does the factor of the modulus look like another unit of the loads?"""
+    for unit, newtons in FORCE_UNITS_N.items():
+        if abs(math.log(factor * newtons)) > math.log(MAX_UNIT_RATIO):
+            continue
+        young = sensor.elastomer.young
+        text = (
+            f"The loads are {factor:.3g} times the forces that the described modulus gives, as if "
+            f"they were in {unit}, not in newtons (factor {1 / newtons:.3g})."
+        )
+        advice = (
+            "Give the forces in newtons. If they are, set elastomer.young to about "
+            f"{factor * young:.3g} Pa in the description, then calibrate again."
+        )
+        return [Finding(Severity.ERROR, text, advice)]
+    return []
 
 
 def certainty_findings(fit: ScaleFit) -> list[Finding]:

@@ -37,8 +37,22 @@ def sample_name(samples: Sequence[LoadSample], index: int) -> str:
     return f"load {index + 1} ({name})" if name else f"load {index + 1}"
 
 
+def check_views(sensor: SensorDescription) -> None:
+    """Raise CalibrationError for a sensor with one view, which cannot measure a normal force."""
+    if len(sensor.views) < 2:
+        msg = (
+            f"{sensor.name}: views: found one view, expected two to calibrate forces. One view "
+            "shows displacement in the plane, shear and where a contact is. It does not show "
+            "depth: the normal force is inferred with a standard deviation of 100 %, which no "
+            "load makes smaller. Set elastomer.young from the data sheet of the gel, or add a "
+            "second view"
+        )
+        raise CalibrationError(msg)
+
+
 def check_samples(sensor: SensorDescription, samples: Sequence[LoadSample]) -> None:
     """Raise CalibrationError for samples that cannot be of this sensor, or that give no load."""
+    check_views(sensor)
     if not samples:
         msg = f"{sensor.name}: samples: found none, expected at least one known load"
         raise CalibrationError(msg)
