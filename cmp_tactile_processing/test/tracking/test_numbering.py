@@ -16,6 +16,15 @@ import pytest
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import GridFault
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.sensor.parts import (
+    Camera,
+    ImageSize,
+    Optics,
+    PatternSurface,
+    Roi,
+    ViewDescription,
+)
 from cmp_tactile_processing.tracking.detector import (
     LIGHT,
     STEPS,
@@ -285,6 +294,33 @@ def test_another_size_is_named(rig, change):
     found = rig.number(outline)
     reason = f"found {size[0]} x {size[1]} corners, expected 20 x 20"
     assert_refused(found, GridFault.OTHER_SIZE, reason)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(18, 13), (19, 13)])
+def test_a_mirrored_view_that_differs_in_its_colours_alone_is_named(rows, cols):
+    """Seen straight from below, a mirror image has the same shape."""
+    sensor = load_sensor("sample_rig")
+    pattern = replace(sensor.pattern, rows=rows, cols=cols, surface=PatternSurface())
+    below = np.diag([1.0, -1.0, -1.0, 1.0])
+    below[2, 3] = 0.03
+    size = ImageSize(640, 480)
+    rig = Rig(
+        replace(
+            sensor,
+            pattern=pattern,
+            image=size,
+            camera=Camera("pinhole", 800.0, 800.0, 319.5, 239.5, 5 * (0.0,)),
+            optics=Optics("monocular", below, ()),
+            views={"left": ViewDescription(Roi(0, 0, size.width, size.height))},
+        )
+    )
+    outline = rig.outline()
+    assert rig.number(outline).fault is GridFault.NONE
+    mirrored = outline[:, ::-1].copy()
+    mirrored[..., 0] = 2 * rig.nominal.corners[..., 0].mean() - mirrored[..., 0]
+    # 14 checkers in a row: from the other end, the first has the other colour.
+    rig.dark_first = not rig.dark_first
+    assert_refused(rig.number(mirrored), GridFault.MIRRORED, "views.<view>.mirror first")
 
 
 def test_a_mirrored_view_is_named(rig):

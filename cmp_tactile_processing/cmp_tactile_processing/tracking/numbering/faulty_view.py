@@ -85,15 +85,19 @@ class OtherViews:
         self._others: list[tuple[GridFault, NDArray[np.float64]]] = []
         # Those that only turn this view's numbers into another's where they fit clearly better.
         self._beside: list[NDArray[np.float64]] = []
+        # Whether a mirror image differs from the expected view in nothing but light and dark.
+        self.mirror_exchanges_colours = False
         for turns, mirrored in product(range(4), (False, True)):
             change = np.linalg.matrix_power(QUARTER_TURN, turns)
             change = change @ MIRROR if mirrored else change
-            seen = _renumbered(nominal.corners @ change.T, nominal)
+            seen, exchanged = _renumbered(nominal.corners @ change.T, nominal)
             if self._difference(seen) > ALIKE:
                 fault = GridFault.MIRRORED if mirrored else GridFault.TURNED
                 self._others.append((fault, seen))
+            elif mirrored and exchanged:
+                self.mirror_exchanges_colours = True
             if not mirrored:
-                across = [_renumbered(corners @ change.T, nominal) for corners in beside]
+                across = [_renumbered(corners @ change.T, nominal)[0] for corners in beside]
                 self._beside += [seen for seen in across if self._difference(seen) > ALIKE_ACROSS]
         differences = [self._difference(seen) for seen in self._beside]
         self._least_difference = min([ALIKE, *differences])
@@ -235,15 +239,21 @@ def _centred(
     return seen - seen.mean(), nominal - nominal.mean()
 
 
-def _renumbered(corners: NDArray[np.float64], nominal: NominalGrid) -> NDArray[np.float64]:
-    """A grid with i and j running as the nominal ones do, as far as its shape allows."""
+def _renumbered(
+    corners: NDArray[np.float64], nominal: NominalGrid
+) -> tuple[NDArray[np.float64], bool]:
+    """A grid with i and j running as the nominal ones do, as far as its shape allows.
+
+    And whether its first checker then has the other colour.
+    """
     rows, cols = nominal.corners.shape[:2]
     candidates = []
-    for across in (False, True):
+    for across, down, right in product((False, True), repeat=3):
         grid = corners.swapaxes(0, 1) if across else corners
         if grid.shape[:2] == (rows, cols):
-            candidates += [grid, grid[::-1], grid[:, ::-1], grid[::-1, ::-1]]
-    return max(candidates, key=lambda grid: _alignment(grid, nominal.corners))
+            turned = grid[:: -1 if down else 1, :: -1 if right else 1]
+            candidates.append((turned, (down * rows + right * cols) % 2 == 1))
+    return max(candidates, key=lambda item: _alignment(item[0], nominal.corners))
 
 
 def _alignment(grid: NDArray[np.float64], nominal: NDArray[np.float64]) -> float:

@@ -70,6 +70,12 @@ UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
 ONE_BORDER = 0.5
 
 
+COLOURS_OF_A_MIRROR_IMAGE = (
+    "dark and light checkers are exchanged, as in a mirror image; check views.<view>.mirror first: "
+    "only if it is right, the pattern is turned by half or pattern.corner_checker is wrong"
+)
+
+
 class GridNumbering:
     """Numbers the corners that a detector found in one view; keeps its buffers.
 
@@ -274,6 +280,11 @@ class GridNumbering:
             fault, reason = self._other_view(large[0])
             if fault is not GridFault.NONE:
                 anchors[0] = Anchor(None, fault, reason)
+            elif (
+                anchors[0].fault is GridFault.OTHER_COLOURS
+                and self._others.mirror_exchanges_colours
+            ):
+                anchors[0] = Anchor(None, GridFault.MIRRORED, COLOURS_OF_A_MIRROR_IMAGE)
         return anchors
 
     def _other_view(self, component: Component) -> tuple[GridFault, str]:
