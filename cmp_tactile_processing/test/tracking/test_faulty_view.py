@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +21,8 @@ import pytest
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.measured import GridFault
+from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.measured import GridFault, Status
 from cmp_tactile_processing.tracking.detector import draw_nominal
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
@@ -28,6 +30,7 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 ANOTHER = 0.35
 SAYS_SO = {GridFault.TWO_PATTERNS, GridFault.AMBIGUOUS, GridFault.OTHER_SIZE}
 NOISE_SEED = 5
+DATA = Path(__file__).parent.parent / "data"
 # The image row of the tear, as a share of the pattern's height.
 SHARES = [0.1, 0.35, 0.5, 0.8]
 
@@ -202,3 +205,18 @@ def test_a_board_of_similar_pitch_over_the_view_gets_no_numbers(
         # Half a side off a corner bears a wrong number.
         assert not (off > 0.5).any()
         assert grid.fault is not GridFault.NONE
+
+
+@pytest.mark.parametrize("line", [2, 6, 10])
+def test_rows_rolled_at_the_last_gridline_are_noticed(sensor, line):
+    """Too few corners lie beyond the row to show a jump, and a gridline lies along it."""
+    image = cv2.imread(str(DATA / "rest.png"), cv2.IMREAD_GRAYSCALE)
+    view = build_views(sensor)["left"]
+    whole = GridTracker(sensor, "left").track(split_frame(image, view.placement))
+    row = round(float(whole.corners_frame[..., 1].max())) - line
+    rolled = image.copy()
+    rolled[row:] = np.roll(image[row:], -253, axis=1)
+    grid = GridTracker(sensor, "left").track(split_frame(rolled, view.placement))
+    assert grid.fault is not GridFault.NONE
+    below = whole.corners_frame[..., 1] > row
+    assert (grid.corner_status[below] != Status.MEASURED).all()

@@ -67,6 +67,9 @@ PARTS, FEWEST_PAIRS, LEAST_JUMP, LEAST_JUMP_PX = 3, 3, 0.08, 0.8
 # Where a gridline lies along a row, this share of the pointers within a side of it does, to within
 # this slope.
 ALONG, LEVEL = 0.25, 0.15
+# Change at a row over the largest at the two rows before and after it: where a gridline lies along
+# a row, a lens leaves 1.6 at most; rows that are rolled by lost bytes reach 4.8 to 15.
+MAX_LENS_RATIO = 3.0
 # A corner this near to a tear is of neither part, in sides.
 TOO_NEAR = 0.15
 # Two numbered parts belong together where corners next to each other moved alike, in sides.
@@ -308,14 +311,23 @@ def lattice_graph(corners: Float) -> CornerGraph:
     return CornerGraph(corners[known], merged, merged, np.stack(neighbour, axis=-1))
 
 
-def is_torn(graph: CornerGraph, tear: float, side: float) -> bool:
+def is_torn(graph: CornerGraph, tear: float, image: PreparedImage, side: float) -> bool:
     """Whether the gridlines jump at a suspected tear; side: of a checker, px.
 
     Where too few corners lie beside it to tell, it is one unless a gridline along the row explains
-    why the grey values change there.
+    why the grey values change there, over as many rows as a lens spreads it.
     """
     jump = jumps_at(graph, tear, side)
-    return not _runs_along(graph, tear, side) if jump is None else jump
+    if jump is not None:
+        return jump
+    return _is_sharp(image, round(tear + 0.5)) or not _runs_along(graph, tear, side)
+
+
+def _is_sharp(image: PreparedImage, row: int) -> bool:
+    """Whether grey values change at a row by more than a lens lets them."""
+    around = image.grey[row - 3 : row + 3].astype(np.float64)
+    changes = np.abs(np.diff(around, axis=0)).sum(axis=1)
+    return bool(changes[2] > MAX_LENS_RATIO * changes[[0, 1, 3, 4]].max())
 
 
 def proven_tears(
@@ -323,7 +335,9 @@ def proven_tears(
 ) -> list[float]:
     """Of the tears that `suspected_tears` finds those at which gridlines jump."""
     return [
-        tear for tear in suspected_tears(graph, rows, image, side) if is_torn(graph, tear, side)
+        tear
+        for tear in suspected_tears(graph, rows, image, side)
+        if is_torn(graph, tear, image, side)
     ]
 
 

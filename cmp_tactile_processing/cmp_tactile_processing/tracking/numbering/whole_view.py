@@ -117,7 +117,7 @@ class GridNumbering:
         that do not continue each other only the largest is kept.
         """
         tears = suspected_tears(graph, torn or [], image, self._nominal.side_px)
-        jumps = [tear for tear in tears if is_torn(graph, tear, self._nominal.side_px)]
+        jumps = [tear for tear in tears if is_torn(graph, tear, image, self._nominal.side_px)]
         if jumps:
             parts = self._parts_of(graph, jumps, image, previous, proven=True)
             graph = cut_at(graph, jumps, self._nominal.side_px)
