@@ -28,6 +28,8 @@ MAX_LAG_S = 1.0
 LAG_STEP_S = 0.005
 # A lag is believed if it leaves less than this share of what no lag leaves unexplained.
 MAX_UNEXPLAINED_RATIO = 0.5
+# Five values are fitted for each lag: fewer frames are explained by any of them.
+MIN_LAG_FRAMES = 30
 # Of the frames, this share needs a force.
 MIN_KNOWN_SHARE = 0.5
 # Not at rest yet: a filtered force takes so long after a load, s.
@@ -58,6 +60,8 @@ def lag_s(motion: GelMotion, series: WrenchSeries, ahead_s: float) -> float:
     compared with the best sum of force components, a constant and a drift, so neither axes, signs,
     units nor the zero of the reference matter.
     """
+    if len(motion.time_s) < MIN_LAG_FRAMES:
+        return 0.0
     squares = (motion.displacement**2).sum(axis=-1).reshape(len(motion.displacement), -1)
     seen = np.isfinite(squares)
     mean = np.where(seen, squares, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)

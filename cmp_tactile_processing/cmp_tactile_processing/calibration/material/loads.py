@@ -39,7 +39,7 @@ def sample_name(samples: Sequence[LoadSample], index: int) -> str:
 
 def check_views(sensor: SensorDescription) -> None:
     """Raise CalibrationError for a sensor with one view, which cannot measure a normal force."""
-    if len(sensor.views) < 2:
+    if len(sensor.views) == 1:
         msg = (
             f"{sensor.name}: views: found one view, expected two to calibrate forces. One view "
             "shows displacement in the plane, shear and where a contact is. It does not show "
