@@ -127,7 +127,7 @@ def observe(sensor, model):
             if hide is not None:
                 hide(k, moved)
             surface = _surface(sensor, moved, 0 if references is None else references(k))
-            field = model.reconstruct(moved, surface.status)
+            field = model.reconstruct_random(moved, surface.status)
             observed.append(observer.update(field, surface))
         return observed
 

@@ -165,7 +165,7 @@ class Observer:
             moved = at_markers(self._seen, self._model.elastic.markers, frame.moved)
             moved += rng.normal(size=moved.shape) * self._noise
             surface = surface_of(self._sensor, moved)
-            field = self._model.reconstruct(surface.displacement, surface.status)
+            field = self._model.reconstruct_random(surface.displacement, surface.status)
             start = perf_counter()
             data = slip.update(field, surface)
             self.durations.append(perf_counter() - start)

@@ -138,7 +138,11 @@ def test_truth_within_the_error_bar_is_counted_component_by_component(results):
     for number, offset in enumerate((0.0, 1.9, -1.9, 2.1, -9.0)):
         true = results.recording.truth.wrench[results.frames[number].index]
         shifted = with_force(
-            shifted, number, wrench=true + offset * std, wrench_covariance=np.diag(std**2)
+            shifted,
+            number,
+            wrench=true + offset * std,
+            wrench_covariance=np.diag(std**2),
+            systematic_covariance=np.zeros((6, 6)),
         )
     force = evaluate(shifted).force
     np.testing.assert_allclose(force.wrench_inside, 0.6)

@@ -380,20 +380,28 @@ class ForceModel:
         that saves a third of the time.  systematics: errors of all displacements beside those of
         `covariance`.  Raises GeometryError for arrays of other shapes.
         """
-        field = self._reconstructed(displacement, status, covariance, contacts)
+        field = self.reconstruct_random(displacement, status, covariance, contacts=contacts)
+        return self.with_systematic(field, systematics)
+
+    def with_systematic(self, field: ForceField, systematics: Systematics | None) -> ForceField:
+        """The field with systematic errors in its error bars, and flagged by them."""
         field = self._systematics.add(field, systematics)
         if self._systematics.scale_is_uncertain:
             return replace(field, flags=field.flags | ForceFlag.SCALE_UNCERTAIN)
         return field
 
-    def _reconstructed(
+    def reconstruct_random(
         self,
         displacement: Array,
         status: NDArray[np.uint8],
-        covariance: Array | None,
-        contacts: bool,
+        covariance: Array | None = None,
+        *,
+        contacts: bool = True,
     ) -> ForceField:
-        """The field without systematic errors."""
+        """The same with error bars of what differs from frame to frame alone.
+
+        What compares frames, or forces of one frame, needs these.
+        """
         measured = self._whitening.measurements(displacement, status, covariance)
         measured = measured._replace(contacts=contacts)
         if measured.valid < self._parameters.min_valid_fraction or not measured.known.any():

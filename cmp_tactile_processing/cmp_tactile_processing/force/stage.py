@@ -84,12 +84,8 @@ class ForceStage:
             displacement = self._relaxation.effective(displacement, surface.status, stamp_ns)
         # Entered here it costs nothing within.
         with one_thread():
-            field = self._model.reconstruct(
-                displacement,
-                surface.status,
-                surface.covariance,
-                contacts=contacts,
-                systematics=surface.systematics,
+            field = self._model.reconstruct_random(
+                displacement, surface.status, surface.covariance, contacts=contacts
             )
             flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
             flags |= _of_reference(surface.reference_faults)
@@ -97,9 +93,10 @@ class ForceStage:
         self._last = field
         field = replace(field, relaxed=relaxed, flags=flags)
         if contacts:
-            return self._slip.update(field, surface)
-        self._slip.reset()
-        return field
+            field = self._slip.update(field, surface)
+        else:
+            self._slip.reset()
+        return self._model.with_systematic(field, surface.systematics)
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
 from cmp_tactile_processing.force.contact_regions import wrench_of
-from cmp_tactile_processing.measured import Contact, ForceField, Systematics
+from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, Systematics
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 Array: TypeAlias = NDArray[np.float64]
@@ -36,6 +36,7 @@ class SystematicErrors:
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._material, self._unit_doubtful = _material(sensor), bool(sensor.size_doubt)
+        self._weighed = sensor.elastomer.calibration is not None
         self._seen: Systematics | None = None
         self._gain = self._of_force(None)
         self._scale_std = math.sqrt(self._gain[8, 8])
@@ -59,7 +60,8 @@ class SystematicErrors:
         def wider(contact: Contact) -> Contact:
             nodes = plain(contact.nodes, np.intp)
             more = _wrench_covariance(force, place, nodes, self._gain)
-            return replace(contact, covariance=contact.covariance + more)
+            slip = self._of_slip(contact.slip)
+            return replace(contact, covariance=contact.covariance + more, slip=slip)
 
         return replace(
             field,
@@ -67,7 +69,15 @@ class SystematicErrors:
             wrench_covariance=field.wrench_covariance + whole,
             systematic_covariance=whole,
             contacts=tuple(wider(contact) for contact in field.contacts),
+            slip=self._of_slip(field.slip),
         )
+
+    def _of_slip(self, slip: SlipEstimate) -> SlipEstimate:
+        """Friction is a ratio: what tangential and normal forces share cancels."""
+        gain = self._gain
+        ratio_std = math.sqrt(max(gain[0, 0] + gain[8, 8] - 2 * gain[0, 8], 0.0))
+        more = ratio_std * slip.friction_coefficient
+        return replace(slip, friction_std=math.hypot(slip.friction_std, more))
 
     @property
     def scale_is_uncertain(self) -> bool:
@@ -88,7 +98,9 @@ class SystematicErrors:
         to_force[:9:4, 9], to_force[:9:4, 10], to_force[9, 9] = BY_PATTERN, BY_THICKNESS, 1.0
         gain = np.zeros((10, 10))
         if seen is not None:
-            gain += to_force @ seen.total @ to_force.T
+            # Known loads have calibrated whatever the optics leave open of the size of forces.
+            moments = seen.bias if self._weighed else seen.total
+            gain += to_force @ moments @ to_force.T
         gain[:9:4, :9:4] += self._material
         return gain
 

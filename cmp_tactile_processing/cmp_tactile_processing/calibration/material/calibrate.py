@@ -101,7 +101,7 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is in
         on_progress("loading the elastic model", 0, 1)
         model = ForceModel(plain, cache_dir)
         on_progress("loading the elastic model", 1, 1)
-        fields = [model.reconstruct(item.displacement, item.status) for item in samples]
+        fields = [model.reconstruct_random(item.displacement, item.status) for item in samples]
         reasons = {k: reason for k, shown in enumerate(fields) if (reason := _why_unusable(shown))}
         calibration = _Calibration(sensor, samples, fields, method, reasons)
         wrong = calibration.what_forbids_a_fit()
@@ -120,7 +120,7 @@ def _why_unusable(shown: ForceField) -> str:
         return f"only {shown.valid_fraction:.0%} of the markers were seen"
     if not shown.contact.any():
         return "the sensor measures no contact"
-    signal = float(np.max(np.abs(shown.wrench[:3]) / shown.random_std[:3]))
+    signal = float(np.max(np.abs(shown.wrench[:3]) / shown.wrench_std[:3]))
     return "" if signal >= LEAST_SIGNAL else "it is too small compared with the noise"
 
 
@@ -337,7 +337,7 @@ class _Calibration:
     def _readings(self, used: Sequence[int]) -> Readings:
         return Readings(
             shown=np.array([self.fields[k].wrench[:3] for k in used]),
-            shown_std=np.array([self.fields[k].random_std[:3] for k in used]),
+            shown_std=np.array([self.fields[k].wrench_std[:3] for k in used]),
             reference=np.array([self.samples[k].force for k in used], dtype=np.float64),
             reference_std=np.array([self.samples[k].std for k in used], dtype=np.float64),
         )
@@ -378,7 +378,7 @@ class _Calibration:
         results = []
         for k, (sample, shown) in enumerate(zip(self.samples, self.fields, strict=True)):
             after = factor * shown.wrench
-            covariance = factor**2 * (shown.wrench_covariance - shown.systematic_covariance)
+            covariance = factor**2 * shown.wrench_covariance
             covariance = covariance + material_covariance(after, np.zeros(3), *material_std)
             results.append(
                 LoadResult(
