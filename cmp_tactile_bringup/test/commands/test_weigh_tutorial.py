@@ -78,7 +78,7 @@ def test_a_weight_is_read_back_and_two_weights_determine_an_unknown_gel(
     assert wrong[:, 1].max() == pytest.approx(350, rel=0.02)
     # The new description knows how well its gel is known.
     held = described[:, 3] > 450
-    assert (weighed[held, 2] > described[held, 2]).all()
+    assert (weighed[held, 2] < described[held, 2] / 4).all()
     assert (tmp_path / "results" / "weigh_wrench.csv").is_file()
     for picture in ("weigh.png", "weighed.png", "weighed_calibration/loads.png"):
         assert (tmp_path / picture).stat().st_size > 10_000
