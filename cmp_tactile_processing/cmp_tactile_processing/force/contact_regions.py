@@ -71,6 +71,23 @@ def wrench_of(force: Array, place: Array, nodes: Numbers) -> Array:
 
 
 @kernel_part
+def centre_of_forces(force: Array, place: Array, nodes: Numbers) -> tuple[Array, float]:
+    """Mean place (3,) m of the forces of some nodes (k,), weighted by size, and the sum of sizes.
+
+    force (M, 3) N, place (M, 3) m: of all nodes; the origin where there is no force.
+    """
+    centre, total = np.zeros(3), 0.0
+    for n in nodes:
+        size = np.sqrt(force[n, 0] ** 2 + force[n, 1] ** 2 + force[n, 2] ** 2)
+        total += size
+        for c in range(3):
+            centre[c] += size * place[n, c]
+    if total > 0:
+        centre /= total
+    return centre, total
+
+
+@kernel_part
 def material_covariance(
     wrench: Array, place: Array, normal_std: float, tangential_std: float
 ) -> Array:

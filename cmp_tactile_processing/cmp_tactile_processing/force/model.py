@@ -19,6 +19,7 @@ from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, Progress
 from cmp_tactile_processing.force.contact_regions import (
     ContactRegions,
+    centre_of_forces,
     material_covariance,
     resultant_matrix,
     wrench_of,
@@ -248,14 +249,7 @@ def _model_covariance(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler 
     gel, m.
     """
     wrench = wrench_of(force, place, nodes)
-    centre, total = np.zeros(3), 0.0
-    for n in nodes:
-        size = np.sqrt(force[n, 0] ** 2 + force[n, 1] ** 2 + force[n, 2] ** 2)
-        total += size
-        for c in range(3):
-            centre[c] += size * place[n, c]
-    if total > 0:
-        centre /= total
+    centre, total = centre_of_forces(force, place, nodes)
     found: Array = material_covariance(wrench, centre, error, error)
     across = np.hypot(wrench[0], wrench[1])
     size = np.hypot(across, wrench[2])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
-from cmp_tactile_processing.force.contact_regions import wrench_of
+from cmp_tactile_processing.force.contact_regions import centre_of_forces, wrench_of
 from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, Systematics
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -131,14 +131,7 @@ def _wrench_covariance(force: Array, place: Array, nodes: NDArray[np.intp], gain
     force (M, 3) N, place (M, 3) m: of all nodes.
     """
     wrench = wrench_of(force, place, nodes)
-    centre, total = np.zeros(3), 0.0
-    for n in nodes:
-        size = np.sqrt(force[n, 0] ** 2 + force[n, 1] ** 2 + force[n, 2] ** 2)
-        total += size
-        for c in range(3):
-            centre[c] += size * place[n, c]
-    if total > 0:
-        centre /= total
+    centre, _ = centre_of_forces(force, place, nodes)
     # What a unit of each component adds to the wrench.
     by: Array = np.zeros((6, 10))
     for row in range(3):
