@@ -260,7 +260,8 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output):
     assert len(back) >= 28
     made_bags.assert_played(back, frames[: len(back)])
     assert f"{len(back)} messages can be read" in reader.loss
-    assert "the file has no end" in reader.loss
+    # It was killed between two records, or within one.
+    assert "the file has no end" in reader.loss or "is incomplete" in reader.loss
 
 
 def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, capfd):
