@@ -21,12 +21,15 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 Array: TypeAlias = NDArray[np.float64]
 
-# Change of the force per relative change of a length: balls that touch 1.6 to 8 mm of the sample
-# rig's gel give -1.0 to -2.2 for the pattern, 0.5 to 1.7 for the thickness (benchmarks/doubt.py).
-BY_PATTERN, BY_THICKNESS = -2.0, 1.6
-# Per change of Poisson's ratio by 1, of normal forces, and per relative change of the skin's
-# modulus or thickness: at most what the same balls give.
-BY_POISSON, BY_SKIN = -2.0, 0.1
+# Change of the force per relative change of the pattern's size, and of the skin's modulus or
+# thickness: balls that touch 1.6 to 8 mm of the sample rig's gel give -1.0 to -2.2 and at most 0.1
+# (benchmarks/doubt.py).
+BY_PATTERN, BY_SKIN = -2.0, 0.1
+# The less gel there is beside its width, the more it is confined.  Per relative change of the
+# thickness: 1.0 and 0.6 times the confinement.  Of normal forces, per change of Poisson's ratio by
+# 1: -3.5 times the confinement.  At most the same balls give on gels of confinement
+# 1.2: 2.0 and -3.6; 1.9: 2.2 and -7.5; 2.3: 2.8 and -12; 3.3: 3.0 and -10.
+THICKNESS_ALONE, THICKNESS_BY_CONFINEMENT, POISSON_BY_CONFINEMENT = 1.0, 0.6, -3.5
 # Forces that are known no better than to this share are in no certain unit.
 UNCERTAIN_SCALE = 0.15
 
@@ -37,6 +40,7 @@ class SystematicErrors:
     def __init__(self, sensor: SensorDescription) -> None:
         self._material, self._unit_doubtful = _material(sensor), bool(sensor.size_doubt)
         self._weighed = sensor.elastomer.calibration is not None
+        self._by_thickness = by_thickness(sensor)
         self._seen: Systematics | None = None
         self._gain = self._of_force(None)
         self._scale_std = math.sqrt(self._gain[8, 8])
@@ -95,7 +99,8 @@ class SystematicErrors:
         """(10, 10): of the relative error of a force, (3, 3) row by row, and of the pattern."""
         to_force = np.zeros((10, Systematics.COMPONENTS))
         to_force[:9, :9] = np.eye(9)
-        to_force[:9:4, 9], to_force[:9:4, 10], to_force[9, 9] = BY_PATTERN, BY_THICKNESS, 1.0
+        to_force[:9:4, 9], to_force[9, 9] = BY_PATTERN, 1.0
+        to_force[:9:4, 10] = self._by_thickness
         gain = np.zeros((10, 10))
         if seen is not None:
             # Known loads have calibrated whatever the optics leave open of the size of forces.
@@ -117,11 +122,24 @@ def _material(sensor: SensorDescription) -> Array:
         along, across = record.normal_std**2, record.tangential_std**2
         return np.array([[across, across, 0.0], [across, across, 0.0], [0.0, 0.0, along]])
     common = known.of("elastomer.young") ** 2
-    common += (BY_THICKNESS * known.of("elastomer.thickness")) ** 2
+    common += (by_thickness(sensor) * known.of("elastomer.thickness")) ** 2
     common += (BY_SKIN * known.of("elastomer.shading_layer")) ** 2
     covariance = np.full((3, 3), common)
-    covariance[2, 2] += (BY_POISSON * known.of("elastomer.poisson")) ** 2
+    by_poisson = POISSON_BY_CONFINEMENT * _confinement(sensor)
+    covariance[2, 2] += (by_poisson * known.of("elastomer.poisson")) ** 2
     return covariance
+
+
+def by_thickness(sensor: SensorDescription) -> float:
+    """Relative change of a force per relative change of the gel's thickness."""
+    return THICKNESS_ALONE + THICKNESS_BY_CONFINEMENT * _confinement(sensor)
+
+
+def _confinement(sensor: SensorDescription) -> float:
+    """Half the pattern's longer side, over the gel's thickness."""
+    pattern = sensor.pattern
+    side = pattern.pitch * max(pattern.rows, pattern.cols)
+    return side / 2 / sensor.elastomer.size[2]
 
 
 @kernel

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.force.systematics import BY_PATTERN, BY_THICKNESS, SystematicErrors
+from cmp_tactile_processing.force.systematics import BY_PATTERN, SystematicErrors, by_thickness
 from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Systematics
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord, Uncertainty
@@ -48,12 +48,16 @@ def _field(sensor: SensorDescription) -> ForceField:
 
 
 def _drawn(
-    field: ForceField, total: NDArray[np.float64], random: np.random.Generator
+    sensor: SensorDescription,
+    field: ForceField,
+    total: NDArray[np.float64],
+    random: np.random.Generator,
 ) -> NDArray[np.float64]:
     """Forces (draws, 3) N by drawn errors of the displacements."""
     g = random.multivariate_normal(np.zeros(len(total)), total, DRAWS)
     gain = g[:, :9].reshape(-1, 3, 3)
-    gain = gain + (BY_PATTERN * g[:, 9] + BY_THICKNESS * g[:, 10])[:, None, None] * np.eye(3)
+    scale = BY_PATTERN * g[:, 9] + by_thickness(sensor) * g[:, 10]
+    gain = gain + scale[:, None, None] * np.eye(3)
     return np.einsum("nij,j->ni", gain, field.wrench[:3])
 
 
@@ -63,7 +67,7 @@ def test_errors_of_the_geometry_go_into_the_wrench(sensor: SensorDescription) ->
     seen = Systematics(0.4 * root @ root.T, 0.6 * root @ root.T)
     field = _field(sensor)
     found = SystematicErrors(_exact(sensor)).add(field, seen)
-    drawn = _drawn(field, seen.total, random)
+    drawn = _drawn(sensor, field, seen.total, random)
     expected = np.cov(drawn.T)
     np.testing.assert_allclose(
         found.systematic_covariance[:3, :3], expected, atol=3 * MONTE_CARLO * expected.max()
