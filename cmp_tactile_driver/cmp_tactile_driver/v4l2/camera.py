@@ -20,6 +20,7 @@ PREFERENCE = ("GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
 """Pixel formats that are read, by their four characters; the first are those without loss."""
 # Cameras say 30 Hz and mean 29.97 Hz.
 RATE_TOLERANCE = 0.01
+PROGRESSIVE = (v4l2.Field.NONE, v4l2.Field.ANY)
 BUFFERS = 4
 """Frames that the kernel keeps until they are read."""
 
@@ -264,6 +265,7 @@ class V4L2Camera:
         """Bytes per line and rate (Hz) that the camera took."""
         path, capture = self.found.path, self._capture
         capture.set_format(*mode.size, mode.pixel_format)
+        self._check_fields()
         got = capture.get_format()
         found = v4l2.human_pixel_format(got.pixel_format)
         if (got.width, got.height) != mode.size or found != mode.pixel_format:
@@ -274,6 +276,17 @@ class V4L2Camera:
             )
             raise FrameSourceError(msg)
         return got.bytes_per_line, self._apply_rate(capture, mode.rate)
+
+    def _check_fields(self) -> None:
+        """Rows of two times in one picture would move markers by what the gel moves meanwhile."""
+        format_ = v4l2.get_raw_format(self._device, v4l2.BufferType.VIDEO_CAPTURE)
+        field = v4l2.Field(format_.fmt.pix.field)
+        if field not in PROGRESSIVE:
+            msg = (
+                f"{self.found.path}: field order: found {field.name.lower()} set by the camera, "
+                "expected none: each picture whole, not two fields of it one after the other"
+            )
+            raise FrameSourceError(msg)
 
     def _apply_rate(self, capture: Any, rate: float) -> float:
         try:

@@ -200,6 +200,14 @@ def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
     assert open_source("CAM4").frame_rate == 0.0
 
 
+@pytest.mark.parametrize("order", [raw.Field.INTERLACED, raw.Field.ALTERNATE, raw.Field.SEQ_TB])
+def test_a_camera_that_interlaces_is_refused(open_source, plug, order):
+    """Its pictures have rows of two times; reports: kylemcdonald/ofxBlackmagic 9, meantone/sunxi-tvin 4."""
+    plug(field_order=order)
+    with pytest.raises(FrameSourceError, match=f"field order: found {order.name.lower()}"):
+        open_source()
+
+
 def test_a_device_that_is_not_there_lists_those_that_are(open_source, plug):
     with pytest.raises(FrameSourceError, match="found no 'X', expected a video device"):
         open_source("X")

@@ -17,6 +17,7 @@ from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.plausibility import BorderContact
+from cmp_tactile_processing.force.rolling_shutter import RollingShutter
 from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
@@ -54,6 +55,7 @@ class ForceStage:
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
         self._border = BorderContact(sensor, self._model.elastic, cache_dir)
         self._slip = SlipObserver(sensor)
+        self._shutter = RollingShutter(sensor.image.readout_time)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
         self._last: ForceField | None = None
@@ -96,13 +98,15 @@ class ForceStage:
             field = self._slip.update(field, surface)
         else:
             self._slip.reset()
-        return self._model.with_systematic(field, surface.systematics)
+        field = self._model.with_systematic(field, surface.systematics)
+        return self._shutter.add(field, stamp_ns)
 
     def reset(self) -> None:
         """Forget earlier frames, as after start-up."""
         self._stamp_ns = self._last = None
         self._model.reset()
         self._slip.reset()
+        self._shutter.reset()
         if self._relaxation is not None:
             self._relaxation.reset()
 

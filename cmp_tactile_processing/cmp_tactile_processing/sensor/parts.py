@@ -66,10 +66,14 @@ SURFACE_KEYS = {
 
 @dataclass(frozen=True)
 class ImageSize:
-    """Size of the camera frame, px."""
+    """Size of the camera frame, px.
+
+    readout_time: from the first row to the last, s; 0 where all rows are exposed at once.
+    """
 
     width: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
     height: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
+    readout_time: float = field(default=0.0, metadata=number(0.0, 1.0, "s", required=False))
 
 
 # That of a sensor without a camera.

@@ -128,6 +128,7 @@ class FakeCamera:
     resets: int = 0
     insists: tuple[str, ...] = ()
     conceals: bool = False
+    field_order: int = raw.Field.NONE
 
     def __post_init__(self) -> None:
         self.node: Path | None = None

@@ -69,6 +69,7 @@ def _get_format(camera: FakeCamera, fmt: Any, _: int) -> None:
     pix.pixelformat = raw.v4l2_fourcc(*name)
     pix.bytesperline = 0 if name in ("MJPG", "H264") else camera.step
     pix.sizeimage = camera.step * pix.height
+    pix.field = camera.field_order
 
 
 def _set_rate(camera: FakeCamera, parm: Any, number: int) -> None:
