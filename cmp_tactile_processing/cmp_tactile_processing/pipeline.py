@@ -45,10 +45,13 @@ class Pipeline:
     the pipeline.  One frame at a time: calls from several threads must take turns.
     """
 
-    def __init__(self, sensor: SensorDescription, auto_reference: str = "never") -> None:
+    def __init__(
+        self, sensor: SensorDescription, auto_reference: str = "never", *, encoded: bool = False
+    ) -> None:
         """auto_reference: when a reference is taken by itself: never, when_still, at_start.
 
         As the parameter of the node, whose default is when_still; ParameterError for another.
+        encoded: the frames were a video of H.264 or the like.
         """
         self._sensor = sensor
         with compiling_is_logged():
@@ -56,7 +59,7 @@ class Pipeline:
             views = self._rig.views if self._rig else {}
             self._views = [_TrackedView(sensor, view) for view in views.values()]
             self._threads = ViewThreads(len(self._views))
-            self._force = ForceStage(sensor)
+            self._force = ForceStage(sensor, encoded=encoded)
             gauge = RestGauge(sensor) if sensor.views else None
             self._keeper = ReferenceKeeper(Reference.nominal(sensor), gauge)
         self._auto = auto_reference != "never"

@@ -136,7 +136,8 @@ class ProcessedFrames:
         """Made with the first frame that is shown: the page is there before the kernels are."""
         from cmp_tactile_processing.pipeline import Pipeline
 
-        return Pipeline(self._sensor, auto_reference="when_still")
+        encoded = bool(self._recording.codec)
+        return Pipeline(self._sensor, auto_reference="when_still", encoded=encoded)
 
     def _frames(self, start_s: float) -> Iterator[Recorded]:
         messages = self._recording.messages(TimeSpan(start=start_s))

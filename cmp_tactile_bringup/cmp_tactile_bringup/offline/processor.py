@@ -89,7 +89,8 @@ class Processor:
         Raises FrameSourceError where no frame can be used, ReferenceFramesError where the frames
         that should give the reference cannot.
         """
-        pipeline = Pipeline(self._sensor, self._options.auto_reference)
+        encoded = bool(self._recording.codec)
+        pipeline = Pipeline(self._sensor, self._options.auto_reference, encoded=encoded)
         self._take_reference(pipeline)
         watch, faults = _Doubts(self._sensor, self._recording), _FrameFaults()
         count, is_surface = 0, False
@@ -114,6 +115,7 @@ class Processor:
             *watch.doubts,
             *faults.doubts,
             self._doubt_of_reference(pipeline),
+            self._doubt_of_codec(),
             self._sensor.size_doubt,
             self._doubt_of_assumed(),
         )
@@ -123,6 +125,15 @@ class Processor:
             problem="; ".join(filter(None, problems)),
             doubts=tuple(filter(None, doubts)),
             reference=pipeline.reference_note or (AS_RECORDED if is_surface else NOMINAL),
+        )
+
+    def _doubt_of_codec(self) -> str:
+        codec = self._recording.codec
+        if not codec:
+            return ""
+        return (
+            f"the video is encoded as {codec.lower()}, which leaves out small movements: wider "
+            "error bars; record a bag, or images"
         )
 
     def _doubt_of_assumed(self) -> str:

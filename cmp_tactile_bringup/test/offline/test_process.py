@@ -256,6 +256,28 @@ def test_a_wrong_sensor_is_found_by_camera_info_and_by_rays(tmp_path, wrong_sens
     assert poor_fit.endswith(RECORDED_ADVICE[ForceFlag.POOR_FIT])
 
 
+@pytest.mark.usefixtures("short_scenes")
+def test_a_video_that_encodes_changes_has_wider_error_bars(tmp_path, grasp_bag, capsys):
+    """Its forces against those of the same frames without loss."""
+    frames = [cv2.cvtColor(f.image, cv2.COLOR_GRAY2BGR) for f in BagReader(grasp_bag).frames()]
+    video = made_bags.write_video(tmp_path / "grasp.mp4", "mp4v", frames)
+    tables = []
+    for source in (video, grasp_bag):
+        out = tmp_path / f"of_{len(tables)}"
+        given = ("--sensor", "sample_rig", "--output", out, "--reference", "first-3")
+        assert run("process", source, *given) == 0
+        (path,) = out.glob("*_wrench.csv")
+        with path.open() as table:
+            tables.append(list(csv.DictReader(table)))
+    assert capsys.readouterr().err.count("encoded as fmp4") == 1
+    assert len(tables[0]) == len(tables[1]) == len(frames)
+    for row, known in zip(*tables, strict=True):
+        for axis in ("fx_N", "fy_N", "fz_N"):
+            # Errors of the description are the same in both.
+            random = float(row[f"std_{axis}"]) ** 2 - float(row[f"systematic_{axis}"]) ** 2
+            assert abs(float(row[axis]) - float(known[axis])) <= 4 * np.sqrt(random)
+
+
 INVERSE_POSE = """  T_camera_gel:
     - [1.0, 0.0, 0.0, 0.0]
     - [0.0, -0.7179596728076926, 0.6960846990286967, -0.004929257]

@@ -43,6 +43,7 @@ class PairedRecording:
         self.name, self._sensor, self._left_out = name, sensor, left_out
         self._left, self._right = (recordings[view] for view in VIEWS)
         self.frame_rate: float = self._left.frame_rate
+        self.codec: str = self._left.codec or self._right.codec
         # From the first left to the first right frame.
         first, other = (next(item.frames()).time_ns for item in (self._left, self._right))
         self._offset_s = (other - first) / 1e9

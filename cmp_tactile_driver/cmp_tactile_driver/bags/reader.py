@@ -103,6 +103,8 @@ class BagReader:
     are read ahead once for the bits that they use.
     """
 
+    codec = ""
+
     def __init__(
         self,
         path: Path,

@@ -36,6 +36,7 @@ class ImageRecording:
     def __init__(self, source: files.ImageFolder | files.VideoFile, frame_id: str) -> None:
         self._source, self._frame_id = source, frame_id
         self.name, self.frame_rate = source.name, source.frame_rate
+        self.codec = source.codec
 
     @property
     def health(self) -> frames.SourceHealth:

@@ -44,6 +44,11 @@ VIDEO_SUFFIXES = (
     ".wmv",
 )
 
+# Small movements are not worth bits to them, so that parts of a frame show an earlier one.
+CODECS_OF_CHANGES = (
+    *("AV01", "AVC1", "DIVX", "DX50", "FMP4", "H264", "HEV1", "HEVC", "HVC1", "MP42", "MP4V"),
+    *("MPG1", "MPG2", "VP80", "VP90", "WMV2", "WMV3", "XVID"),
+)
 # Of videos that state their number of frames.  For others, OpenCV multiplies duration and rate.
 COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
 # Matroska and WebM round times to it.
@@ -110,6 +115,8 @@ class _Images:
 
     health: frames that could not be used in the last reading.
     """
+
+    codec = ""
 
     def __init__(self, path: Path, expected_size: frames.ImageSize | None) -> None:
         """expected_size: where absent, the size of the first image that is compared."""
@@ -233,7 +240,8 @@ class VideoFile(_Images):
     """The frames of a video file, which are BGR; as the camera made them, not turned for viewing.
 
     frame_rate: the file's own, frames per second, the mean where it varies.  declared_frames: how
-    many frames the file says that it has; 0 where it does not.
+    many frames the file says that it has; 0 where it does not.  codec: its four characters where
+    it encodes with loss what changes between frames, else empty.
     """
 
     def __init__(self, path: Path, *, expected_size: frames.ImageSize | None = None) -> None:
@@ -245,6 +253,9 @@ class VideoFile(_Images):
         with self._opened() as capture:
             rate = capture.get(cv2.CAP_PROP_FPS)
             self.declared_frames = max(0, round(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+            code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)
+        codec = code.decode("ascii", "replace")
+        self.codec = codec if codec.upper() in CODECS_OF_CHANGES else ""
         sensible = math.isfinite(rate) and 0 < rate <= 1000
         self.frame_rate = rate if sensible else DEFAULT_FRAME_RATE
 

@@ -107,6 +107,15 @@ def test_frames_and_rate(video):
             assert np.abs(image.astype(int) - _ramp(number)).max() <= JPEG_TOLERANCE
 
 
+@pytest.mark.parametrize(
+    ("codec", "name", "said"),
+    [("mp4v", "a.mp4", "FMP4"), ("MJPG", "a.avi", ""), ("FFV1", "a.mkv", "")],
+)
+def test_a_codec_that_encodes_changes_is_named(tmp_path, codec, name, said):
+    """Small movements are lost; report: facebookresearch/digit360 10 (tactile images as H.264)."""
+    assert VideoFile(made_bags.write_video(tmp_path / name, codec, _ramps())).codec == said
+
+
 def test_missing_and_undecodable_file(tmp_path):
     with pytest.raises(FrameSourceError, match=r"none.avi: found no such file"):
         VideoFile(tmp_path / "none.avi")

@@ -202,7 +202,10 @@ def test_a_camera_that_lists_nothing_is_asked(open_source, plug):
 
 @pytest.mark.parametrize("order", [raw.Field.INTERLACED, raw.Field.ALTERNATE, raw.Field.SEQ_TB])
 def test_a_camera_that_interlaces_is_refused(open_source, plug, order):
-    """Its pictures have rows of two times; reports: kylemcdonald/ofxBlackmagic 9, meantone/sunxi-tvin 4."""
+    """Its pictures have rows of two times.
+
+    Reports: kylemcdonald/ofxBlackmagic 9, meantone/sunxi-tvin 4.
+    """
     plug(field_order=order)
     with pytest.raises(FrameSourceError, match=f"field order: found {order.name.lower()}"):
         open_source()

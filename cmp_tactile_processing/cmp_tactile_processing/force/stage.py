@@ -31,12 +31,16 @@ DOUBTED_DEVIATIONS, LEAST_DOUBTED_N = 10.0, 0.02
 # A load under which a reference was taken is gone where what a later one takes away leaves less
 # than this share: large presses are not linear.
 SHARE_LEFT = 0.2
+# Errors of an encoded video agree over blocks of 16 px and more, and do not average out: deviations
+# of forces are so many times those of independent markers (benchmarks/doubtful_pictures.py).
+ENCODED_DEVIATIONS = 3.0
 
 
 class ForceStage:
     """Turns surfaces of one sensor, in the order of their stamps, into force fields.
 
-    cache_dir, progress: see ElasticModel; large_press_steps: see ForceModel.  It remembers what the
+    cache_dir, progress: see ElasticModel; large_press_steps: see ForceModel; encoded: see Pipeline.
+    It remembers what the
     relaxation of the gel and the slip of contacts need of earlier frames, so one frame at a time:
     calls from several threads must take turns.  Surfaces in which nothing was found give fields of
     NaN.
@@ -48,8 +52,10 @@ class ForceStage:
         cache_dir: Path | None = None,
         progress: Progress | None = None,
         large_press_steps: int = 0,
+        *,
+        encoded: bool = False,
     ) -> None:
-        self._sensor = sensor
+        self._sensor, self._encoded = sensor, encoded
         self._model = ForceModel(sensor, cache_dir, progress, large_press_steps)
         relaxation = sensor.elastomer.relaxation
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
@@ -91,6 +97,8 @@ class ForceStage:
             )
             flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
             flags |= _of_reference(surface.reference_faults)
+        if self._encoded:
+            field = with_deviations_times(ENCODED_DEVIATIONS, field)
         relaxed = self._relaxation is not None and stamp_ns is not None
         self._last = field
         field = replace(field, relaxed=relaxed, flags=flags)
@@ -168,6 +176,18 @@ class ForceStage:
             self.reset()
         self._reference_id = reference_id
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
+
+
+def with_deviations_times(factor: float, field: ForceField) -> ForceField:
+    """The field with larger error bars of its wrench, contacts and nodes."""
+    return replace(
+        field,
+        force_std=None if field.force_std is None else factor * field.force_std,
+        wrench_covariance=factor**2 * field.wrench_covariance,
+        contacts=tuple(
+            replace(item, covariance=factor**2 * item.covariance) for item in field.contacts
+        ),
+    )
 
 
 def _of_reference(faults: ReferenceFault) -> ForceFlag:

@@ -13,19 +13,20 @@ from cmp_tactile_processing.measured import ForceField
 
 # Of the readout, and between two frames.
 READOUT_S, INTERVAL_S = 0.02, 1 / 30
+# At the second frame, N/s and N m/s, of a force that speeds up evenly from rest.
 RATE = np.array([0.5, -1.0, 6.0, 0.01, 0.02, 0.03])
 DRAWS = 20_000
 
 
 def _at(seconds: float) -> ForceField:
-    """A force that grows evenly, without noise, on one node."""
-    force = np.zeros((4, 3))
-    force[1] = RATE[:3] * seconds
+    """Without noise, on one node."""
+    force, wrench = np.zeros((4, 3)), RATE * seconds**2 / (2 * INTERVAL_S)
+    force[1] = wrench[:3]
     return replace(
         made_field(2, 2),
         force=force,
         force_std=np.zeros_like(force),
-        wrench=RATE * seconds,
+        wrench=wrench,
         wrench_covariance=np.zeros((6, 6)),
         systematic_covariance=np.zeros((6, 6)),
         contacts=(made_contact([1], covariance=np.zeros((6, 6))),),
