@@ -2,6 +2,7 @@
 """Live sensors at 30 to 200 Hz: latency to the wrench, losses, processor time, memory, start.
 
 setup/run python3 benchmarks/ros/real_time.py [--json FILE] [--input ...] [--only one_60 ...]
+setup/run python3 benchmarks/ros/real_time.py --soak 60   # minutes of one sensor at 60 Hz
 
 The sensors of the graph in cameras.py run as with `standalone` and the launch files: one process
 for each, and the newest frame is processed. The camera driver of each sensor publishes a recording
@@ -58,6 +59,7 @@ SILENCE_S = 300.0
 WARM_UP = 120
 # OpenCV is timed on one frame in so many.
 OPENCV_FRAMES = 3
+SOAK_HZ, STEADY_WRENCHES = 60.0, 600
 PIPELINE = "pipeline"
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
@@ -238,6 +240,29 @@ def run(recording: Input, case: Case) -> dict[str, float]:
     return {**figures(node), "cores": cores, "memory_mb": memory, "first_wrench_s": first}
 
 
+def soak(recording: Input, minutes: float) -> dict[str, dict[str, float]]:
+    """What one sensor's process loses, and holds at the start and the end of so many minutes."""
+    with wrenches_of(ONE) as node, container(recording, ONE, SOAK_HZ) as process:
+        node.wait_for(STEADY_WRENCHES, process)
+        start, end = holds(process.pid, "start"), time.monotonic() + 60 * minutes
+        while time.monotonic() < end:
+            node.wait_for(node.fewest + 1, process)
+        found = {**figures(node, STEADY_WRENCHES), **start, **holds(process.pid, "end")}
+    for name, value in found.items():
+        print(f"{name:18} {value:10.1f}")
+    return {"soak": found}
+
+
+def holds(pid: int, when: str) -> dict[str, float]:
+    """Memory in MB, threads and open files of a process and all that it started."""
+    found = {"memory_mb": 0.0, "threads": 0.0, "handles": 0.0}
+    for item in tree(pid):
+        found["memory_mb"] += memory_mb(item)
+        for name, folder in (("threads", "task"), ("handles", "fd")):
+            found[name] += len(list(Path(f"/proc/{item}/{folder}").iterdir()))
+    return {f"{name}_{when}": value for name, value in found.items()}
+
+
 def beside(recording: Input, rate: float) -> dict[str, float]:
     """Processor time of a frame, ms: of OpenCV on both views, and of `Pipeline` at the rate.
 
@@ -333,6 +358,9 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="+", choices=cases(1), metavar="KEY", help="run only these cases"
     )
+    parser.add_argument(
+        "--soak", type=float, default=0.0, metavar="MINUTES", help="run one sensor at 60 Hz alone"
+    )
     options = parser.parse_args()
     rclpy.init()
     wanted = {
@@ -340,8 +368,8 @@ def main() -> None:
         for key, case in cases(options.frames).items()
         if key in (options.only or cases(1))
     }
-    for recording in chosen(options):
-        found = _measure(recording, wanted)
+    for recording in chosen(options)[: 1 if options.soak else None]:
+        found = soak(recording, options.soak) if options.soak else _measure(recording, wanted)
         if options.json:
             keep(options.json, {recording.name: found})
     rclpy.try_shutdown()

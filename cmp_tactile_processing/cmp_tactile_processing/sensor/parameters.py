@@ -199,7 +199,7 @@ class SlipParameters(Parameters, section="slip"):
     )
     min_traction_ratio: float = parameter(
         0.1,
-        "no slip is reported below this tangential over normal force, counted from the start of "
+        "no slip is reported below this ratio of tangential to normal force, since the start of "
         "the current load",
         within=(0.01, 1.0),
     )
