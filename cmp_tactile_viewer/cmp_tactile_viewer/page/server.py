@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import html
 import http
 import io
 import ipaddress
@@ -74,7 +76,7 @@ class PageServer(viser.ViserServer):  # type: ignore[misc,unused-ignore]
         """Raises ViewerError where the address cannot be listened on."""
         self.access = access
         _check_address(access)
-        with _guarded(Guard(access)), redirect_stdout(io.StringIO()):
+        with _guarded(Guard(access), title), redirect_stdout(io.StringIO()):
             super().__init__(access.host, access.port or DEFAULT_PORT, title, verbose=False)
         port = self.get_port()
         if access.port not in (None, 0, port):
@@ -199,7 +201,20 @@ def _allowed_name(text: str) -> str:
     return place[0]
 
 
-def _with_guard(guard: Guard, answer: Answer) -> Answer:
+def _give_title(response: Response, title: str) -> None:
+    """Name the browser's tab: viser has its own name there."""
+    if not response.headers.get("Content-Type", "").startswith("text/html"):
+        return
+    is_packed = response.headers.get("Content-Encoding") == "gzip"
+    page = gzip.decompress(response.body) if is_packed else response.body
+    named = f"<title>{html.escape(title)}</title>".encode()
+    page = page.replace(b"<title>Viser</title>", named, 1)
+    response.body = gzip.compress(page) if is_packed else page
+    del response.headers["Content-Length"]
+    response.headers["Content-Length"] = str(len(response.body))
+
+
+def _with_guard(guard: Guard, title: str, answer: Answer) -> Answer:
     def answered(connection: Any, request: Request) -> Response | None:
         reason = guard.refusal(request)
         if reason:
@@ -208,6 +223,8 @@ def _with_guard(guard: Guard, answer: Answer) -> Answer:
             status = http.HTTPStatus.FORBIDDEN
             return Response(status.value, status.phrase, Headers(size), body)
         response = answer(connection, request)
+        if response is not None:
+            _give_title(response, title)
         token = guard.token_of(request)
         if response is not None and token:
             value = f"{guard.cookie}={quote(token, safe='')}"
@@ -218,7 +235,7 @@ def _with_guard(guard: Guard, answer: Answer) -> Answer:
 
 
 @contextmanager
-def _guarded(guard: Guard) -> Iterator[None]:
+def _guarded(guard: Guard, title: str) -> Iterator[None]:
     """Viser has no place for a guard: while a server starts, it gets a `serve` that sets one.
 
     Raises ViewerError where the server did not take it: it would be open to everybody.
@@ -228,7 +245,8 @@ def _guarded(guard: Guard) -> Iterator[None]:
 
     def serve(*args: Any, process_request: Answer, **options: Any) -> Any:
         taken.append(True)
-        return original(*args, process_request=_with_guard(guard, process_request), **options)
+        answer = _with_guard(guard, title, process_request)
+        return original(*args, process_request=answer, **options)
 
     # websockets logs a traceback for every browser that closes its connection in the middle.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)

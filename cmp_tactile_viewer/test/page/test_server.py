@@ -1,5 +1,6 @@
 """Who gets the page: this machine's own browser pages, and who has the token."""
 
+import gzip
 import http.client
 import socket
 
@@ -36,7 +37,7 @@ def answer(page, path="/", **headers):
     connection = http.client.HTTPConnection("127.0.0.1", page.get_port(), timeout=30)
     connection.request("GET", path, headers=headers)
     found = connection.getresponse()
-    found.read()
+    found.body = found.read()
     connection.close()
     return found
 
@@ -60,6 +61,14 @@ def test_the_page_and_its_socket_are_open_to_this_machine(started):
     assert answer(page).status == OK
     assert may_connect(page)
     assert may_connect(page, origin=f"http://127.0.0.1:{page.get_port()}")
+
+
+@pytest.mark.parametrize("encoding", ["identity", "gzip"])
+def test_the_tab_has_the_name_of_the_page(started, encoding):
+    found = answer(started(), **{"Accept-Encoding": encoding})
+    body = gzip.decompress(found.body) if encoding == "gzip" else found.body
+    assert b"<title>test</title>" in body
+    assert b"<title>Viser" not in body
 
 
 @pytest.mark.parametrize(
@@ -157,7 +166,7 @@ def test_a_server_that_does_not_take_the_guard_is_an_error(monkeypatch):
     monkeypatch.setattr(server, "viser", viser)
     with (
         pytest.raises(ViewerError, match=r"found viser .*, expected 1.1"),
-        server._guarded(server.Guard(Access())),
+        server._guarded(server.Guard(Access()), "test"),
     ):
         pass
     assert websockets.asyncio.server.serve.__module__ != server.__name__
