@@ -101,7 +101,10 @@ class FieldBuilder:
         """The field of a solution; moved (nodes, 3) m: how far its forces have moved."""
         force, place = solution.force, self._position + moved
         wrench = wrench_of(force, place, self._every)
-        contact = self._solver.rule.pressed(force, solution.force_std[:, 2]) & solution.loaded
+        # Of one view noise alone counts: that the size of all forces is open hides no contact.
+        seen = self._whitening.depth_seen
+        normal_std = solution.force_std[:, 2] if seen else solution.first.nodal_std
+        contact = self._solver.rule.pressed(force, normal_std) & solution.loaded
         contacts: tuple[Contact, ...] = ()
         covariance, area = np.full((6, 6), np.nan), float("nan")
         if measured.contacts:

@@ -235,20 +235,25 @@ def test_a_marker_that_is_elsewhere_for_a_frame_leaves_nothing_behind(sensor, se
     assert ForceFlag.POOR_FIT not in fields[2].flags
 
 
-@pytest.mark.parametrize("slant", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize("name", ["press", "shear", "off centre"])
-def test_one_view_says_how_little_it_knows(sensor, seen, truth, name, slant):
-    """Seen aslant, a press is a shift of the markers on the surface that they are taken to be on.
+@pytest.fixture(scope="module")
+def one_view(sensor):
+    optics = replace(sensor.optics, type="monocular")
+    return ForceStage(replace(sensor, optics=optics, views={"left": sensor.views["left"]}))
+
+
+def seen_aslant(moved, slant):
+    """A press is a shift of the markers on the surface that they are taken to be on.
 
     slant: tangent of the angle between the camera's axis and the gel's.
     """
-    optics = replace(sensor.optics, type="monocular")
-    views = {"left": sensor.views["left"]}
-    stage = ForceStage(replace(sensor, optics=optics, views=views))
+    return moved + moved[..., 2:] * np.array([0.0, slant, 0.0]) + [0.0, 0.0, np.nan]
+
+
+@pytest.mark.parametrize("slant", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("name", ["press", "shear", "off centre"])
+def test_one_view_says_how_little_it_knows(one_view, seen, truth, name, slant):
     press = truth[name]
-    moved = SCALE * press.displacement
-    shift = moved[..., 2:] * np.array([0.0, slant, 0.0])
-    field = stage.process(seen(moved + shift + [0.0, 0.0, np.nan]))
+    field = alone(one_view, seen(seen_aslant(SCALE * press.displacement, slant)))
     assert ForceFlag.NO_DEPTH in field.flags
     error = np.abs(field.wrench[:3] - press.wrench(SCALE)[:3])
     assert (error < 3 * field.wrench_std[:3]).all(), (error, field.wrench_std[:3])
@@ -256,6 +261,23 @@ def test_one_view_says_how_little_it_knows(sensor, seen, truth, name, slant):
     assert field.contact.any()
     assert field.contacts
     assert field.slip_state == SlipState.UNKNOWN
+
+
+@pytest.mark.parametrize(("newton", "slant"), [(0.2, 0.0), (2.0, 0.0), (2.0, 0.5), (2.0, 1.0)])
+def test_one_view_shows_where_it_is_pressed(one_view, seen, truth, newton, slant):
+    """The size of its force is known to 100 %, which must not hide the contact of 1.5 mm radius."""
+    press = truth["small press"]
+    field = alone(one_view, seen(seen_aslant(newton / 10 * press.displacement, slant)))
+    (contact,) = field.contacts
+    assert 0.5 < contact.area / (np.pi * 1.5e-3**2) < 2
+    assert np.linalg.norm((contact.centre_of_pressure - press.centre)[:2]) < 5e-4
+
+
+def test_one_view_takes_a_drag_for_no_contact(one_view, seen, truth):
+    drag = truth["shear"].displacement - truth["press"].displacement
+    field = alone(one_view, seen(seen_aslant(SCALE * drag, 0.5)))
+    assert not field.contacts
+    assert np.hypot(*field.wrench[:2]) > 0.2
 
 
 def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sensor):
