@@ -62,6 +62,22 @@ def test_lift_off_from_a_reference_under_load_is_flagged(
     assert not measure(FREE, FREE, 2).flags & DOUBTED
 
 
+@pytest.mark.parametrize(
+    ("axis", "newtons", "is_doubted"),
+    [(2, 0.04, False), (2, 0.06, True), (0, 0.014, False), (0, 0.03, True)],
+)
+def test_a_force_without_contact_is_doubted_from_a_limit_on(
+    measure: Measure, truth: dict[str, Press], axis: int, newtons: float, is_doubted: bool
+) -> None:
+    """Ten deviations of 4 mN along z; 0.02 N along x, where a deviation is below 1 mN."""
+    press, shear, small = (truth[name].displacement for name in ("press", "shear", "small press"))
+    pull = -newtons / 10 * small if axis == 2 else newtons / 3 * (shear - press)
+    measure(FREE, FREE, 1)
+    field = measure(pull, FREE, 1)
+    assert field.wrench[axis] == pytest.approx(newtons, rel=0.25)
+    assert bool(field.flags & DOUBTED) == is_doubted
+
+
 def test_the_load_is_stated_from_zero_to_the_next_zero_of_a_free_gel(
     stage: ForceStage, measure: Measure, truth: dict[str, Press]
 ) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import ForceFlag, SlipState
+from cmp_tactile_processing.force.model import ForceModel, interpolation_matrix
+from cmp_tactile_processing.measured import ForceFlag, SlipState, SurfaceGrid
 from cmp_tactile_processing.sensor.parameters import ForceParameters
 from cmp_tactile_processing.sensor.parts import MaterialRecord, PatternSurface
 
-from .conftest import MEASURED, NOISE_M, SAGS, alone, errors, noisy
+from .conftest import MEASURED, NOISE_M, SAGS, TRUTH_NODES, alone, errors, noisy
 
 LOADS = ("press", "small press", "shear", "torque", "off centre", "two contacts")
 
@@ -120,6 +121,56 @@ def test_error_bars_are_honest(model, truth, newton):
             squares.append((error / field.wrench_std) ** 2)
     assert 0.05 < np.mean(squares) < 2.5
     assert np.mean(squares, axis=0).max() < 5
+
+
+def test_the_scatter_of_a_light_press_is_its_deviation(model, truth):
+    """Of 0.1 N, which mesh and hats hardly change; 40 draws show a deviation to 11 %."""
+    moved = 0.01 * truth["press"].displacement
+    fields = [model.reconstruct(noisy(moved, seed), MEASURED) for seed in range(40)]
+    of_contact = [field.contacts[0] for field in fields]
+    for wrenches, covariances in (
+        ([f.wrench for f in fields], [f.wrench_covariance for f in fields]),
+        ([c.wrench for c in of_contact], [c.covariance for c in of_contact]),
+    ):
+        ratio = np.std(wrenches, axis=0) / np.sqrt(np.diag(np.mean(covariances, axis=0)))
+        assert ((ratio > 0.65) & (ratio < 1.5)).all()
+
+
+def test_deviations_of_nodes_are_those_of_their_errors(model, truth):
+    """Of 0.1 N, in contact; resolution, which a draw of noise does not show, adds to x and y."""
+    fine = SurfaceGrid(TRUTH_NODES, TRUTH_NODES, model.elastic.nodes.extent)
+    to_nodes = interpolation_matrix(model.elastic.nodes, fine).T
+    ratios = []
+    for name, seed in itertools.product(LOADS, range(4)):
+        field = model.reconstruct(noisy(0.01 * truth[name].displacement, seed), MEASURED)
+        error = field.force - 0.01 * (to_nodes @ truth[name].force)
+        ratios.append((error / field.force_std)[field.contact])
+    x, y, z = np.sqrt(np.mean(np.square(np.concatenate(ratios)), axis=0))
+    assert 0.35 < min(x, y) <= max(x, y) < 0.9
+    assert 0.65 < z < 1.5
+
+
+@pytest.mark.parametrize(("deviations", "found"), [(0.7, False), (1.8, True)])
+def test_rest_says_what_force_it_may_hide(model, truth, deviations, found):
+    std = model.reconstruct(noisy(np.zeros((20, 20, 3))), MEASURED).wrench_std[2]
+    for name in ("press", "small press"):
+        moved = deviations * std / 10 * truth[name].displacement
+        for seed in range(10):
+            assert bool(model.reconstruct(noisy(moved, seed), MEASURED).wrench[2]) == found
+
+
+def test_an_error_of_the_model_widens_each_force_by_its_share(sensor, truth, cache_dir):
+    """In closed form: of each force its share, and of all together a fifth of it everywhere."""
+    moved, covariances = truth["shear"].displacement, []
+    for error in (0.0, 0.02):
+        rig = replace(sensor, force=replace(sensor.force, model_error=error))
+        field = ForceModel(rig, cache_dir).reconstruct(moved, MEASURED)
+        (contact,) = field.contacts
+        covariances.append([field.wrench_covariance, contact.covariance])
+    sizes = np.linalg.norm(field.force, axis=1).sum()
+    expected = 0.02 * np.hypot(field.wrench[:3], 0.2 * sizes)
+    for none, some in zip(*covariances, strict=True):
+        np.testing.assert_allclose(np.sqrt(np.diag(some - none)[:3]), expected, rtol=0.02)
 
 
 def test_rest_shows_nothing(model):
@@ -258,16 +309,28 @@ def test_a_deep_press_of_a_linear_gel_is_flagged(sensor, model, truth):
     assert deep.wrench[2] == pytest.approx(16 / 14 * sure.wrench[2], rel=0.01)
 
 
-def test_large_press_that_is_not_corrected_is_in_doubt(sensor, model, truth, cache_dir):
-    """A neo-Hookean gel without the correction: half of depth over thickness, and a flag."""
-    neo = replace(
-        sensor,
-        elastomer=replace(sensor.elastomer, model="neo_hookean"),
-        force=ForceParameters(large_press="off"),
-    )
+@pytest.fixture
+def uncorrected(sensor):
+    """A neo-Hookean gel without the correction for large presses."""
+    gel = replace(sensor.elastomer, model="neo_hookean")
+    return replace(sensor, elastomer=gel, force=ForceParameters(large_press="off"))
+
+
+@pytest.mark.parametrize(("share", "is_large"), [(0.02, False), (0.027, True)])
+def test_a_neo_hookean_gel_is_linear_up_to_a_share(uncorrected, truth, cache_dir, share, is_large):
+    press = truth["press"].displacement / -truth["press"].displacement[..., 2].min()
+    moved = share * uncorrected.elastomer.size[2] * press
+    flags = ForceModel(uncorrected, cache_dir).reconstruct(noisy(moved), MEASURED).flags
+    assert flags == (ForceFlag.LARGE_PRESS if is_large else ForceFlag.NONE)
+
+
+def test_large_press_that_is_not_corrected_is_in_doubt(
+    sensor, uncorrected, model, truth, cache_dir
+):
+    """Half of depth over thickness, and a flag."""
     moved = noisy(0.2 * truth["press"].displacement)
     sure = alone(model, moved, MEASURED)
-    field = ForceModel(neo, cache_dir).reconstruct(moved, MEASURED)
+    field = ForceModel(uncorrected, cache_dir).reconstruct(moved, MEASURED)
     assert field.flags == ForceFlag.LARGE_PRESS
     np.testing.assert_array_equal(field.wrench, sure.wrench)
     depth = -moved[..., 2].min() / sensor.elastomer.size[2]

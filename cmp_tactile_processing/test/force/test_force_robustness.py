@@ -23,7 +23,7 @@ from cmp_tactile_processing.measured import (
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
-from .conftest import Press, bump, noisy
+from .conftest import NOISE_M, Press, bump, noisy
 
 # Of the 10 N of the loads that are taken for true: 1 N presses the gel in by about 0.3 mm.
 SCALE = 0.1
@@ -133,6 +133,35 @@ def test_a_hidden_contact_is_reported_and_its_deviation_is_honest(stage, seen, t
     assert ForceFlag.HIDDEN_CONTACT in field.flags
     error = np.abs(field.wrench[:3] - press.wrench(SCALE)[:3])
     assert (error < 3 * field.wrench_std[:3]).all(), (error, field.wrench_std[:3])
+
+
+@pytest.mark.parametrize(("share", "is_hidden"), [(0.13, False), (0.3, True)])
+def test_a_share_of_a_contact_may_be_hidden(stage, seen, truth, share, is_hidden):
+    moved = SCALE * truth["press"].displacement
+    i, j = np.indices((20, 20)) - 9.5
+    where = (np.hypot(i, j) < 5) & (np.random.default_rng(1).random((20, 20)) < share)
+    field = alone(stage, hidden(seen(moved), where))
+    assert (ForceFlag.HIDDEN_CONTACT in field.flags) == is_hidden
+
+
+@pytest.mark.parametrize(("rows", "flags"), [(5, ForceFlag.FEW_MARKERS), (6, ForceFlag.NONE)])
+def test_a_force_needs_three_tenths_of_the_markers(stage, seen, rows, flags):
+    where = np.arange(20)[:, None] + np.zeros((20, 20)) >= rows
+    assert alone(stage, hidden(seen(np.zeros((20, 20, 3))), where)).flags == flags
+
+
+@pytest.mark.parametrize(
+    ("left", "is_poor"),
+    [((2.5, 1.0), False), ((3.5, 1.0), True), ((8.0, 0.14), False), ((8.0, 0.28), True)],
+)
+def test_motion_that_no_force_explains_is_a_poor_fit(stage, seen, truth, left, is_poor):
+    """More than three times the usual noise, and a fifth of all motion beside a press."""
+    noise, share = left
+    press = truth["press"].displacement
+    in_noise = np.sqrt(np.mean((press / NOISE_M) ** 2))
+    scale = noise * np.sqrt(1 / share**2 - 1) / in_noise
+    moved = scale * press + noisy(0 * press, 3) * np.sqrt(noise**2 - 1)
+    assert (ForceFlag.POOR_FIT in alone(stage, seen(moved)).flags) == is_poor
 
 
 def test_lost_frames_are_nan_and_leave_nothing_behind(stage, seen, truth):
@@ -257,6 +286,9 @@ def test_one_view_says_how_little_it_knows(one_view, seen, truth, name, slant):
     assert ForceFlag.NO_DEPTH in field.flags
     error = np.abs(field.wrench[:3] - press.wrench(SCALE)[:3])
     assert (error < 3 * field.wrench_std[:3]).all(), (error, field.wrench_std[:3])
+    # The shares of its size that docs/results.md states.
+    share = field.wrench_std[:3] / np.linalg.norm(field.wrench[:3])
+    np.testing.assert_allclose(share, [0.3, 0.3, 1.0], rtol=0.1)
     # What is not known of its size does not make it no contact.
     assert field.contact.any()
     assert field.contacts

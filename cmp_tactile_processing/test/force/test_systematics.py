@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.force.systematics import BY_PATTERN, SystematicErrors, by_thickness
-from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Systematics
+from cmp_tactile_processing.measured import (
+    Contact,
+    ForceField,
+    ForceFlag,
+    ReferenceFault,
+    SlipEstimate,
+    Systematics,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord, Uncertainty
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
@@ -101,8 +108,61 @@ def test_a_calibrated_gel_has_the_deviations_of_its_record(sensor: SensorDescrip
     np.testing.assert_allclose(found.systematic_std[:3], expected, rtol=1e-9)
 
 
+def test_a_wrench_off_the_origin_turns_with_its_force(sensor: SensorDescription) -> None:
+    """J C J^T, J by differences: one force, whose place grows with the pattern."""
+    place, force = np.array([[3e-3, -5e-3, 2e-3]]), np.array([[0.4, -0.7, -3.0]])
+    root = np.random.default_rng(3).normal(0, 0.01, (11, 11))
+    seen = Systematics(root @ root.T, np.zeros((11, 11)))
+
+    def wrench(error: NDArray[np.float64]) -> NDArray[np.float64]:
+        size = BY_PATTERN * error[9] + by_thickness(sensor) * error[10]
+        moved = force[0] + error[:9].reshape(3, 3) @ force[0] + size * force[0]
+        return np.concatenate([moved, np.cross((1 + error[9]) * place[0], moved)])
+
+    jacobian = np.stack([(wrench(s) - wrench(-s)) / 2e-4 for s in 1e-4 * np.eye(11)], axis=1)
+    field = replace(_field(sensor), position=place, force=force, force_std=0 * force)
+    one = Contact(
+        np.array([0]), wrench(np.zeros(11)), np.zeros((6, 6)), 0.0, place[0], place, False
+    )
+    found = SystematicErrors(_exact(sensor)).add(replace(field, contacts=(one,)), seen)
+    expected = jacobian @ seen.total @ jacobian.T
+    np.testing.assert_allclose(found.systematic_covariance, expected, rtol=1e-6, atol=1e-15)
+    np.testing.assert_array_equal(found.contacts[0].covariance, found.systematic_covariance)
+    np.testing.assert_allclose(found.force_std[0], np.sqrt(np.diag(expected)[:3]), rtol=1e-9)
+
+
+def test_friction_has_the_errors_that_its_forces_do_not_share(sensor: SensorDescription) -> None:
+    """Monte Carlo: tangential over normal force, each with a gain, and a modulus for both."""
+    random = np.random.default_rng(5)
+    total = np.zeros((11, 11))
+    total[np.ix_((0, 8), (0, 8))] = total[np.ix_((4, 8), (4, 8))] = [[9e-4, 2e-4], [2e-4, 4e-4]]
+    slip = SlipEstimate(friction_coefficient=0.6, friction_std=0.01)
+    field = replace(_field(sensor), slip=slip)
+    sensor = _exact(sensor, young=0.1)
+    found = SystematicErrors(sensor).add(field, Systematics(total, 0 * total)).slip
+    along, normal = random.multivariate_normal([1, 1], total[np.ix_((0, 8), (0, 8))], DRAWS).T
+    drawn = np.hypot(0.01, np.std(0.6 * along / normal))
+    assert found.friction_std == pytest.approx(drawn, rel=MONTE_CARLO)
+
+
+@pytest.mark.parametrize("is_open", [True, False])
+def test_what_weights_have_measured_is_open_no_more(
+    sensor: SensorDescription, is_open: bool
+) -> None:
+    """What optics leave open of the force has been weighed; what has changed since counts."""
+    moments = np.zeros((11, 11))
+    moments[8, 8] = 0.1**2
+    seen = Systematics(0 * moments, moments) if is_open else Systematics(moments, 0 * moments)
+    record = MaterialRecord("weights", "2026-07-01T12:00:00Z", 5, 0.02, 0.02)
+    known = replace(sensor, elastomer=replace(sensor.elastomer, calibration=record))
+    field = _field(sensor)
+    found = SystematicErrors(known).add(field, seen).systematic_std[2]
+    expected = 0.02 if is_open else np.hypot(0.02, 0.1)
+    assert found == pytest.approx(expected * abs(field.wrench[2]), rel=1e-9)
+
+
 @pytest.mark.parametrize(
-    ("std", "flag"), [(0.05, ForceFlag.NONE), (0.5, ForceFlag.SCALE_UNCERTAIN)]
+    ("std", "flag"), [(0.13, ForceFlag.NONE), (0.17, ForceFlag.SCALE_UNCERTAIN)]
 )
 def test_newtons_by_an_assumed_modulus_are_flagged(
     sensor: SensorDescription, std: float, flag: ForceFlag
@@ -110,6 +170,24 @@ def test_newtons_by_an_assumed_modulus_are_flagged(
     stage = ForceStage(_exact(sensor, young=std))
     surface = surface_at_rest(Reference.nominal(sensor), sensor.pattern.shape)
     assert stage.process(surface).flags & ForceFlag.SCALE_UNCERTAIN == flag
+
+
+@pytest.mark.parametrize(("of_bias", "flag"), [(True, False), (False, True)])
+def test_what_rest_leaves_open_of_the_scale_is_flagged_and_what_it_shows_is_not(
+    sensor: SensorDescription, of_bias: bool, flag: bool
+) -> None:
+    moments = np.zeros((11, 11))
+    moments[8, 8] = 0.2**2
+    parts = (moments, 0 * moments) if of_bias else (0 * moments, moments)
+    errors = SystematicErrors(_exact(sensor))
+    errors.add(_field(sensor), Systematics(*parts))
+    assert errors.scale_is_uncertain == flag
+
+
+def test_lengths_in_another_unit_make_the_scale_uncertain(sensor: SensorDescription) -> None:
+    elastomer = replace(sensor.elastomer, size=tuple(100 * side for side in sensor.elastomer.size))
+    assert not SystematicErrors(_exact(sensor)).scale_is_uncertain
+    assert SystematicErrors(_exact(replace(sensor, elastomer=elastomer))).scale_is_uncertain
 
 
 @pytest.mark.parametrize(
