@@ -139,7 +139,10 @@ SENSOR_ARGUMENTS = (
         'pose of the gel frame in parent_frame, "x y z roll pitch yaw" in m and rad',
         "0 0 0 0 0 0",
     ),
-    SensorArgument("record", "folder for a recorded bag, which must not exist; empty for none"),
+    SensorArgument(
+        "record",
+        "folder for a recorded bag, which must not exist; empty: a recorder waits for its service",
+    ),
     *_of_node(RecorderParameters, ("topics", "compression"), prefix="record_"),
 )
 DEFAULTS = {item.name: item.default for item in SENSOR_ARGUMENTS}
@@ -204,7 +207,7 @@ def sensor_components(
     except (GraphError, DescriptionError, library.RecordingError) as error:
         msg = f"argument {prefix}{error}"
         raise GraphError(msg) from None
-    nodes = [*_processing(sensor, settings, look or {}), *_recorder(sensor, settings)]
+    nodes = [*_processing(sensor, settings, look or {}), _recorder(sensor, settings)]
     return nodes, list(_source(sensor, settings))
 
 
@@ -315,17 +318,19 @@ def _processing(
     )
 
 
-def _recorder(sensor: GraphSensor, settings: Mapping[str, Any]) -> Iterator[Component]:
-    if settings["record"]:
-        yield _component(
-            sensor,
-            settings,
-            "cmp_tactile_driver::Recorder",
-            "recorder",
-            output=str(expanded_path(settings["record"]).resolve()),
-            topics=settings["record_topics"],
-            compression=settings["record_compression"],
-        )
+def _recorder(sensor: GraphSensor, settings: Mapping[str, Any]) -> Component:
+    """It records at once where a folder is given, else when its service is called."""
+    folder = settings["record"]
+    return _component(
+        sensor,
+        settings,
+        "cmp_tactile_driver::Recorder",
+        "recorder",
+        output=str(expanded_path(folder).resolve()) if folder else "",
+        autostart=bool(folder),
+        topics=settings["record_topics"],
+        compression=settings["record_compression"],
+    )
 
 
 def _records_frames(sensor: GraphSensor, settings: Mapping[str, Any]) -> bool:

@@ -75,7 +75,8 @@ def _finger_arguments(side: str, y: float, turned: float) -> tuple[Argument, ...
     Argument("namespace", "namespace of both fingers; empty for none"),
     Argument(
         "record",
-        "folder to record into, with a bag for each finger; it must not exist yet; empty for none",
+        "folder to record into, with a bag for each finger; it must not exist yet; empty: the "
+        "recorders wait for their services",
     ),
     *(item for item in SENSOR_ARGUMENTS if item.name in OF_BOTH),
     *_finger_arguments("left", 0.02, 1.5707963),

@@ -22,6 +22,7 @@ DOCUMENT = ROOT / "docs" / "launch.md"
 ARGUMENTS = ROOT / "docs" / "launch_arguments.md"
 TABLE = runpy.run_path(str(ROOT / "docs" / "argument_table.py"))
 CHAIN = {
+    "recorder",
     "surface_visualizer",
     "force_reconstructor",
     "stereo_triangulator",
@@ -48,16 +49,24 @@ def test_one_sensor_is_its_chain_and_a_source_that_comes_last(name):
     assert set(names) == CHAIN | source
     assert names[-1] in source
     assert graph.namespace == "/sample_rig"
-    recorded = _load(name, **given, record="there")
-    assert {c.name for c in recorded.components} == CHAIN | source | {"recorder"}
-    (recorder,) = (c for c in recorded.components if c.name == "recorder")
-    assert recorder.parameters["output"] == str(Path("there").resolve())
+
+
+@pytest.mark.parametrize(("record", "output"), [("", ""), ("there", str(Path("there").resolve()))])
+def test_a_recorder_without_a_folder_waits_for_its_service(record, output):
+    """Reports: ros2/rosbag2 1130, 1131 (a recorder that is there and records when it is asked)."""
+    for name, given in {**{n: g for n, (g, _) in ONE_SENSOR.items()}, "gripper": {}}.items():
+        graph = _load(name, **given, record=record)
+        recorders = [c.parameters for c in graph.components if c.name == "recorder"]
+        assert len(recorders) == (2 if name == "gripper" else 1)
+        for parameters in recorders:
+            assert parameters["autostart"] == bool(record)
+            assert parameters["output"].startswith(output)
 
 
 def test_a_sensor_without_a_camera_has_no_camera_nodes():
     graph = _load("sensor", source="topic", sensor="tac3d_ad2")
     names = {component.name for component in graph.components}
-    assert names == {"force_reconstructor", "surface_visualizer"}
+    assert names == {"force_reconstructor", "surface_visualizer", "recorder"}
     mounted = _load("sensor", source="topic", sensor="tac3d_ad2", parent_frame="hand")
     # It sends the transform of the mount.
     assert {component.name for component in mounted.components} == names | {"view_splitter"}

@@ -231,7 +231,8 @@ class Recorder(ReportingNode):
     as `sensor.yaml` in the same folder.  If the disk is too slow, messages are dropped and counted.
     If the bag cannot be written, the recording ends; what was written is kept and the diagnostics
     say why.
-    `~/record` starts and stops: a second recording takes the folder with _2 after its name.
+    `~/record` starts and stops: a second recording takes the folder with _2 after its name, or
+    where no folder is given, one with the time in its name.
     `~/status` (latched) reports state and counts.
     Raises CmpTactileError if the parameters or the folder cannot be used.
     """
@@ -319,7 +320,7 @@ class Recorder(ReportingNode):
             when = datetime.now().strftime("%Y_%m_%d-%H_%M_%S")  # noqa: DTZ005  as rosbag2 does
             output = f"{self._sensor.ros_name}_{when}"
         first = expanded_path(output)
-        if self.bag is None:
+        if self.bag is None or not (self._settings.output or first.exists()):
             return first
         number = 2
         while (folder := first.with_name(f"{first.name}_{number}")).exists():

@@ -193,6 +193,24 @@ def test_start_stop_and_status(ros, output):
     node.stop()
 
 
+def test_an_idle_recorder_names_each_bag_by_the_time(ros, tmp_path, monkeypatch):
+    """ros2/rosbag2 2409: after a stop, a second recording was empty."""
+    monkeypatch.chdir(tmp_path)
+    publisher = ros.node.create_publisher(Image, "image_raw", 100)
+    node = ros.start(Recorder, autostart=False, sensor_name="thumb")
+    bags = []
+    for _ in range(2):
+        answer = ros.call(SetBool, "recorder/record", SetBool.Request(data=True))
+        recorded(ros, node, publisher, images(made_bags.frames(6)))
+        ros.call(SetBool, "recorder/record", SetBool.Request(data=False))
+        bags.append(Path(answer.message.removeprefix("recording: ")))
+    assert len({bag.resolve() for bag in bags}) == 2
+    for bag in bags:
+        assert bag.resolve().parent == tmp_path
+        assert bag.name.startswith("thumb_2")
+        assert len(list(BagReader(bag).frames())) == 6
+
+
 def test_sensor_description_lies_beside_the_bag(ros, output):
     ros.start(Recorder, output=str(output), sensor_name="thumb").stop()
     assert load_sensor(str(output / "sensor.yaml")).name == "thumb"
