@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -101,6 +102,17 @@ def test_what_no_gel_shows_gives_no_force(model, truth, absurd):
     field = model.reconstruct(ABSURD[absurd](truth["press"].displacement), MEASURED)
     assert field.flags == ForceFlag.IMPLAUSIBLE
     assert np.isnan(field.wrench).all()
+
+
+@pytest.mark.parametrize(
+    ("newton", "allowed"), [(16.0, True), (19.0, False), (-130.0, True), (-145.0, False)]
+)
+def test_force_is_limited_by_suction_and_by_a_press_all_through(sensor, model, newton, allowed):
+    """1 bar on (13.1 mm)^2 are 17.4 N; Gent: E (1 + 2 s^2) there are 138 N, s = 13.1 mm / 4 h."""
+    plausibility = Plausibility(sensor, model.elastic.markers)
+    force = np.zeros((400, 3))
+    force[:, 2] = newton / 400
+    assert plausibility.allows_force(force, np.zeros((20, 20, 3))) == allowed
 
 
 def test_what_a_gel_shows_is_plausible(model, truth):
