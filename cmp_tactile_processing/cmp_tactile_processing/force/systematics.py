@@ -125,14 +125,18 @@ def _material(sensor: SensorDescription) -> Array:
     common += (by_thickness(sensor) * known.of("elastomer.thickness")) ** 2
     common += (BY_SKIN * known.of("elastomer.shading_layer")) ** 2
     covariance = np.full((3, 3), common)
-    by_poisson = POISSON_BY_CONFINEMENT * _confinement(sensor)
-    covariance[2, 2] += (by_poisson * known.of("elastomer.poisson")) ** 2
+    covariance[2, 2] += (by_poisson(sensor) * known.of("elastomer.poisson")) ** 2
     return covariance
 
 
 def by_thickness(sensor: SensorDescription) -> float:
     """Relative change of a force per relative change of the gel's thickness."""
     return THICKNESS_ALONE + THICKNESS_BY_CONFINEMENT * _confinement(sensor)
+
+
+def by_poisson(sensor: SensorDescription) -> float:
+    """Relative change of a normal force per change of Poisson's ratio by 1."""
+    return POISSON_BY_CONFINEMENT * _confinement(sensor)
 
 
 def _confinement(sensor: SensorDescription) -> float:

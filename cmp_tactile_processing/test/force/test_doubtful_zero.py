@@ -91,6 +91,17 @@ def test_the_load_is_stated_from_zero_to_the_next_zero_of_a_free_gel(
     assert stage.zeroed_load == 0
 
 
+def test_loads_of_two_references_add_up(
+    stage: ForceStage, measure: Measure, truth: dict[str, Press]
+) -> None:
+    first, second = (share * truth["press"].displacement for share in (0.2, 0.35))
+    measure(FREE, FREE, 1)
+    measure(first, FREE, 1)
+    measure(second, first, 2)
+    measure(second, second, 3)
+    assert stage.zeroed_load == pytest.approx(3.5, rel=0.05)
+
+
 def test_a_free_gel_and_any_press_from_a_free_reference_are_not_doubted(
     measure: Measure, truth: dict[str, Press]
 ) -> None:

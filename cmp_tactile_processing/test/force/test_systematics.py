@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.force.systematics import BY_PATTERN, SystematicErrors, by_thickness
+from cmp_tactile_processing.force.systematics import (
+    BY_PATTERN,
+    BY_SKIN,
+    SystematicErrors,
+    by_poisson,
+    by_thickness,
+)
 from cmp_tactile_processing.measured import (
     Contact,
     ForceField,
@@ -25,6 +32,7 @@ from cmp_tactile_processing.surface.displacement import Reference, surface_at_re
 DRAWS = 20_000
 # Of a standard deviation from so many draws, four times over.
 MONTE_CARLO = 4 / np.sqrt(2 * DRAWS)
+Share = Callable[[SensorDescription], float]
 EXACT = dict.fromkeys(("young", "poisson", "thickness", "shading_layer"), 0.0)
 
 
@@ -90,6 +98,24 @@ def test_moments_follow_their_forces(sensor: SensorDescription) -> None:
     found = SystematicErrors(_exact(sensor, young=share)).add(field, None)
     np.testing.assert_allclose(found.systematic_std, share * np.abs(field.wrench), rtol=1e-6)
     np.testing.assert_allclose(found.force_std, share * np.abs(field.force), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "of_tangential", "of_normal"),
+    [
+        ("thickness", by_thickness, by_thickness),
+        ("shading_layer", lambda _: BY_SKIN, lambda _: BY_SKIN),
+        ("poisson", lambda _: 0.0, by_poisson),
+    ],
+)
+def test_each_uncertainty_of_the_gel_counts_by_how_forces_follow_it(
+    sensor: SensorDescription, name: str, of_tangential: Share, of_normal: Share
+) -> None:
+    field = _field(sensor)
+    found = SystematicErrors(_exact(sensor, **{name: 0.05})).add(field, None)
+    across, along = of_tangential(sensor), of_normal(sensor)
+    shares = 0.05 * np.abs([across, across, along])
+    np.testing.assert_allclose(found.systematic_std[:3], shares * np.abs(field.wrench[:3]))
 
 
 def test_a_modulus_leaves_ratios_of_forces_alone(sensor: SensorDescription) -> None:
