@@ -169,6 +169,8 @@ def test_slip_begins_before_all_slides(drag, observed_drag):
     assert len(foreseen) >= 4
     for slip in foreseen:
         assert abs(slip.friction_coefficient - FRICTION) < 3 * slip.friction_std
+        # A tenth of it, as docs/slip.md states.
+        assert 0.07 < slip.friction_std / slip.friction_coefficient < 0.15
 
 
 def test_other_parameters_hold_at_once_and_contacts_keep_their_history(
@@ -195,7 +197,7 @@ def test_full_slip_is_reported_and_held_and_left(drag, observed_drag):
         assert field.slip_state is SlipState.FULL
         slip = field.slip
         assert slip.friction_coefficient == pytest.approx(FRICTION, rel=FRICTION_TOLERANCE)
-        assert 0 < slip.friction_std < FRICTION_TOLERANCE * FRICTION
+        assert 0.4 < slip.friction_std / (FRICTION_TOLERANCE * FRICTION) < 1
     assert SlipState.FULL not in [f.slip_state for f in _phase("back", drag, observed_drag)[2:]]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -133,9 +135,19 @@ CONTACT = Contact(
 )
 
 
-def _patch(force, place=PLACE):
+def _patch(force, place=PLACE, contact=CONTACT):
     normal = np.tile([0.0, 0.0, 1.0], (25, 1))
-    return patch_of(CONTACT, force, DeformedNodes(GRID, place, normal, np.ones(25), 1e-3))
+    return patch_of(contact, force, DeformedNodes(GRID, place, normal, np.ones(25), 1e-3))
+
+
+def test_the_friction_used_is_as_certain_as_its_forces() -> None:
+    """Monte Carlo: 0.75 N of drag and 2 N of press, of deviations that are not the same."""
+    force, std = np.tile([0.03, 0.0, -0.08], (25, 1)), np.array([0.02, 0.02, 0.1])
+    covariance = np.diag([*std**2, 0.0, 0.0, 0.0])
+    drawn = np.random.default_rng(2).normal(force.sum(axis=0), std, (20_000, 3))
+    expected = np.std(np.hypot(drawn[:, 0], drawn[:, 1]) / -drawn[:, 2])
+    found = _patch(force, contact=replace(CONTACT, covariance=covariance)).ratio_std
+    assert found == pytest.approx(expected, rel=0.03)
 
 
 def test_a_node_of_unknown_place_makes_the_contact_unknown() -> None:
