@@ -307,16 +307,6 @@ class Surface(Markers3D):
     reference_faults: ReferenceFault = ReferenceFault.NONE
     systematics: Systematics | None = None
 
-    @property
-    def systematic_std(self) -> NDArray[np.float64]:
-        """Standard deviation of the displacement by systematics alone, (rows, cols, 3) m."""
-        if self.systematics is None:
-            return np.zeros_like(self.displacement)
-        gain = self.systematics.total[:9, :9].reshape(3, 3, 3, 3)
-        moved = self.displacement
-        variance = np.einsum("ijik,...j,...k->...i", gain, moved, moved)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
-
     @classmethod
     def from_exact_points(
         cls,

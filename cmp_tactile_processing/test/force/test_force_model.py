@@ -169,7 +169,7 @@ def test_an_error_of_the_model_has_four_parts(sensor, truth, cache_dir):
     """In closed form: shares of normal and tangential forces, of all together in any direction at
     their centre, and of the gel's height as the place at which they act.
     """
-    error, moved, covariances = 0.02, 0.05 * truth["shear"].displacement, []
+    error, moved, covariances = 0.02, 0.05 * truth["off centre"].displacement, []
     for share in (0.0, error):
         rig = replace(sensor, force=replace(sensor.force, model_error=share))
         field = ForceModel(rig, cache_dir).reconstruct(moved, MEASURED)

@@ -117,7 +117,9 @@ def test_faults_are_reported(sensor, points):
     assert np.isnan(found.covariance[:4]).all()
     assert np.isfinite(found.position[4:]).all()
     # How far the rays miss each other is reported even so: it speaks of the calibration.
-    assert 1e-4 < found.gap[3] < 3e-4
+    across = np.cross(left.direction[3], right.direction[3])
+    apart = (rays["origin"] - left.origin)[3] @ across / np.linalg.norm(across)
+    assert found.gap[3] == pytest.approx(abs(apart), rel=1e-9)
 
 
 def grids_of(sensor, points):
@@ -131,6 +133,27 @@ def grids_of(sensor, points):
         )
         for name, view in build_views(sensor).items()
     }
+
+
+def test_stage_weighs_each_corner_by_its_own_std(sensor, points):
+    """Each view's own, and of a corner without one that of the parameters, here for a half."""
+    rng, shape = np.random.default_rng(9), sensor.pattern.shape
+    rig, exact = StereoRig(sensor), grids_of(sensor, points)
+    half = np.indices(shape.corners).sum(axis=0) % 2 == 0
+    assumed = sensor.triangulation.corner_noise
+    distances2 = []
+    for _ in range(DRAWS):
+        seen = []
+        for grid, own in zip(exact.values(), (0.3 * assumed, 2 * assumed), strict=True):
+            std = np.where(half, own, assumed)[..., None]
+            noisy = grid.corners + rng.normal(size=grid.corners.shape) * std
+            seen.append(replace(grid, corners=noisy, corner_std=np.where(half, own, np.nan)))
+        found = rig.triangulate(*seen)
+        error = found.position - points.reshape(found.position.shape)
+        inverse = np.linalg.inv(found.covariance)
+        distances2.append(np.einsum("...i,...ij,...j", error, inverse, error))
+    for part in (half, ~half):
+        assert np.mean(np.array(distances2)[:, part]) == pytest.approx(3, rel=RTOL_SPREAD)
 
 
 def test_stage_reports_why_a_marker_is_missing(sensor, points):

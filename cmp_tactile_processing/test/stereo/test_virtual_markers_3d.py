@@ -207,9 +207,8 @@ def test_the_std_of_a_bow_grows_from_the_corners_to_its_middle(rig):
     np.testing.assert_allclose(std / std.max(), 4 * share * (1 - share), atol=0.25)
 
 
-def test_errors_are_as_large_as_their_std_says(rig):
-    """Noise in all pixels: errors over std are those of one to two normal numbers."""
-    scene = make_scene(rig, smooth)
+def with_noise(scene):
+    """The scene with the noise that its deviations state, in the corners and in all pixels."""
     rng = np.random.default_rng(5)
     corners = scene.nodes.position + rng.normal(0, CORNER_STD_M, scene.nodes.position.shape)
     grids = {
@@ -220,8 +219,13 @@ def test_errors_are_as_large_as_their_std_says(rig):
         )
         for name, grid in scene.grids.items()
     }
-    nodes = scene.nodes._replace(position=corners)
-    rows, cols = scene.triangulate(grids=grids, nodes=nodes)
+    return replace(scene, grids=grids, nodes=scene.nodes._replace(position=corners))
+
+
+def test_errors_are_as_large_as_their_std_says(rig):
+    """Errors over std are those of one to two normal numbers."""
+    scene = make_scene(rig, smooth)
+    rows, cols = with_noise(scene).triangulate()
     for found, truth, axis in ((rows, scene.rows, 1), (cols, scene.cols, 0)):
         ratio = across(found.position - truth, scene.nodes.position, axis) / found.std
         # std is the larger of two, and does not count on both sources being independent.
@@ -365,3 +369,17 @@ def test_one_view_measures_a_bend_between_corners_along_the_surface(sensor, surf
     corners = scene.nodes.position
     assert across(rows.position - scene.rows, corners, 1).max() < ATOL_MEASURED_M
     assert across(cols.position - scene.cols, corners, 0).max() < ATOL_MEASURED_M
+
+
+def test_errors_of_one_view_are_as_large_as_their_std_says(sensor):
+    """On a plane there is one direction across a gridline."""
+    flat = make_scene(one_view_on(sensor, PatternSurface()))
+    covariance = np.array(flat.nodes.covariance)
+    covariance[..., 2, :] = covariance[..., :, 2] = np.nan
+    scene = with_noise(replace(flat, nodes=flat.nodes._replace(covariance=covariance)))
+    scene.nodes.position[..., 2] = 0.0
+    rows, cols = scene.triangulate()
+    for found, truth, axis in ((rows, flat.rows, 1), (cols, flat.cols, 0)):
+        ratio = across(found.position - truth, flat.nodes.position, axis) / found.std
+        # std does not count on both sources being independent.
+        assert 0.5 < np.sqrt(np.mean(ratio**2)) < 1.0

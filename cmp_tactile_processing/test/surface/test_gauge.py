@@ -130,6 +130,14 @@ def test_a_wrong_description_is_found_and_named_with_what_it_does(
     np.testing.assert_allclose(gain, expected, atol=SAMPLING * expected.max())
 
 
+@pytest.mark.parametrize(("error", "is_doubted"), [(0.014, False), (0.026, True)])
+def test_two_per_cent_of_an_error_are_doubted(
+    sensor: SensorDescription, error: float, is_doubted: bool
+) -> None:
+    known = replace(sensor, uncertainty=Uncertainty({"pattern.pitch": 5e-3, "camera.fx": 1e-4}))
+    assert bool(_read(sensor, _pitch(known, error)).doubt) == is_doubted
+
+
 def test_a_layer_that_was_not_described_is_found(sensor: SensorDescription) -> None:
     reading = _read(_glass(sensor, 1.45), sensor)
     assert "index of refraction" in reading.doubt

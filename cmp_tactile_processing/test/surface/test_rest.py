@@ -15,6 +15,7 @@ from cmp_tactile_processing.measured import (
     MarkerFault,
     Markers3D,
     Status,
+    Surface,
     no_virtual_markers,
 )
 from cmp_tactile_processing.surface.displacement import Reference
@@ -238,6 +239,13 @@ class TestReference:
         for lost in (surface.displacement, surface.covariance):
             assert np.isnan(lost[4, 6]).all()
         assert np.isfinite(surface.position[4, 6]).all()
+
+    def test_markers_of_another_sensor_have_the_std_they_are_given(self, sensor, nominal):
+        moved = nominal + 1e-4
+        surface = Surface.from_positions(sensor.pattern.shape, nominal, moved, std=3e-6)
+        np.testing.assert_allclose(surface.displacement, 1e-4, rtol=1e-9)
+        wanted = np.broadcast_to(9e-12 * np.eye(3), (20, 20, 3, 3))
+        np.testing.assert_allclose(surface.covariance, wanted)
 
     def test_no_frames_are_refused(self):
         with pytest.raises(ReferenceFramesError, match="found no frames"):

@@ -58,19 +58,27 @@ def test_corners_and_virtual_markers_of_a_clean_frame(trackers, stills, view_ima
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_standard_deviations_of_corners_are_those_of_their_errors(
-    trackers, stills, view_image, view
-):
+def test_standard_deviations_are_those_of_the_errors(trackers, stills, view_image, view):
     """With more noise than the sample frames have, so that blur and rounding hardly count."""
     rng, ratios = np.random.default_rng(6), []
-    for name in ("rest", "slide", "press", "twist", "bumps"):
-        image = view_image(stills[name], view)
+    of_lines: dict[str, list[np.ndarray]] = {"row": [], "col": []}
+    for still in (stills[name] for name in ("rest", "slide", "press", "twist", "bumps")):
+        image = view_image(still, view)
         noisy = np.rint(image + rng.normal(0, 2.0, image.shape)).clip(0, 255).astype(np.uint8)
         grid = trackers[view].track(noisy)
-        error = grid.corners_frame - stills[name].truth[f"corners_{view}_px"]
+        error = grid.corners_frame - still.truth[f"corners_{view}_px"]
         ratios.append(error / grid.corner_std[..., None])
+        for name, found in of_lines.items():
+            points, std = getattr(grid, f"{name}_lines_frame"), getattr(grid, f"{name}_line_std")
+            if name == "col":
+                points, std = points.swapaxes(0, 1), std.swapaxes(0, 1)
+            line = still.truth[f"{name}_lines_{view}_px"]
+            away = distance_to_line(points.reshape(len(points), -1, 2), line)
+            found.append(away / std.reshape(away.shape))
     # Measured: 0.95 to 0.97.  Of 4000 numbers the root of the mean square is within 0.04.
     assert 0.9 < np.sqrt(np.mean(np.square(ratios))) < 1.1
+    for found in of_lines.values():
+        assert 0.8 < np.sqrt(np.mean(np.square(found))) < 1.25
 
 
 def distance_to_line(points, line):
