@@ -101,7 +101,7 @@ class Pipeline:
             for view in self._views if images else ():
                 view.inspect_print(images)
             if any(
-                found and found.flawed.known.any()
+                found and (found.flawed.known.any() or found.bands.loss)
                 for found in (*known.values(), *self.print_defects.values())
             ):
                 # Flawed corners are now where their new pictures have them, or the model.

@@ -25,6 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import joblib
+import numpy as np
+from numpy.typing import NDArray
 
 from cmp_tactile_bringup.errors import ClusterError, OutputError, TaskError
 from cmp_tactile_bringup.offline.jobs import Job, Outcome
@@ -39,6 +41,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
+from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.processes import python_command
 from cmp_tactile_processing.ros import diagnostics
@@ -223,6 +226,7 @@ class _FrameFaults:
         self._watch, self._pictures = diagnostics.StampWatch(), RepeatedPictures()
         self._frames, self._last_ns, self._longest_ns = 0, 0, 0
         self._repeated = self._most_in_a_row = 0
+        self._bands, self._losses = LightBands(1), list[float]()
 
     def add(self, frame: Recorded) -> str:
         """What is wrong: "back", "repeated", "zero" or "gap" of the stamp, "old_picture"; or ""."""
@@ -232,10 +236,19 @@ class _FrameFaults:
     def _picture_fault(self, frame: Recorded) -> str:
         if isinstance(frame, RecordedSurface):
             return ""
+        self._add_light(frame.image)
         in_a_row = self._pictures.add(frame.image)
         self._repeated += in_a_row > 1
         self._most_in_a_row = max(self._most_in_a_row, in_a_row)
         return results.OLD_PICTURE if in_a_row > 1 else ""
+
+    def _add_light(self, image: NDArray[np.uint8]) -> None:
+        """Compare the light with that of the frame before."""
+        if len(self._bands.changing) == len(image):
+            self._bands.add(image)
+            self._losses.append(self._bands.loss)
+        self._bands = LightBands(len(image))
+        self._bands.add(image)
 
     def _stamp_fault(self, frame: Recorded) -> str:
         passed = frame.stamp_ns - self._last_ns
@@ -258,6 +271,9 @@ class _FrameFaults:
                 f"before (the same up to {self._most_in_a_row} times in a row): not usable; had "
                 "the camera stopped?"
             )
+        # What moves in front of the camera changes rows in some frames, too.
+        if flicker := flicker_report(float(np.median(self._losses or [0.0]))):
+            yield flicker
         for kind, text in STAMP_FAULTS.items():
             if self._watch.stamps[kind]:
                 yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"

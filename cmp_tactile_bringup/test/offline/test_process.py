@@ -168,6 +168,15 @@ def test_a_repeated_picture_is_reported_and_its_force_not_usable(images, tmp_pat
     assert rows == [("", "1"), ("old_picture", "0"), ("old_picture", "0"), ("", "1")]
 
 
+def test_light_that_flickers_is_reported(images, tmp_path, capsys):
+    for k in range(3):
+        frame = cv2.imread(str(images / f"{k}.png"), cv2.IMREAD_GRAYSCALE)
+        frame[200 * k : 200 * k + 150] //= 2
+        cv2.imwrite(str(images / f"{k}.png"), frame)
+    assert process(images, "--output", tmp_path) == 0
+    assert "the light flickers" in printed(capsys)
+
+
 def test_pictures_of_two_cameras_are_processed_as_one_frame(images, tmp_path, capsys):
     rows = []
     for late_ms, (name, view) in zip((0, 12), load_sensor("sample_rig").views.items(), strict=True):

@@ -140,6 +140,8 @@ class GridTracker:
         grey = to_grey(part, self._parameters.grey_weights, self._grey)
         if grey is not self._grey:
             np.copyto(self._grey, grey)
+        if self._defects is not None:
+            self._defects.bands.take_out(self._grey)
         image = self._image = self._prefilter.prepare(self._grey)
         last, self._last = self._last, None  # an error below must not repeat in each frame
         torn = torn_rows(image)

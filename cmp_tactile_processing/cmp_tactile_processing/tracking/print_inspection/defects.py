@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.image.light_bands import LightBands
 from cmp_tactile_processing.tracking.print_inspection.flawed_corners import FlawedCorners
 from cmp_tactile_processing.tracking.print_inspection.picture import SMOOTHING_PX, Departure
 
@@ -81,6 +82,7 @@ class PrintDefects:
     raggedness_px: the same over all segments.
     judged: share of the print that could be inspected, 0 to 1; what was not counts as sound.
     frames: number of frames averaged.
+    bands: of light that changed between the frames; rows in which it did are not inspected.
     flawed: pictures of the corners that are measured by these; all corners where edges are ragged.
     """
 
@@ -93,6 +95,7 @@ class PrintDefects:
     defects: Sequence[Defect]
     judged: float
     frames: int
+    bands: LightBands
     flawed: FlawedCorners
 
     @property
@@ -131,7 +134,8 @@ class PrintDefects:
             )
         if by_picture := int(self.flawed.known.sum()):
             text += f" {by_picture} corners are measured by their pictures."
-        return text
+        flicker = self.bands.report
+        return f"{text} Rows are not inspected where {flicker}." if flicker else text
 
 
 # Spots of missing ink or dirt: connected pixels that no edge, light or noise explains.

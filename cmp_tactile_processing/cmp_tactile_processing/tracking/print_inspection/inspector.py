@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
+from cmp_tactile_processing.image.light_bands import LightBands
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
@@ -96,7 +97,8 @@ def _judged(frame: MeanFrame) -> PrintDefects:
     low = np.maximum(np.floor(np.nanmin(corners, axis=(0, 1)) - 1.5 * side), 0).astype(int)
     high = np.ceil(np.nanmax(corners, axis=(0, 1)) + 1.5 * side).astype(int) + 1
     part = np.ascontiguousarray(frame.image[low[1] : high[1], low[0] : high[0]])
-    seen = PrintView.in_image(part, frame.noise, corners - low)
+    steady = ~frame.bands.changing[low[1] : high[1]]
+    seen = PrintView.in_image(part, frame.noise, corners - low, steady)
     if seen is None:
         return _unjudged(frame)
     first = frame.origin + low
@@ -118,6 +120,7 @@ def _judged(frame: MeanFrame) -> PrintDefects:
         defects=(*spots, *_ragged_edges(scatters, seen, first)),
         judged=seen.judged,
         frames=frame.frames,
+        bands=frame.bands,
         flawed=frame.pictures(seen.lattice.corners(*corners.shape[:2]) + low, flawed),
     )
 
@@ -134,6 +137,7 @@ def _unjudged(frame: MeanFrame) -> PrintDefects:
         defects=(),
         judged=0.0,
         frames=frame.frames,
+        bands=frame.bands,
         flawed=frame.pictures(frame.corners, np.zeros(shape.corners, bool)),
     )
 
@@ -190,6 +194,7 @@ class MeanFrame:
         self._sum, self._smooth = np.zeros((2, *size), dtype=np.float32)
         self._smoothing_px = 0.0
         self.frames = 0
+        self.bands = LightBands(size[0])
         self.origin = np.zeros(2)
         self._noise2 = 0.0
         self._first: NDArray[np.float64] | None = None
@@ -206,6 +211,7 @@ class MeanFrame:
             msg = f"print inspection: found an image of {image.grey.shape}, expected "
             raise GeometryError(f"{msg}{self._sum.shape}")
         corners = np.where((grid.corner_status == Status.MEASURED)[..., None], grid.corners, np.nan)
+        self.bands.add(image.grey)
         self._check_rest(corners, origin)
         self._sum += image.grey
         self._smooth += image.smooth
@@ -246,7 +252,8 @@ class MeanFrame:
                 f"frame, expected less than {SAME_REST_PX} px: the gel must be at rest in all "
                 "frames"
             )
-            raise ReferenceFramesError(msg)
+            flicker = self.bands.report
+            raise ReferenceFramesError(f"{msg}; {flicker}" if flicker else msg)
 
     @property
     def image(self) -> NDArray[np.float32]:

@@ -67,9 +67,16 @@ class PrintView:
 
     @classmethod
     def in_image(
-        cls, image: NDArray[np.float32], noise: float, corners: NDArray[np.float64]
+        cls,
+        image: NDArray[np.float32],
+        noise: float,
+        corners: NDArray[np.float64],
+        steady: NDArray[np.bool_],
     ) -> PrintView | None:
-        """None where the image (H, W) has no contrast or too little of the print, or but glare."""
+        """None where the image (H, W) has no contrast or too little of the print, or but glare.
+
+        steady (H,): rows in which the light was the same in all frames.
+        """
         known = np.isfinite(corners[..., 0])
         if known.sum() < max(LEAST_CORNERS, LEAST_SHARE * known.size):
             return None
@@ -78,7 +85,9 @@ class PrintView:
         places = places_in_image(lattice, known.shape, image.shape)
         usual = PRESSED_SHARE * side / _usual_px(lattice)
         sound = _filled(known) & ~_pressed(_astray(corners, lattice) > max(usual, 1))
-        usable = _usable(places.number, sound)
+        row = lattice.corners(*known.shape)[..., 1]
+        sound &= steady[np.clip(np.rint(row), 0, len(steady) - 1).astype(int)]
+        usable = _usable(places.number, sound) & steady[:, None]
         last = np.array([count - 1 for count in known.shape], dtype=np.float32)
         tolerance = 1 + RIM_STRAYING * _beyond(places.number, usable, last)
         found = departure(image, noise, places, usable, side)

@@ -1,0 +1,90 @@
+"""Bands of light that roll through the frames of a rig leave its forces right.
+
+Public reports of such light: pimoroni/unicorn-hat-hd 43 (PWM of the lamp, no exposure helps),
+raspberrypi/libcamera 269 (bands unless the exposure is a multiple of 10 ms).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cmp_tactile_processing.force.advice import UNUSABLE
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Start, Touch
+from cmp_tactile_simulation.scenes.file import load_scene
+from cmp_tactile_simulation.scenes.simulation import Simulation
+
+REST_FRAMES, CLEARANCE_M, DEPTH_M = 4, 2e-4, 3e-4
+# Errors in deviations, at rest and pressed; of a press, N.
+AT_REST, PRESSED, PRESSED_N = 3.0, 4.0, 0.02
+# Share of the print that is inspected.
+JUDGED = 0.99
+LOSS, LOSS_TOLERANCE = 0.3, 0.06
+# Bands: period and length of an edge, px; way from frame to frame, in periods.
+PWM, SLOW = (90, 12, 0.63), (400, 30, 0.48)
+
+
+@pytest.fixture(scope="module")
+def press():
+    """Frames without noise, at rest and pressed, and the forces (n, 3)."""
+    scene = load_scene("contact_sphere")
+    motion = (
+        Phase("rest", 1, Hold()),
+        Phase("close", 3, MoveBy((0.0, 0.0, -CLEARANCE_M - DEPTH_M))),
+        Phase("drag", 2, MoveBy((2e-4, 1e-4, 0.0))),
+    )
+    start = Start(Touch((5e-4, -3e-4), CLEARANCE_M))
+    camera = replace(scene.camera, read_noise=0.0)
+    sensor = load_sensor("sample_rig")
+    scene = replace(scene, sensor=sensor, start=start, motion=motion, camera=camera)
+    frames = list(Simulation(scene).frames())
+    shown = [frames[0]] * (2 * REST_FRAMES) + frames[-4:]
+    return [item.image for item in shown], np.stack([item.force.wrench[:3] for item in shown])
+
+
+@pytest.fixture(scope="module")
+def pipeline():
+    return Pipeline(load_sensor("sample_rig"))
+
+
+def lit(images, period, edge, way, loss=LOSS):
+    """The images with moving bands, and noise."""
+    random = np.random.default_rng(3)
+    for k, image in enumerate(images):
+        place = (np.arange(len(image)) - way * period * k) % period
+        dark = np.clip(place / edge, 0, 1) - np.clip((place - period / 2) / edge, 0, 1)
+        grey = image * (1 - loss * dark)[:, None] + random.normal(0, 1, image.shape)
+        yield np.rint(grey).clip(0, 255).astype(np.uint8)
+
+
+def processed(pipeline, frames):
+    pipeline.reset()
+    pipeline.set_reference(frames[:REST_FRAMES])
+    pipeline.reset()
+    return [pipeline.process(frame).force for frame in frames]
+
+
+@pytest.mark.parametrize("bands", [PWM, SLOW], ids=["pwm", "slow"])
+def test_bands_are_reported_and_forces_right(bands, press, pipeline):
+    images, truth = press
+    fields = processed(pipeline, list(lit(images, *bands)))
+    for defects in pipeline.print_defects.values():
+        assert defects.bands.loss == pytest.approx(LOSS, abs=LOSS_TOLERANCE)
+        assert defects.bands.report in defects.report
+        assert not defects.defects
+    off = np.stack([field.wrench[:3] for field in fields]) - truth
+    deviations = np.abs(off) / np.stack([field.wrench_std[:3] for field in fields])
+    assert deviations[: 2 * REST_FRAMES].max() < AT_REST
+    assert deviations[2 * REST_FRAMES :].max() < PRESSED
+    assert not any(field.flags & UNUSABLE for field in fields)
+    assert np.abs(off).max() < PRESSED_N
+
+
+def test_steady_light_is_not_reported_and_all_is_inspected(press, pipeline):
+    images, _ = press
+    processed(pipeline, list(lit(images, *PWM, loss=0.0)))
+    for defects in pipeline.print_defects.values():
+        assert not defects.bands.report
+        assert defects.judged > JUDGED
