@@ -124,6 +124,11 @@ class Pipeline:
         return (self._keeper.reason or self._keeper.warning()) if self._auto else ""
 
     @property
+    def pattern_doubt(self) -> str:
+        """What a view shows of the pattern that the description lacks; or empty."""
+        return next(filter(None, (view.tracker.pattern_doubt for view in self._views)), "")
+
+    @property
     def print_defects(self) -> dict[str, PrintDefects | None]:
         """The flaws of the print that the frames of `set_reference` showed in each view."""
         return {view.name: view.tracker.print_defects for view in self._views}

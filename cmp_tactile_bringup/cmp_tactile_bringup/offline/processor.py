@@ -119,6 +119,7 @@ class Processor:
             *faults.doubts,
             self._doubt_of_reference(pipeline),
             self._doubt_of_codec(),
+            pipeline.pattern_doubt,
             self._sensor.size_doubt,
             self._doubt_of_assumed(),
         )

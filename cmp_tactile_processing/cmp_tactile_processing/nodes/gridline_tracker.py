@@ -6,6 +6,7 @@ import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -171,6 +172,8 @@ class GridlineTracker(StageNode):
 
     def _update_diagnostics(self) -> None:
         level, note, figures = self._health.close_period()
+        if figures and not note and self._tracker.pattern_doubt:
+            level, note = DiagnosticStatus.WARN, self._tracker.pattern_doubt
         self.diagnostics.note_level, self.diagnostics.note = level, note
         self.diagnostics.extra = {"view": self._view, **figures}
 

@@ -42,6 +42,8 @@ FEWEST_CHECKERS, FEWEST_OF_PLANE, ROUNDS = 12, 12, 8
 MEDIAN_OF_NORMAL = 0.6745
 # Weaker dots are no proof of another code: what blur makes of checkers looks the same.
 LEAST_PROOF = 0.2
+# Of the checkers of a code half have a dot, to this share.
+MAX_SHARE_OFF_HALF = 0.2
 # Where edges are so sharp (see `sharpness`) and checkers so large, dots would be seen.
 SHARP, LEAST_SIDE_PX = 0.92, 8.0
 
@@ -121,6 +123,13 @@ class DotReading:
     def is_clear(self) -> bool:
         """Whether dots are seen so well that they can be those of another code."""
         return self.strength >= LEAST_PROOF
+
+    @property
+    def is_code(self) -> bool:
+        """Whether so many of the checkers have a clear dot as in a code: flaws are fewer."""
+        known = self.bits[self.bits != 0]
+        share = float(np.mean(known > 0)) if len(known) else 0.0
+        return self.is_clear and abs(share - 0.5) < MAX_SHARE_OFF_HALF
 
     @property
     def is_bare(self) -> bool:

@@ -33,6 +33,7 @@ from cmp_tactile_processing.tracking.detector import (
     draw_nominal,
     spoilt_pictures,
 )
+from cmp_tactile_processing.tracking.dots import read_dots
 from cmp_tactile_processing.tracking.image_fault import image_fault
 from cmp_tactile_processing.tracking.numbering.carried import CarriedNumbering, filled
 from cmp_tactile_processing.tracking.numbering.faulty_view import (
@@ -54,6 +55,10 @@ LARGEST_CHANGE = 0.3
 AT_EDGE, MOST_BEYOND_VIEW = 1.0, 0.5
 # A corner of less weight is destroyed by a flaw of the print: it is where its surroundings have it.
 LEAST_WEIGHT = 0.05
+UNDESCRIBED_DOTS = (
+    "the checkers have dots, but pattern.code is none: write code: dots and the sheet's code_seed "
+    "into the description, so that a mirrored or turned view is recognised"
+)
 # What this process has compiled or loaded everything for: the other view of a sensor, or another
 # tracker of it, is there at once.
 _warm: set[tuple[Pattern, TrackingParameters]] = set()
@@ -105,11 +110,17 @@ class GridTracker:
         method = sensor.tracking.virtual_markers
         self._virtual = VirtualMarkerLocator(sensor.pattern.shape, method)
         self._defects: PrintDefects | None = None
+        self._looks_for_dots, self._pattern_doubt = coded is None, ""
         self.reset()
         kind = sensor.pattern, sensor.tracking
         if kind not in _warm:
             self._warm_up(dark_first)
             _warm.add(kind)
+
+    @property
+    def pattern_doubt(self) -> str:
+        """What the first grid shows of the pattern that the description lacks; or empty."""
+        return self._pattern_doubt
 
     @property
     def print_defects(self) -> PrintDefects | None:
@@ -161,6 +172,11 @@ class GridTracker:
             # Pieces that do not continue each other, and what lies beyond a border, are doubtful.
             corners, numbering = self._within_border(image, corners, numbering)
         self._confidence = numbering.confidence
+        if self._looks_for_dots and 2 * corners.missing < corners.std.size:
+            self._looks_for_dots = False
+            even = self._pattern.corner_checker == "dark"
+            if read_dots(image, corners.position, even).is_code:
+                self._pattern_doubt = UNDESCRIBED_DOTS
         return self._grid(image, corners, numbering, followed=False)
 
     def inspect_print(self, half_images: Iterable[NDArray[np.uint8]]) -> PrintDefects:
@@ -354,6 +370,7 @@ class GridTracker:
         with suppress(ReferenceFramesError):
             self.inspect_print([picture])
         self.use_print_defects(None)
+        self._looks_for_dots = self._pattern.code == "none"
         self.reset()
 
 
