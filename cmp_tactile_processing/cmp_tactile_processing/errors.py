@@ -61,6 +61,14 @@ class FrameError(CmpTactileError):
     """A camera frame or view image of the wrong size or type."""
 
 
+class UndecidedViewsError(FrameError):
+    """A picture that does not show whether its views are mirrored.  layouts: what they may be."""
+
+    def __init__(self, message: str, layouts: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.layouts = layouts
+
+
 class GeometryError(CmpTactileError):
     """Arrays whose shapes do not belong together, or a rig that lacks what is asked of it."""
 

@@ -43,8 +43,8 @@ T = TypeVar("T")
 PITCH = Number(0.01, 50, "mm")
 # Of the print of sample_rig, mm.
 USUAL_PITCH = 0.6905
-# As in calibration/proposal.py, which takes long to load.
-LAYOUTS = ("one", "mirrors", "cameras")
+# As in calibration/proposal.py and sensor/dot_code.py, which take long to load.
+LAYOUTS, LARGEST_SEED = ("one", "mirrors", "cameras"), 65535
 DEVICES, POLL_S = "/dev/", 0.1
 FRAME_SIZE = Pair("a size in px, as 1280x720", low=16)
 # What is worth a hint, and what is worth doing before a sensor is used, of a marker's standard
@@ -82,7 +82,7 @@ class Looking(Command):
         str | None,
         option(
             "views in a frame: one, two in mirrors, or two cameras side by side (default: what "
-            "is detected)",
+            "is detected; init asks if no dots show it)",
             Choice(LAYOUTS),
         ),
     ] = None
@@ -305,7 +305,7 @@ class Init(Looking):
     `cmp_tactile calibrate gel` refines mirrors and gel.
 
     examples:
-      cmp_tactile init /dev/video0 --pitch 0.69
+      cmp_tactile init /dev/video0 --pitch 0.69 --views one
       cmp_tactile init rest.png --pitch 0.69 --views mirrors --output my_sensor.yaml
     """
 
@@ -327,6 +327,9 @@ class Init(Looking):
             Number(5, 150, "degrees"),
         ),
     ] = None
+    code_seed: Annotated[
+        int, option("number of the sheet, if it has dots", Number(0, LARGEST_SEED, kind=int))
+    ] = 0
     young: Annotated[float | None, option("Young's modulus of the gel (default: 500)", YOUNG)] = (
         None
     )
@@ -370,17 +373,19 @@ class Init(Looking):
         return taken[-1]
 
     def _proposal(self, image: NDArray[np.uint8], pitch: float) -> Proposal:
-        from cmp_tactile_processing.calibration.proposal import propose
+        from cmp_tactile_processing.calibration.proposal import Known, propose
+        from cmp_tactile_processing.errors import UndecidedViewsError
 
         print("counting the corners ...", file=sys.stderr)
-        found = propose(image, pitch, self.output.stem, self.views or "", self.angle_of_view)
-        if self.views is None and found.layout != "one":
-            question = (
-                "Two views are seen. Are they in two mirrors or of two cameras (mirrors, cameras)?"
-            )
-            layout = self.ask(question, found.layout, Choice(LAYOUTS[1:]).parse)
-            if layout != found.layout:
-                found = propose(image, pitch, self.output.stem, layout, self.angle_of_view)
+        known = Known(pitch, self.angle_of_view, self.code_seed)
+        try:
+            found = propose(image, known, self.output.stem, self.views or "")
+        except UndecidedViewsError as error:
+            if not self.asks:
+                raise
+            question = f"{error}\nViews ({', '.join(error.layouts)})"
+            layout = self.ask(question, "", Choice(error.layouts).parse)
+            found = propose(image, known, self.output.stem, layout)
         gel = found.sensor.elastomer
         young = self.young or self.ask(
             "Young's modulus of the gel, kPa", gel.young / 1e3, YOUNG.parse
@@ -437,7 +442,10 @@ def _report(found: Proposal, output: Path) -> None:
         found.layout
     ]
     seen = f"{pattern.rows} x {pattern.cols} corners{how}"
-    print(f"{seen}, and the pattern {end[pattern.border]}")
+    code = f" with dots (seed {pattern.code_seed})" if pattern.code != "none" else ""
+    print(f"{seen}{code}, and the pattern {end[pattern.border]}")
+    if found.note:
+        print(f"to do: {found.note}")
     for name, view in found.views.items():
         worth = view.seen.worth
         print(

@@ -36,7 +36,7 @@ def picture(tmp_path):
 def test_a_description_is_written_with_which_the_picture_is_tracked(picture, tmp_path, capsys):
     """The next command is proposed as a shell takes it, also with a blank in the path."""
     path = tmp_path / "my rig.yaml"
-    assert run("init", picture, "--pitch", "1.5", "-o", path) == 0
+    assert run("init", picture, "--pitch", "1.5", "--views", "one", "-o", path) == 0
     sensor = load_sensor(str(path))
     assert sensor.name == "my rig"
     assert sensor.pattern.pitch == pytest.approx(0.0015)
@@ -136,7 +136,7 @@ def test_two_views_in_mirrors_are_described_as_they_are(rig, tmp_path, capsys):
     truth, path = RIGS[rig](), tmp_path / "mine.yaml"
     frame = frame_of(truth)
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
-    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert asked_for(path, tmp_path / "rest.png", truth, "--views", "mirrors") == 0
     found = load_sensor(str(path))
     for name, corners in corners_of(found, frame).items():
         view = build_views(truth)[name]
@@ -172,11 +172,11 @@ def camera_pair():
     return replace(sensor, camera=None, optics=optics, views=views)
 
 
-def test_two_cameras_are_told_from_mirrors(tmp_path, capsys):
+def test_two_cameras_are_described_as_they_are(tmp_path, capsys):
     truth, path = camera_pair(), tmp_path / "mine.yaml"
     frame = frame_of(truth)
     cv2.imwrite(str(tmp_path / "rest.png"), frame)
-    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert asked_for(path, tmp_path / "rest.png", truth, "--views", "cameras") == 0
     assert "20 x 20 corners in the pictures of two cameras" in capsys.readouterr().out
     found = load_sensor(str(path))
     for name, corners in corners_of(found, frame).items():
@@ -186,6 +186,100 @@ def test_two_cameras_are_told_from_mirrors(tmp_path, capsys):
     fx = found.views["left"].camera.fx
     # Less certain than with mirrors: each camera looks at the gel from its front.
     assert fx == pytest.approx(truth.views["left"].camera.fx, rel=0.02)
+
+
+# Without dots nothing shows whether a view is mirrored.  Public reports: ethz-asl/kalibr 608
+# (boards flip within a recording), DeepLabCut 3239 (two views number a board apart),
+# mikeferguson/robot_calibration 139 (a board turned by half looks the same).
+
+
+@pytest.mark.parametrize("rig", [*RIGS, "cameras"])
+def test_where_nothing_shows_a_mirror_the_views_are_asked_for(rig, tmp_path, capsys):
+    truth, path = RIGS[rig]() if rig in RIGS else camera_pair(), tmp_path / "mine.yaml"
+    cv2.imwrite(str(tmp_path / "rest.png"), frame_of(truth))
+    assert asked_for(path, tmp_path / "rest.png", truth, "--yes") == 1
+    assert "expected --views mirrors or --views cameras" in capsys.readouterr().err
+    assert not path.exists()
+
+
+def test_a_single_plain_view_is_asked_for(picture, tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    assert run("init", picture, "--pitch", "1.5", "-o", path) == 1
+    assert "expected --views one" in capsys.readouterr().err
+    assert not path.exists()
+
+
+def with_dots(sensor, seed=0):
+    return replace(sensor, pattern=replace(sensor.pattern, code="dots", code_seed=seed))
+
+
+def turned(sensor, degrees):
+    """With the gel turned about its axis."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    if sensor.optics.T_camera_gel is not None:
+        optics = replace(sensor.optics, T_camera_gel=sensor.optics.T_camera_gel @ pose)
+        return replace(sensor, optics=optics)
+    views = {
+        name: replace(view, T_view_gel=view.T_view_gel @ pose)
+        for name, view in sensor.views.items()
+    }
+    return replace(sensor, views=views)
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "degrees"),
+    [
+        (lambda: load_sensor("sample_rig"), "mirror_stereo", 0),
+        (lambda: load_sensor("sample_rig"), "mirror_stereo", 180),
+        (camera_pair, "two_view", 0),
+        (camera_pair, "two_view", 90),
+    ],
+    ids=["mirrors", "mirrors, turned by half", "cameras", "cameras, turned by a quarter"],
+)
+def test_dots_show_what_views_are_and_how_the_print_is_turned(
+    make, kind, degrees, tmp_path, capsys
+):
+    truth, path = turned(with_dots(make()), degrees), tmp_path / "mine.yaml"
+    frame = frame_of(truth)
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert "with dots (seed 0)" in capsys.readouterr().out
+    found = load_sensor(str(path))
+    assert found.optics.type == kind
+    assert (found.pattern.code, found.pattern.border) == ("dots", "in_view")
+    for name, corners in corners_of(found, frame).items():
+        view = build_views(truth)[name]
+        expected = view.placement.to_frame(view.project(truth.pattern.corners()))
+        np.testing.assert_allclose(corners, expected, atol=CORNER_TOLERANCE_PX)
+
+
+def test_dots_contradict_wrong_views(tmp_path, capsys):
+    truth, path = with_dots(load_sensor("sample_rig")), tmp_path / "mine.yaml"
+    cv2.imwrite(str(tmp_path / "rest.png"), frame_of(truth))
+    assert asked_for(path, tmp_path / "rest.png", truth, "--views", "cameras") == 1
+    assert "mirrored, expected those of --views cameras" in capsys.readouterr().err
+    assert not path.exists()
+    # In one view without a mirror, too, and where the views differ.
+    frame = frame_of(truth)
+    for shown, views in (
+        (frame[:, :512], "one"),
+        (np.hstack([frame[:, :512], frame[:, 511::-1]]), ""),
+    ):
+        cv2.imwrite(str(tmp_path / "rest.png"), shown)
+        assert asked_for(path, tmp_path / "rest.png", truth) == 1
+        assert f"expected those of --views {views}" in capsys.readouterr().err
+
+
+def test_dots_of_another_sheet_are_named(tmp_path, capsys):
+    truth, path = with_dots(load_sensor("sample_rig"), 3), tmp_path / "mine.yaml"
+    picture = tmp_path / "rest.png"
+    cv2.imwrite(str(picture), frame_of(truth))
+    assert asked_for(path, picture, truth, "--views", "mirrors") == 0
+    assert "not those of seed 0: give --code-seed" in capsys.readouterr().out
+    other = tmp_path / "other.yaml"
+    assert asked_for(other, picture, truth, "--code-seed", "3") == 0
+    assert load_sensor(str(other)).pattern.code_seed == 3
 
 
 def test_views_that_the_given_kind_does_not_show_are_refused(sample_frame, tmp_path, capsys):
@@ -205,7 +299,7 @@ def test_one_of_two_views_in_sight_is_named_where_two_are_asked_for(sample_frame
     assert asked_for(path, tmp_path / "rest.png", truth, "--views", "mirrors") == 1
     assert "error: right view: found" in capsys.readouterr().err
     assert not path.exists()
-    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert asked_for(path, tmp_path / "rest.png", truth, "--views", "one") == 0
     assert load_sensor(str(path)).optics.type == "monocular"
     assert "20 x 20 corners, and the pattern ends" in capsys.readouterr().out
 
@@ -246,12 +340,13 @@ def answered(words, answers):
 def test_on_a_terminal_what_is_missing_is_asked_for(sample_frame, tmp_path):
     path = tmp_path / "mine.yaml"
     cv2.imwrite(str(tmp_path / "rest.png"), sample_frame)
-    answers = [tmp_path / "rest.png", "soft", "0.7", "", "300", ""]
+    answers = [tmp_path / "rest.png", "soft", "0.7", "", "mirrors", "300", ""]
     shown, code = answered(["init", "-o", str(path)], answers)
     assert code == 0, shown
     assert "found 'soft', expected a number from 0.01 to 50 mm" in shown
     found = load_sensor(str(path))
     assert found.pattern.pitch == pytest.approx(7e-4)
+    assert "expected one of mirrors, cameras" in shown
     assert found.optics.type == "mirror_stereo"
     assert found.elastomer.young == pytest.approx(3e5)
     assert "young: 300000.0\n" in path.read_text()
@@ -266,7 +361,7 @@ def test_nothing_is_asked_for_where_that_is_said(tmp_path, monkeypatch, capsys):
     with os.fdopen(theirs) as stdin:
         assert stdin.isatty()
         monkeypatch.setattr("sys.stdin", stdin)
-        assert run("init", picture, "--pitch", "1.5", "--yes", "-o", path) == 0
+        assert run("init", picture, "--pitch", "1.5", "--views", "one", "--yes", "-o", path) == 0
         assert path.exists()
         assert run("init", picture, "--yes", "-o", tmp_path / "b.yaml") == 2
     os.close(terminal)

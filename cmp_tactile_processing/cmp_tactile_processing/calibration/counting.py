@@ -17,6 +17,7 @@ from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.sensor import parts
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.tracking.dots import DotReading, read_dots
 from cmp_tactile_processing.tracking.image_fault import SATURATED, image_fault
 from cmp_tactile_processing.tracking.numbering.pattern_border import border_sides
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -123,13 +124,14 @@ class Sighting:
     corners (rows, cols, 2) px: rows downwards, columns to the right, NaN where one is not seen;
     even: whether the dark checkers touch corner (0, 0) along the diagonal (-, -) to (+, +); ends:
     whether the pattern does above the first row, below the last, left of the first column and
-    right of the last one.
+    right of the last one; dots: of the checkers around the corners.
     """
 
     corners: Float
     even: bool
     ends: tuple[bool, ...]
     worth: Worth
+    dots: DotReading
 
     @property
     def size_text(self) -> str:
@@ -144,7 +146,24 @@ class Sighting:
         corners[..., 0] = width - 1 - corners[..., 0]
         above, below, left, right = self.ends
         even = self.even == (len(corners) % 2 == 0)
-        return replace(self, corners=corners, even=even, ends=(below, above, left, right))
+        dots = replace(self.dots, bits=self.dots.bits[::-1])
+        return replace(
+            self, corners=corners, even=even, ends=(below, above, left, right), dots=dots
+        )
+
+    def turned(self, quarters: int) -> Sighting:
+        """The same with its rows and columns turned as `np.rot90` does."""
+        seen = self
+        for _ in range(quarters % 4):
+            above, below, left, right = seen.ends
+            seen = replace(
+                seen,
+                corners=np.rot90(seen.corners),
+                even=seen.even == (seen.corners.shape[1] % 2 == 0),
+                ends=(right, left, above, below),
+                dots=replace(seen.dots, bits=np.rot90(seen.dots.bits)),
+            )
+        return seen
 
 
 def count_corners(image: Image, name: str = "picture") -> Sighting:
@@ -181,7 +200,8 @@ def count_corners(image: Image, name: str = "picture") -> Sighting:
     sides = border_sides(prepared, corners, even, corners.shape[:2])
     std = np.nan if grid.corner_std is None else float(np.nanmedian(grid.corner_std))
     worth = _worth(prepared.grey, corners, even, (prepared.noise, std))
-    return Sighting(corners, even, tuple(item.ends for item in sides), worth)
+    dots = read_dots(prepared, corners, even)
+    return Sighting(corners, even, tuple(item.ends for item in sides), worth, dots)
 
 
 def lattice_step(image: Image, name: str = "picture") -> Float:

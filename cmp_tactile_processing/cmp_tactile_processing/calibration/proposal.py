@@ -1,6 +1,7 @@
 """A first description of a sensor, from one picture of its pattern at rest.
 
 The corners are counted in the picture, or in both parts of it where two views lie side by side.
+Whether the views are mirrored only dots show: a plain checkerboard looks the same in a mirror.
 Where the cameras are follows from them: how a tilted pattern shrinks with distance shows the focal
 length, and two views show how the surface is curved.
 """
@@ -24,18 +25,25 @@ from cmp_tactile_processing.calibration.counting import (
     focal_px,
 )
 from cmp_tactile_processing.calibration.map_fit import map_fit
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import FrameError, UndecidedViewsError
 from cmp_tactile_processing.geometry.optics import FLIP_X, build_views, reflection
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor import parts
 from cmp_tactile_processing.sensor.description import VIEW_NAMES, SensorDescription
+from cmp_tactile_processing.sensor.dot_code import LARGEST_SHEET, dot_map
+from cmp_tactile_processing.tracking.dots import Decoding, DotDecoder
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 Float = NDArray[np.float64]
 
 # What a frame holds: a view, two that mirrors show, or two of cameras that are joined to a frame.
 LAYOUTS = ("one", "mirrors", "cameras")
+# What is asked of one view, and of two.
+MEANT = {
+    "one": "the camera looks at the gel directly",
+    "cameras": "one camera and two mirrors, or two cameras",
+}
 # The frame is cut as near to its middle as there are no saddles of grey levels, smoothed by so many
 # px, over so many px: less of them than such a share of what lines have on average.
 SADDLE_PX, CUT_PX, FREE_SHARE = 2.0, 15, 0.1
@@ -51,8 +59,6 @@ SHARED = 3
 FOCAL = 0.12, 12.0
 # Poses begin near the truth: a turn, rad, and a shift as share of the distance.
 TURN_RAD, SHIFT = 0.5, 0.5
-# Two views are those of mirrors where two cameras do not explain them so many times as well.
-CLEARLY = 0.5
 # A surface that sags less than this share of a checker is a plane.
 LEAST_SAG = 0.1
 # Two mirrors show views that are turned against one another by more than this.
@@ -73,7 +79,7 @@ class Proposal:
     what it was counted from.
 
     layout: one of LAYOUTS.  misfit_px: root mean square distance of the corners from where the
-    description has them.
+    description has them.  note: of dots that the description does not have; or empty.
     """
 
     sensor: SensorDescription
@@ -81,6 +87,21 @@ class Proposal:
     misfit_px: float
     grids: Mapping[str, Grid]
     views: Mapping[str, View]
+    note: str
+
+
+@dataclass(frozen=True)
+class Known:
+    """What no picture shows.
+
+    pitch: side of a checker, m.  angle_of_view: of the camera, horizontally, degrees; where it is
+    None, the one that explains how the pattern is tilted, or the usual one where it is not.
+    code_seed: of the dots, if there are any.
+    """
+
+    pitch: float
+    angle_of_view: float | None = None
+    code_seed: int = 0
 
 
 def find_views(image: Image, layout: str = "") -> tuple[View, ...]:
@@ -135,30 +156,21 @@ def _check_alike(views: Sequence[View]) -> None:
     raise FrameError(msg)
 
 
-def propose(
-    image: Image,
-    pitch: float,
-    name: str,
-    layout: str = "",
-    angle_of_view: float | None = None,
-) -> Proposal:
-    """The proposal for a picture (H, W) uint8 of a pattern with checkers of a known pitch, m.
+def propose(image: Image, known: Known, name: str, layout: str = "") -> Proposal:
+    """The proposal for a picture (H, W) uint8 of a pattern.
 
-    layout: see `find_views`.  angle_of_view: of the camera, horizontally, degrees; where it is not
-    given, the one that explains how the pattern is tilted, or the usual one where it is not.
-    Raises FrameError where no checkers are seen, too few, or not the same in both views.
+    layout: one of LAYOUTS, or empty for what dots show.
+    Raises FrameError where no checkers are seen, too few, or not the same in both views, and where
+    dots contradict the layout; UndecidedViewsError where nothing shows it.
     """
     views = find_views(image, layout)
-    layouts: tuple[str, ...] = (layout,)
     if len(views) == 1:
-        layouts = ("one",)
         _check_lines(views[0].seen)
     else:
         _check_alike(views)
-        layouts = layouts if layout else LAYOUTS[1:]
+    layout = _layout_by_dots(views, layout, known.code_seed)
     size = parts.ImageSize(image.shape[1], image.shape[0])
-    rigs = [_fitted(size, views, item, (pitch, angle_of_view)) for item in layouts]
-    rig = rigs[0] if rigs[0].misfit_px * CLEARLY <= rigs[-1].misfit_px else rigs[-1]
+    rig = _fitted(size, views, layout, known)
     if not FOCAL[0] < rig.focal / size.width < FOCAL[1]:
         msg = (
             f"picture: found no pose of {rig.layout} that fits (corners are off by "
@@ -179,7 +191,53 @@ def propose(
             raise FrameError(msg)
         grids[view_name] = grid
     found = dict(zip(VIEW_NAMES, views, strict=False))
-    return Proposal(sensor, rig.layout, rig.misfit_px, grids, found)
+    note = _note_of_dots(views, sensor.pattern, known.code_seed)
+    return Proposal(sensor, rig.layout, rig.misfit_px, grids, found, note)
+
+
+def _place_on_sheet(seen: Sighting, seed: int) -> Decoding | None:
+    """Where on the largest sheet dots lie; None where they do not show that for certain."""
+    if not seen.dots.bits.any():
+        return None
+    decoder = DotDecoder(dot_map(LARGEST_SHEET, LARGEST_SHEET, seed), dark_first=True)
+    found = decoder.decode(seen.dots.bits, seen.even)
+    return found if found is not None and found.is_certain else None
+
+
+def _layout_by_dots(views: Sequence[View], given: str, seed: int) -> str:
+    """The layout that dots show, or the given one where there are none."""
+    plain, possible = ("one", ("one",)) if len(views) == 1 else ("cameras", LAYOUTS[1:])
+    places = [_place_on_sheet(view.seen, seed) for view in views]
+    shown = {"mirrors" if place.mirrored else plain for place in places if place is not None}
+    if not shown:
+        if given:
+            return given
+        options = " or ".join(f"--views {layout}" for layout in possible)
+        msg = (
+            "picture: found a pattern without dots, which looks the same in a mirror; expected "
+            f"{options} ({MEANT[plain]})"
+        )
+        raise UndecidedViewsError(msg, possible)
+    layout = shown.pop()
+    if shown or layout not in possible or given not in ("", layout):
+        mirrored = "mirrored" if layout == "mirrors" else "not mirrored"
+        seen = "mirrored in one view" if shown else mirrored
+        msg = (
+            f"picture: found dots that are {seen}, expected those of --views "
+            f"{given or ' or '.join(possible)}; if that is right, the print is the wrong way round "
+            "(docs/print.md), or the camera mirrors its pictures"
+        )
+        raise FrameError(msg)
+    return layout
+
+
+def _note_of_dots(views: Sequence[View], pattern: parts.Pattern, seed: int) -> str:
+    """What is to be said of dots that are seen, and not described."""
+    if pattern.code != "none" or not any(view.seen.dots.is_code for view in views):
+        return ""
+    if _place_on_sheet(views[0].seen, seed) is None:
+        return f"the checkers have dots, but not those of seed {seed}: give --code-seed"
+    return "a part of the sheet is seen, so its dots are not used: show the whole pattern"
 
 
 def _check_lines(seen: Sighting) -> None:
@@ -204,32 +262,13 @@ class _Rig:
     misfit_px: float
 
 
-def _fitted(
-    size: parts.ImageSize,
-    views: Sequence[View],
-    layout: str,
-    known: tuple[float, float | None],
-) -> _Rig:
-    """The rig that explains the corners best.  known: pitch m, and angle of view or None."""
-    pitch, angle = known
+def _fitted(size: parts.ImageSize, views: Sequence[View], layout: str, known: Known) -> _Rig:
+    """The rig that explains the corners best."""
     seen = [view.seen for view in views]
     if layout == "mirrors":
         seen = [view.seen.mirrored(view.roi.width) for view in views]
-    corners = [item.corners for item in seen]
-    ends = all(seen[0].ends) and max(corners[0].shape[:2]) <= MOST_LINES
-    if not ends:
-        # Corners at the rim of the picture leave it as soon as the gel moves.
-        corners = [corners[0][1:-1, 1:-1]]
-    rows, cols = corners[0].shape[:2]
-    pattern = parts.Pattern(
-        rows,
-        cols,
-        pitch,
-        "dark" if seen[0].even else "light",
-        6,
-        parts.PatternSurface(),
-        border="in_view" if ends else "beyond_view",
-    )
+    pattern, corners = _pattern_of([_upright(item, known.code_seed) for item in seen], known)
+    angle = known.angle_of_view
     rois = tuple(view.roi for view in views)
     # An angle that is given is that of each camera.
     usual = focal_px(rois[0].width if layout == "cameras" else size.width, angle or ANGLE_DEG)
@@ -237,11 +276,63 @@ def _fitted(
     values, misfit = fit.best(fixed=angle is not None)
     focal = float(round(usual * np.exp(values[0]), 1))
     half, curvature = fit.half, float(values[1])
-    if curvature * half / 2 > LEAST_SAG * pitch:
+    if curvature * half / 2 > LEAST_SAG * pattern.pitch:
         surface = parts.PatternSurface("sphere_cap", float(f"{half / curvature:.3g}"))
         pattern = replace(pattern, surface=surface)
     poses = tuple(_pose(values[k : k + 6]) for k in range(SHARED, len(values), 6))
     return _Rig(layout, rois, pattern, focal, float(round(values[2], 4)), poses, misfit)
+
+
+def _upright(seen: Sighting, seed: int) -> Sighting:
+    """With rows and columns as on the sheet, as far as dots show that."""
+    place = _place_on_sheet(seen, seed)
+    return seen if place is None else seen.turned(-place.turns)
+
+
+def _pattern_of(seen: Sequence[Sighting], known: Known) -> tuple[parts.Pattern, list[Float]]:
+    """The pattern that all views show, plane, and its corners in each (rows, cols, 2) px."""
+    first, corners = seen[0], [item.corners for item in seen]
+    place = _place_on_sheet(first, known.code_seed)
+    whole = all(first.ends) and max(corners[0].shape[:2]) <= MOST_LINES
+    if not whole:
+        # Corners at the rim of the picture leave it as soon as the gel moves.
+        corners = [corners[0][1:-1, 1:-1]]
+    code, even = "none", first.even
+    if place is not None and whole and not place.shift.any():
+        code = "dots"
+    elif place is not None:
+        start = place.shift + int(not whole)
+        part = _middle_of_sheet(start, corners[0].shape[:2])
+        if part is not None:
+            code, whole = "dots", False
+            corners = [item[part] for item in corners]
+            even ^= bool((part[0].start + part[1].start) % 2)
+    rows, cols = corners[0].shape[:2]
+    pattern = parts.Pattern(
+        rows,
+        cols,
+        known.pitch,
+        "dark" if even else "light",
+        6,
+        parts.PatternSurface(),
+        code=code,
+        code_seed=known.code_seed if code == "dots" else 0,
+        border="in_view" if whole else "beyond_view",
+    )
+    return pattern, corners
+
+
+def _middle_of_sheet(first: NDArray[np.intp], shape: tuple[int, ...]) -> tuple[slice, slice] | None:
+    """Of corners (rows, cols) those around the middle of the largest sheet, as many on each side.
+
+    first (2,): number on the sheet of corner (0, 0).  None where there are too few.
+    """
+    found = []
+    for start, count in zip(first.tolist(), shape, strict=True):
+        left_out = max(start, MOST_LINES - start - count)
+        found.append(slice(left_out - start, MOST_LINES - left_out - start))
+    enough = all(part.stop - part.start >= LEAST_LINES for part in found)
+    return (found[0], found[1]) if enough else None
 
 
 def _centre(size: parts.ImageSize, roi: parts.Roi, layout: str) -> tuple[float, float]:

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.calibration.counting import GOOD, count_corners, lattice_step
-from cmp_tactile_processing.calibration.proposal import mirrors_of, propose
+from cmp_tactile_processing.calibration.proposal import Known, mirrors_of, propose
 from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import load_sensor
 
 PITCH_M = 0.002
+KNOWN = Known(PITCH_M)
 # Pixels of the drawing for a checker's side.
 FINE = 20
 
@@ -60,7 +61,7 @@ def board(
 )
 def test_corners_are_counted_and_found_again(rows, cols, side, more):
     image = board(rows, cols, side, **more)
-    found = propose(image, PITCH_M, "mine")
+    found = propose(image, KNOWN, "mine", "one")
     pattern = found.sensor.pattern
     assert (pattern.rows, pattern.cols, pattern.border) == (rows, cols, "in_view")
     assert pattern.corner_checker == ("dark" if more.get("dark", True) else "light")
@@ -73,7 +74,7 @@ def test_corners_are_counted_and_found_again(rows, cols, side, more):
 
 
 def test_a_pattern_that_goes_on_beyond_the_picture_is_described_so():
-    found = propose(board(60, 60, 16.0), PITCH_M, "mine")
+    found = propose(board(60, 60, 16.0), KNOWN, "mine", "one")
     pattern = found.sensor.pattern
     assert pattern.border == "beyond_view"
     assert (pattern.rows, pattern.cols) >= (24, 34)
@@ -81,18 +82,18 @@ def test_a_pattern_that_goes_on_beyond_the_picture_is_described_so():
 
 
 def test_a_picture_of_many_pixels_is_looked_at_whole():
-    found = propose(board(12, 16, 60.0, size=(1920, 1440)), PITCH_M, "mine")
+    found = propose(board(12, 16, 60.0, size=(1920, 1440)), KNOWN, "mine", "one")
     assert (found.sensor.pattern.rows, found.sensor.pattern.cols) == (12, 16)
 
 
 def test_more_corners_than_a_description_can_have_with_a_border_go_on_beyond_it():
-    found = propose(board(64, 64, 11.0, size=(800, 800)), PITCH_M, "mine")
+    found = propose(board(64, 64, 11.0, size=(800, 800)), KNOWN, "mine", "one")
     assert found.sensor.pattern.border == "beyond_view"
 
 
 def test_too_few_lines_are_named():
     with pytest.raises(FrameError, match=r"picture: found 5 x 16 corners, expected at least 6"):
-        propose(board(5, 16, 20.0), PITCH_M, "mine")
+        propose(board(5, 16, 20.0), KNOWN, "mine", "one")
 
 
 # Blur is found to this, px, or to this share; noise and contrast to these shares.
@@ -182,4 +183,19 @@ def test_the_side_of_the_checkers_is_read_from_the_spectrum():
 )
 def test_what_shows_no_checkers_is_refused(image):
     with pytest.raises(FrameError, match=r"picture: found .* expected"):
-        propose(image, PITCH_M, "mine")
+        propose(image, KNOWN, "mine")
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_sighting_is_turned_as_its_picture(quarters):
+    image = board(9, 12, 20.0, angle=2.0, dark=False)
+    expected, found = count_corners(np.rot90(image, quarters).copy()), count_corners(image)
+    found = found.turned(quarters)
+    assert (found.even, found.ends) == (expected.even, expected.ends)
+    assert found.corners.shape == expected.corners.shape
+    seen = found.corners[0, 0]
+    for _ in range(quarters):
+        # The picture is turned about its middle.
+        seen = np.array([seen[1], image.shape[1] - 1 - seen[0]])
+        image = np.rot90(image)
+    np.testing.assert_allclose(seen, expected.corners[0, 0], atol=1.0)
