@@ -74,7 +74,8 @@ class Pattern(Command):
     code: Annotated[
         str | None,
         _change(
-            "dots: a code in the checkers shows the place of each part of the pattern",
+            "dots: a code in the checkers shows the place of each part of the pattern, and whether "
+            "it is mirrored or turned (default: dots where they cost no accuracy)",
             Choice(CODES),
         ),
     ] = None
@@ -162,6 +163,7 @@ class Pattern(Command):
         from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
         from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
         from cmp_tactile_processing.errors import printable
+        from cmp_tactile_processing.printing.pattern import why_no_dots
         from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
         from cmp_tactile_processing.sensor.description import find_sensor_description
 
@@ -178,7 +180,11 @@ class Pattern(Command):
         sheet = print_sheet(copy, self.paper, self.copies)
         written, missing = files.write(sheet, sensor)
         _show("Print", print_facts(printed, copy, sheet))
-        _show("What the camera will see", seen_facts(sensor, self.type))
+        seen = seen_facts(sensor, self.type)
+        if sensor.pattern.code == "none" and self.code is None and self.type == "cmp":
+            reason = why_no_dots(sensor, self.ink_gain / 1e6)
+            seen["Code"] = f"none: {reason}; --code dots prints dots all the same"
+        _show("What the camera will see", seen)
         for warning in (*pattern_warnings(sensor, printed), *missing):
             print(printable(f"warning: {warning}"), file=sys.stderr)
         for path in written:
@@ -235,6 +241,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     from dataclasses import replace
 
     from cmp_tactile_processing.errors import DescriptionError
+    from cmp_tactile_processing.printing.pattern import why_no_dots
     from cmp_tactile_processing.sensor.description import (
         SensorDescription,
         sensor_description_of,
@@ -254,6 +261,9 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     if arguments.advised:
         changes |= _advised(sensor)
     sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
+    undecided = arguments.code is None and arguments.type == "cmp"
+    if undecided and not why_no_dots(sensor, arguments.ink_gain / 1e6):
+        sensor = replace(sensor, pattern=replace(sensor.pattern, code="dots"))
     try:
         return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
     except DescriptionError as error:

@@ -65,7 +65,7 @@ def test_changes_are_laid_into_the_description(folder):
     assert pattern("my_sensor.yaml", *options, "-o", "new/wide.pdf", "--format", "svg") == 0
     after = SensorDescription.load("new/wide.yaml")
     expected = replace(before.pattern, rows=12, cols=16, pitch=0.0009, corner_checker="light")
-    assert after.pattern == expected
+    assert after.pattern == replace(expected, code="dots")
     assert (folder / "new" / "wide.svg").is_file()
     assert not (folder / "new" / "wide.pdf").exists()
 
@@ -74,12 +74,34 @@ def test_a_code_is_laid_into_the_description_and_taken_out_again(folder, capsys)
     assert pattern("my_sensor.yaml", "--code", "dots", "--code-seed", 5, "--format", "svg") == 0
     shown = capsys.readouterr().out
     assert "code: dots, seed 5" in shown
-    assert "checkers of 15.1 px (the smallest) dots can be read in focus" in shown
+    assert "checkers of 15.1 px (the smallest) dots can be read" in shown
     coded = SensorDescription.load("my_sensor_pattern.yaml").pattern
     assert (coded.code, coded.code_seed) == ("dots", 5)
     assert pattern("my_sensor_pattern.yaml", "--code", "none", "--format", "svg", "-o", "bare") == 0
     plain = SensorDescription.load("bare.yaml").pattern
     assert plain == SensorDescription.load("my_sensor.yaml").pattern
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ("", ""),
+        ("--code-seed 9", ""),
+        ("--code none", None),
+        ("--type dmp", None),
+        ("--rows 4 --cols 4", "25 checkers are too few, 42 are needed"),
+        ("--pitch 0.5", "px in the image, 15 px are needed"),
+        ("--ink-gain 70", "the ink would fill the dots"),
+        ("--pitch 0.5 --code dots", ""),
+    ],
+)
+def test_dots_are_printed_where_they_cost_nothing(words, reason, folder, capsys):
+    assert pattern("my_sensor.yaml", *words.split(), "--format", "svg") == 0
+    shown, made = capsys.readouterr().out, SensorDescription.load("my_sensor_pattern.yaml").pattern
+    assert made.code == ("none" if reason != "" else "dots")
+    assert made.code_seed == (9 if "9" in words else 0)
+    assert ("--code dots prints dots all the same" in shown) == bool(reason)
+    assert (reason or "") in shown
 
 
 @pytest.mark.parametrize(
@@ -98,7 +120,7 @@ def test_a_code_is_laid_into_the_description_and_taken_out_again(folder, capsys)
 )
 def test_the_options_reach_the_sheet(words, options, mirrored, copies, folder):
     assert pattern("my_sensor.yaml", *words.split(), "--format", "svg") == 0
-    sensor = SensorDescription.load("my_sensor.yaml")
+    sensor = SensorDescription.load("my_sensor_pattern.yaml")
     copy = printed_copy("my_sensor", printed_pattern(sensor, options), mirrored=mirrored)
     expected = svg_bytes(print_sheet(copy, copies=copies), "my_sensor")
     assert Path("my_sensor_pattern.svg").read_bytes() == expected
@@ -169,7 +191,11 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         (["--pitch", "0.0007"], 2, "found '0.0007', expected a number from 0.01 to 100 mm"),
         (["--format", "svg,png"], 2, "found 'svg,png', expected one or more of svg, pdf and dxf"),
         (["--paper", "A3"], 2, "--paper: found 'A3', expected one of A4, letter, fit"),
-        (["--code-seed", "5"], 1, "found 5, expected no such key without code: dots (with"),
+        (
+            ["--code", "none", "--code-seed", "5"],
+            1,
+            "found 5, expected no such key without code: dots (with",
+        ),
         (["--code", "dots", "--ink-gain", "120"], 1, "expected 0 to less than 62.14 um"),
         (["--advised", "--rows", "9"], 2, "--advised replaces --rows, --cols and --pitch"),
         (["--dot-diameter", "0.3"], 2, "--dot-diameter needs --type dmp"),

@@ -14,7 +14,13 @@ from cmp_tactile_processing.errors import DescriptionError, ParameterError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
-from cmp_tactile_processing.sensor.parts import MAX_CORNERS, MIN_CORNERS, Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import (
+    FEWEST_CODED,
+    MAX_CORNERS,
+    MIN_CORNERS,
+    Pattern,
+    PatternSurface,
+)
 
 MOST_HALVINGS = 20
 # Where an image is compared with its chord, as shares of the side.
@@ -39,8 +45,8 @@ PATTERN_TYPES = ("cmp", "dmp")
 LEAST_SIDE_PX = 6.0
 RECOMMENDED_SIDE_PX = 7.0
 # Dots of a code are read from this side on, and from the second on gridlines are as exact as
-# without dots, to 5 %; both in focus: benchmarks/tracking/coded.py.
-LEAST_CODED_SIDE_PX, EXACT_CODED_SIDE_PX = 7.5, 16.0
+# without dots, to 8 %; both in focus: benchmarks/tracking/coded.py.
+LEAST_CODED_SIDE_PX, EXACT_CODED_SIDE_PX = 7.5, 15.0
 # A finer pitch than this share of the skin's thickness shows no more of a contact, however fine the
 # camera's pixels.  Measured with a skin of 0.3 mm and beads of 1.2 mm; that it goes with the skin
 # is assumed.
@@ -414,6 +420,31 @@ def code_advice(sensor: SensorDescription) -> str:
             f"{EXACT_CODED_SIDE_PX:g} px on they do not"
         )
     return f"{checkers} can be read, and gridlines are as exact as without dots"
+
+
+def why_no_dots(sensor: SensorDescription, ink_gain: float = 0.0) -> str:
+    """Why a print should have no dots; empty where they fit, and cost no accuracy.
+
+    ink_gain: m.
+    """
+    pattern = sensor.pattern
+    checkers = (pattern.rows + 1) * (pattern.cols + 1)
+    if checkers < FEWEST_CODED:
+        return f"{checkers} checkers are too few, {FEWEST_CODED} are needed"
+    if max(pattern.rows, pattern.cols) > MAX_CORNERS:
+        return f"the largest sheet with dots has {MAX_CORNERS} rows and cols"
+    if ink_gain >= DOT_DIAMETER * pattern.pitch / 2:
+        return "the ink would fill the dots"
+    try:
+        side = _least(pattern, _views_of(sensor))
+    except DescriptionError:
+        side = float("nan")
+    if np.isnan(side):
+        return "how large the checkers are in the image is not known"
+    if side < EXACT_CODED_SIDE_PX:
+        needed = f"{EXACT_CODED_SIDE_PX:g} px are needed"
+        return f"the smallest checker has {side:.1f} px in the image, {needed}"
+    return ""
 
 
 def advise(sensor: SensorDescription) -> PatternAdvice:

@@ -110,7 +110,7 @@ def test_limits_of_a_pattern_are_named(focal: float, corners: int, words: str) -
 
 @pytest.mark.parametrize(
     ("rows", "expected"),
-    [(43, "cannot be read"), (20, "less exact"), (16, "as exact as without")],
+    [(43, "cannot be read"), (22, "less exact"), (20, "as exact as without")],
 )
 def test_what_dots_are_worth_goes_with_the_checkers_in_the_image(rows: int, expected: str) -> None:
     rig = load_sensor("sample_rig")
