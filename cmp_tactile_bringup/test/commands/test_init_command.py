@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.sensor import parts
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
@@ -252,6 +253,60 @@ def test_dots_show_what_views_are_and_how_the_print_is_turned(
         view = build_views(truth)[name]
         expected = view.placement.to_frame(view.project(truth.pattern.corners()))
         np.testing.assert_allclose(corners, expected, atol=CORNER_TOLERANCE_PX)
+
+
+FOCAL_PX, SIDE_PX, PITCH_M = 600.0, 18.0, 1e-3
+
+
+def one_camera(rows, cols, border):
+    """Looks straight at a print with dots, which is as large as the gel if it goes on."""
+    pose = np.eye(4)
+    pose[2, 3] = FOCAL_PX * PITCH_M / SIDE_PX
+    pattern = parts.Pattern(
+        rows, cols, PITCH_M, "dark", 6, parts.PatternSurface(), code="dots", border=border
+    )
+    return replace(
+        load_sensor("sample_rig"),
+        image=parts.ImageSize(640, 480),
+        camera=parts.Camera("pinhole", FOCAL_PX, FOCAL_PX, 319.5, 239.5, (0.0,) * 5),
+        optics=parts.Optics("monocular", pose, ()),
+        views={"left": parts.ViewDescription(parts.Roi(0, 0, 640, 480))},
+        pattern=pattern,
+        elastomer=parts.Elastomer(
+            (0.07, 0.07, 0.005), 5e5, 0.48, "linear", parts.ShadingLayer(3e-4, 5e5)
+        ),
+    )
+
+
+def photograph(sensor):
+    sheet = sensor.pattern.sheet(sensor.elastomer.size[:2])
+    rendered = Renderer(sensor, Checkerboard(sheet)).render(DeformedSurface.rest(sheet))
+    return expose(rendered, CameraSettings(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (60, -40)], ids=["in the middle", "aside"])
+def test_the_middle_of_a_sheet_that_goes_on_is_described(shift, tmp_path):
+    truth, path = one_camera(20, 24, "beyond_view"), tmp_path / "mine.yaml"
+    frame = np.roll(photograph(truth), shift, (1, 0))
+    cv2.imwrite(str(tmp_path / "rest.png"), frame)
+    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    found = load_sensor(str(path))
+    assert (found.pattern.code, found.pattern.border) == ("dots", "beyond_view")
+    corners = GridTracker(found).track(frame).corners
+    rows, cols = (found.pattern.rows - 20) // 2, (found.pattern.cols - 24) // 2
+    expected = build_views(truth)["left"].project(truth.pattern.corners()) + shift
+    seen = expected[max(-rows, 0) :, max(-cols, 0) :]
+    np.testing.assert_allclose(
+        corners[max(rows, 0) :, max(cols, 0) :][:10, :10], seen[:10, :10], atol=CORNER_TOLERANCE_PX
+    )
+
+
+def test_a_part_of_a_sheet_is_described_without_its_dots(tmp_path, capsys):
+    truth, path = one_camera(18, 20, "in_view"), tmp_path / "mine.yaml"
+    cv2.imwrite(str(tmp_path / "rest.png"), photograph(truth)[:, :490])
+    assert asked_for(path, tmp_path / "rest.png", truth) == 0
+    assert "show the whole pattern" in capsys.readouterr().out
+    assert load_sensor(str(path)).pattern.code == "none"
 
 
 def test_dots_contradict_wrong_views(tmp_path, capsys):

@@ -25,7 +25,7 @@ from cmp_tactile_processing.calibration.counting import (
     focal_px,
 )
 from cmp_tactile_processing.calibration.map_fit import map_fit
-from cmp_tactile_processing.errors import FrameError, UndecidedViewsError
+from cmp_tactile_processing.errors import DescriptionError, FrameError, UndecidedViewsError
 from cmp_tactile_processing.geometry.optics import FLIP_X, build_views, reflection
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
@@ -121,7 +121,8 @@ def find_views(image: Image, layout: str = "") -> tuple[View, ...]:
                 second = View(rois[1], count_corners(np.ascontiguousarray(right), "right view"))
                 if layout or second.seen.ends[-2]:
                     return first, second
-        except FrameError:
+        except (FrameError, DescriptionError):
+            # Too few checkers, or a strip of the picture too narrow for any.
             if layout:
                 raise
     return (View(parts.Roi(0, 0, width, height), count_corners(image)),)
