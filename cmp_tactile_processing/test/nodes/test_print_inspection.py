@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -16,6 +17,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
+from cmp_tactile_processing.sensor.dot_code import dot_map
 
 pytestmark = pytest.mark.ros
 
@@ -82,3 +84,34 @@ def test_a_moving_gel_is_not_inspected(ros, sample):
     ros.wait(answer.done, "the answer", 60)
     assert not answer.result().success
     assert "the gel must be at rest" in answer.result().message
+
+
+def test_flicker_is_reported(ros, sample):
+    rig = Rig(ros, print_frames=2)
+    answer = rig.inspect_later()
+    for k in range(2):
+        frame = sample("rest").frame.copy()
+        for first in range(100 * k, 768, 200):
+            frame[first : first + 100] = frame[first : first + 100] * 0.7
+        rig.send(frame)
+    ros.wait(answer.done, "the answer", 60)
+    assert answer.result().success
+    assert "the light flickers" in answer.result().message
+
+
+def test_dots_that_are_not_described_stand_in_the_diagnostics(ros, sample):
+    rig, rest = Rig(ros), sample("rest")
+    frame, corners = rest.frame.copy(), rest.truth["corners_left_px"]
+    middles = (corners[:-1, :-1] + corners[1:, 1:]) / 2
+    # Checkers inside of the outermost corners.
+    for row, col in np.argwhere(dot_map(*middles.shape[:2])):
+        x, y = middles[row, col]
+        grey = 45 if frame[round(y), round(x)] > 128 else 205
+        cv2.circle(frame, (round(4 * x), round(4 * y)), 6, grey, -1, cv2.LINE_AA, 2)
+    reports = ros.listen(DiagnosticArray, "/diagnostics")
+    rig.send(frame)
+
+    def is_said():
+        return any("pattern.code is none" in item.message for msg in reports for item in msg.status)
+
+    ros.wait(is_said, "the dots", 10)
