@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -23,7 +24,7 @@ AT_REST, PRESSED, PRESSED_N = 3.0, 4.0, 0.02
 JUDGED = 0.99
 LOSS, LOSS_TOLERANCE = 0.3, 0.06
 # Bands: period and length of an edge, px; way from frame to frame, in periods.
-PWM, SLOW = (90, 12, 0.63), (400, 30, 0.48)
+PWM, SLOW, FINE = (90, 12, 0.63), (400, 30, 0.48), (24, 4, 0.63)
 
 
 @pytest.fixture(scope="module")
@@ -80,6 +81,12 @@ def test_bands_are_reported_and_forces_right(bands, press, pipeline):
     assert deviations[2 * REST_FRAMES :].max() < PRESSED
     assert not any(field.flags & UNUSABLE for field in fields)
     assert np.abs(off).max() < PRESSED_N
+
+
+def test_bands_that_move_corners_by_most_of_a_pixel_are_named(press, pipeline):
+    """Bands of the width of checkers: it is the light, not the gel, that moves."""
+    with pytest.raises(ReferenceFramesError, match="flickers"):
+        processed(pipeline, list(lit(press[0], *FINE)))
 
 
 def test_steady_light_is_not_reported_and_all_is_inspected(press, pipeline):
