@@ -318,7 +318,8 @@ class Recorder(ReportingNode):
         output = self._settings.output
         if not output:
             when = datetime.now().strftime("%Y_%m_%d-%H_%M_%S")  # noqa: DTZ005  as rosbag2 does
-            output = f"{self._sensor.ros_name}_{when}"
+            # Whoever calls the service may be in another folder.
+            output = str(Path.cwd() / f"{self._sensor.ros_name}_{when}")
         first = expanded_path(output)
         if self.bag is None or not (self._settings.output or first.exists()):
             return first

@@ -204,9 +204,9 @@ def test_an_idle_recorder_names_each_bag_by_the_time(ros, tmp_path, monkeypatch)
         recorded(ros, node, publisher, images(made_bags.frames(6)))
         ros.call(SetBool, "recorder/record", SetBool.Request(data=False))
         bags.append(Path(answer.message.removeprefix("recording: ")))
-    assert len({bag.resolve() for bag in bags}) == 2
+    assert len(set(bags)) == 2
     for bag in bags:
-        assert bag.resolve().parent == tmp_path
+        assert bag.parent == tmp_path
         assert bag.name.startswith("thumb_2")
         assert len(list(BagReader(bag).frames())) == 6
 
