@@ -392,7 +392,8 @@ def _are_numbers(value: Any) -> bool:
 
 
 def _flow(part: Any) -> str:
-    names = [item.name for item in fields(part)]
+    given = (item for item in fields(part) if not _goes_without(item, getattr(part, item.name)))
+    names = [item.name for item in given]
     if isinstance(part, parts.Roi):
         return f"[{', '.join(str(getattr(part, name)) for name in names)}]"
     if isinstance(part, parts.PatternSurface):
