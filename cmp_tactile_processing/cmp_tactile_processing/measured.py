@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum, IntFlag
 from typing import Any, ClassVar
 
@@ -266,6 +266,7 @@ class ReferenceFault(IntFlag):
     NONE = 0
     TOUCHED = 1  # something touched the gel when it was taken
     DESCRIPTION = 2  # it shows the gel other than described: displacements are off by some percent
+    NOT_TAKEN = 4  # none was taken: displacements count from the description
 
 
 @dataclass(frozen=True)
@@ -532,6 +533,21 @@ class ForceField:
     corrected: bool = False
     relaxed: bool = False
     systematic_covariance: NDArray[np.float64] = field(default_factory=_unknown_covariance)
+
+    def with_errors(
+        self, covariance: NDArray[np.float64], node_std: NDArray[np.float64]
+    ) -> ForceField:
+        """With systematic errors more: covariance (6, 6) of the wrench, node_std (M, 3) N."""
+        contacts = tuple(
+            replace(item, covariance=item.covariance + covariance) for item in self.contacts
+        )
+        return replace(
+            self,
+            force_std=None if self.force_std is None else np.hypot(self.force_std, node_std),
+            wrench_covariance=self.wrench_covariance + covariance,
+            systematic_covariance=self.systematic_covariance + covariance,
+            contacts=contacts,
+        )
 
     @property
     def systematic_std(self) -> NDArray[np.float64]:

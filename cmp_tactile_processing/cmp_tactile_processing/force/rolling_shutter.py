@@ -6,7 +6,6 @@ The rows of a contact are exposed up to half the readout time before or after th
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -46,17 +45,5 @@ class RollingShutter:
             return field
         share = FASTEST * STD_OF_RANGE * self._readout_time / since
         wrench = share * (field.wrench - before[0].wrench)
-        more = np.outer(wrench, wrench)
-        contacts = tuple(
-            replace(item, covariance=item.covariance + more) for item in field.contacts
-        )
-        std = field.force_std
-        if std is not None:
-            std = np.hypot(std, share * (field.force - before[0].force))
-        return replace(
-            field,
-            force_std=std,
-            wrench_covariance=field.wrench_covariance + more,
-            systematic_covariance=field.systematic_covariance + more,
-            contacts=contacts,
-        )
+        nodes = share * (field.force - before[0].force)
+        return field.with_errors(np.outer(wrench, wrench), nodes)

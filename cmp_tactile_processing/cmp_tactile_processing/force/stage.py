@@ -16,6 +16,7 @@ from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
+from cmp_tactile_processing.force.no_reference import errors_without_reference
 from cmp_tactile_processing.force.plausibility import BorderContact
 from cmp_tactile_processing.force.rolling_shutter import RollingShutter
 from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Surface
@@ -62,6 +63,8 @@ class ForceStage:
         self._border = BorderContact(sensor, self._model.elastic, cache_dir)
         self._slip = SlipObserver(sensor)
         self._shutter = RollingShutter(sensor.image.readout_time)
+        nodes = len(self._model.elastic.node_position)
+        self._of_no_reference = errors_without_reference(sensor, nodes)
         self._reference_id: int | None = None
         self._stamp_ns: int | None = None
         self._last: ForceField | None = None
@@ -107,6 +110,8 @@ class ForceStage:
         else:
             self._slip.reset()
         field = self._model.with_systematic(field, surface.systematics)
+        if surface.reference_faults & ReferenceFault.NOT_TAKEN:
+            field = field.with_errors(*self._of_no_reference)
         return self._shutter.add(field, stamp_ns)
 
     def reset(self) -> None:

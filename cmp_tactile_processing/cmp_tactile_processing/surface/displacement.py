@@ -68,7 +68,7 @@ class Reference:
         codes = np.zeros(position.shape[:2], np.uint8)
         found = position.copy(), covariance.copy(), codes, codes
         _displace(found, (position, covariance), found)
-        return cls(position, covariance)
+        return cls(position, covariance, faults=ReferenceFault.NOT_TAKEN)
 
     @classmethod
     def average(

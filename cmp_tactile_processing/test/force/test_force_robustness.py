@@ -154,7 +154,7 @@ def test_fewer_markers_average_less_noise(stage, seen):
     rest = seen(np.zeros((20, 20, 3)))
     half = np.indices((20, 20)).sum(axis=0) % 2 == 0
     whole, fewer = (alone(stage, surface) for surface in (rest, hidden(rest, half)))
-    ratio = fewer.wrench_std / whole.wrench_std * whole.noise_scale / fewer.noise_scale
+    ratio = fewer.random_std / whole.random_std * whole.noise_scale / fewer.noise_scale
     np.testing.assert_allclose(ratio, np.sqrt(2), rtol=1e-6)
 
 
