@@ -357,7 +357,7 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
     """
     # A worker looks for modules in the folder that it is started in; beside a recording, anybody's
     # may lie.  (Python 3.10 knows no PYTHONSAFEPATH.)  The paths of jobs are absolute.
-    folder = Path.cwd()
+    started_in = Path.cwd()
     os.chdir("/")
     left = list(jobs)
     try:
@@ -373,12 +373,12 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
         for job in left:
             yield job, TaskError(f"{job.label}: {reason}")
     finally:
-        os.chdir(folder)
+        os.chdir(started_in)
         # A process that is killed leaves its own; what another run writes stays.
         for job in left:
-            partial = partial_folder(job)
-            with suppress(OSError), locked(partial.with_suffix(".lock"), LOCK_WAIT_S):
-                shutil.rmtree(partial, ignore_errors=True)
+            folder = partial_folder(job)
+            with suppress(OSError), locked(folder.with_suffix(".lock"), LOCK_WAIT_S):
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run_in_process(job: Job) -> Result:

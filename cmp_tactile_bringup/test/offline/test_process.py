@@ -203,7 +203,7 @@ def test_pictures_of_two_cameras_are_processed_as_one_frame(images, tmp_path, ca
 def test_a_recording_that_goes_back_in_time_is_processed_as_a_new_one_from_there(
     grasp_bag, tmp_path
 ):
-    """Corners that are followed from the frame before differ from those found anew, a little."""
+    """Corners that are followed from frame to frame differ a little from those detected."""
     frames = [frame.image for frame in BagReader(grasp_bag).frames()]
     earlier_ns = made_bags.FIRST_STAMP_NS - 5000 * MS
     stamped = [(frames[5], earlier_ns + 5000 * MS), (frames[6], earlier_ns)]

@@ -228,7 +228,7 @@ def test_several_images_in_a_file_are_not_taken_for_one(tmp_path, frames):
 def test_an_image_is_not_turned_for_viewing(
     tmp_path, frames, orientation, suffix, *, pixels, options
 ):
-    """OpenCV turns TIFFs alone, also when told not to; a mirrored force is silently wrong.
+    """OpenCV turns TIFFs even with its option against it; a mirrored force is silently wrong.
 
     Reports: opencv/opencv 10703, 14300, 23122; tried: each orientation of 2 to 8 was turned.
     """

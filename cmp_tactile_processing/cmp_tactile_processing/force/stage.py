@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
+from cmp_tactile_processing.force.error_bars import (
+    RollingShutter,
+    errors_without_reference,
+    with_deviations_times,
+)
 from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.force.no_reference import errors_without_reference
 from cmp_tactile_processing.force.plausibility import BorderContact
-from cmp_tactile_processing.force.rolling_shutter import RollingShutter
 from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
@@ -41,10 +44,9 @@ class ForceStage:
     """Turns surfaces of one sensor, in the order of their stamps, into force fields.
 
     cache_dir, progress: see ElasticModel; large_press_steps: see ForceModel; encoded: see Pipeline.
-    It remembers what the
-    relaxation of the gel and the slip of contacts need of earlier frames, so one frame at a time:
-    calls from several threads must take turns.  Surfaces in which nothing was found give fields of
-    NaN.
+    It remembers what the relaxation of the gel and the slip of contacts need of earlier frames, so
+    one frame at a time: calls from several threads must take turns.  Surfaces in which nothing was
+    found give fields of NaN.
     """
 
     def __init__(
@@ -181,18 +183,6 @@ class ForceStage:
             self.reset()
         self._reference_id = reference_id
         self._stamp_ns = self._stamp_ns if stamp_ns is None else stamp_ns
-
-
-def with_deviations_times(factor: float, field: ForceField) -> ForceField:
-    """The field with larger error bars of its wrench, contacts and nodes."""
-    return replace(
-        field,
-        force_std=None if field.force_std is None else factor * field.force_std,
-        wrench_covariance=factor**2 * field.wrench_covariance,
-        contacts=tuple(
-            replace(item, covariance=factor**2 * item.covariance) for item in field.contacts
-        ),
-    )
 
 
 def _of_reference(faults: ReferenceFault) -> ForceFlag:

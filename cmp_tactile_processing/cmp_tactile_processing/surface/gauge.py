@@ -33,7 +33,7 @@ MIN_PRINT_PX, ALIKE_CORNERS = 5e-3, 9.0
 ROBUST_SCALE = 3.0
 MAD_TO_STD = 1.4826
 # Steps of the fit, and how often one is halved that makes the fit worse.  Where pixels differ by
-# more than this, px, from what the derivatives say, these are taken anew.
+# more than this, px, from what the derivatives say, these are computed again.
 MAX_STEPS, MAX_HALVINGS, CURVED_PX = 12, 4, 0.05
 # The fit has converged where a step is shorter, in deviations of the prior.
 CONVERGED = 1e-3

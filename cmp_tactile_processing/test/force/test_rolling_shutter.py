@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made_forces import made_contact, made_field
 
-from cmp_tactile_processing.force.rolling_shutter import RollingShutter
+from cmp_tactile_processing.force.error_bars import RollingShutter
 from cmp_tactile_processing.measured import ForceField
 
 # Of the readout, and between two frames.
