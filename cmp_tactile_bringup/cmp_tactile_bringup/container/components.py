@@ -99,14 +99,13 @@ class ComponentContainer:
 
     All methods may be called from any thread; one component is loaded or unloaded at a time.  The
     ROS context must be valid until `shutdown` returned; the container does not end it.
-    context: that of all components.  threads_before: those that ran before the container.
+    context: that of all components.
     """
 
     def __init__(
         self, context: Context | None = None, lookup: ComponentLookup = find_component
     ) -> None:
         self.context = get_default_context() if context is None else context
-        self.threads_before = frozenset(threading.enumerate())
         self._lookup = lookup
         self._lock = threading.Lock()
         self._components: dict[int, LoadedComponent] = {}

@@ -37,7 +37,7 @@ def component_container() -> int:
             stop.wait()
     except JoinError as error:
         return report_error(error)
-    return leave_process(0, container.threads_before)
+    return leave_process(0)
 
 
 def standalone(args: Sequence[str] | None = None) -> int:

@@ -79,7 +79,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
             code = _run(container, first, stop, processes, watch=options.watch)
     except CmpTactileError as error:
         return WRONG_ARGUMENT if report_error(error) and isinstance(error, ArgumentError) else 1
-    return leave_process(code, container.threads_before)
+    return leave_process(code)
 
 
 def _wait_for_end_of_stdin(stop: StopSignal) -> None:
