@@ -14,17 +14,13 @@ from cmp_tactile_bringup.terminal import OnStage
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
-from cmp_tactile_processing.cache.compiled import compiling_is_logged
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
-from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Markers3D, Surface
+from cmp_tactile_processing.pipeline import MarkerCamera
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
-from cmp_tactile_processing.tracking.tracker import GridTracker
 
 # Nine neighbouring markers are averaged where the motion of one place is judged.
 NEIGHBOURS = 9
@@ -135,24 +131,6 @@ class GelMotion:
         return np.array(passed_ns(self.stamp_ns.tolist())) * 1e-9
 
 
-class MarkerCamera:
-    """Markers in 3-D of a sensor's camera frames, one after another."""
-
-    def __init__(self, sensor: SensorDescription) -> None:
-        self._views = build_views(sensor)
-        with compiling_is_logged():
-            self._trackers = {name: GridTracker(sensor, name) for name in self._views}
-        self._rig = StereoRig(sensor)
-
-    def markers(self, image: NDArray[np.uint8]) -> Markers3D:
-        """Of a frame (H, W) or (H, W, 3) of the sensor's size."""
-        grids = {
-            name: self._trackers[name].track(split_frame(image, view.placement))
-            for name, view in self._views.items()
-        }
-        return self._rig.triangulate(grids.get("left"), grids.get("right"))
-
-
 def read_motion(
     source: Path,
     sensor: SensorDescription,
@@ -187,7 +165,7 @@ def _read(
     for frame in recording.messages():
         if isinstance(frame, RecordedFrame):
             camera = camera or MarkerCamera(sensor)
-            markers.append(camera.markers(frame.image))
+            markers.append(camera.measure(frame.image)[1])
         elif isinstance(frame, RecordedSurface):
             markers.append(frame.content)
         else:

@@ -25,6 +25,7 @@ from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.measured import Markers3D
+from cmp_tactile_processing.pipeline import MarkerCamera
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -155,7 +156,7 @@ class LiveReference(LiveFrames):
         Raises FrameSourceError where no frame comes, RecordingError where no wrench does or the
         frames cannot serve.
         """
-        camera = gel_recording.MarkerCamera(self._sensor)
+        camera = MarkerCamera(self._sensor)
         stamps: list[int] = []
         markers: list[Markers3D] = []
         begin = time.monotonic()
@@ -163,7 +164,7 @@ class LiveReference(LiveFrames):
             report("recording", min(passed / duration_s, 1.0))
             message = self._next()
             stamps.append(stamp_ns(message.header.stamp))
-            markers.append(camera.markers(self._decoded(message)))
+            markers.append(camera.measure(self._decoded(message))[1])
         report("recording", 1.0)
         wrenches = WrenchSeries.from_rows(self._wrench_topic, dict(self._wrenches))
         rest = gel_recording.leading_frames(
@@ -194,7 +195,7 @@ class Weighing:
 
     def samples(self, masses: Sequence[float]) -> list[LoadSample]:
         """A sample for each mass in kg; errors as `displaced`, and those of the frames."""
-        camera = gel_recording.MarkerCamera(self.sensor)
+        camera = MarkerCamera(self.sensor)
         self._take(camera, "Let nothing touch the gel")
         for mass in masses:
             self._take(camera, f"Put {mass:g} kg on the gel, then let go of it")
@@ -204,12 +205,12 @@ class Weighing:
             for number, mass in enumerate(masses, 1)
         ]
 
-    def _take(self, camera: gel_recording.MarkerCamera, wish: str) -> None:
+    def _take(self, camera: MarkerCamera, wish: str) -> None:
         """Ask until the gel is still."""
         while True:
             self.ask(f"{wish}, then press Enter. ")
             fresh = islice(self.frames, STALE_FRAMES, STALE_FRAMES + self.count)
-            taken = [camera.markers(image) for image in fresh]
+            taken = [camera.measure(image)[1] for image in fresh]
             position = np.stack([item.position for item in taken])
             moved = max(gel_recording.largest_motion(position[0], item) for item in position[1:])
             limit = gel_recording.motion_limit(position)

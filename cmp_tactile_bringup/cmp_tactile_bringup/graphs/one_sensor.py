@@ -45,8 +45,6 @@ SOURCES = SIMULATED, REPLAY, CAMERA, TOPIC = "simulated", "replay", "v4l2", "top
 # Time after which markers vanish that are not drawn again, s; those of a replay stay while it is
 # paused, or over.
 MARKER_LIFETIME_S, REPLAYED_MARKER_LIFETIME_S = 2.0, 0.0
-# Of the large-press correction in a frame, where the newest frame is wanted soon: 15 ms in all.
-LIVE_PRESS_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -295,8 +293,7 @@ def _processing(
         queue = "newest" if is_live else "every"
     # Loaded only when the force model is built (once minutes, then cached on disk), so that a
     # recording does not begin without forces.
-    steps = {"large_press_steps": LIVE_PRESS_STEPS} if queue == "newest" else {}
-    yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True, **steps)
+    yield node("ForceReconstructor", "force_reconstructor", wait_for_model=True)
     # After what a controller waits for.
     yield node("SurfaceVisualizer", "surface_visualizer", lifetime=lifetime, **look)
     if sensor.views:

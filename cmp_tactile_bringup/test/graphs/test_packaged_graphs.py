@@ -200,10 +200,9 @@ def test_time_is_that_of_the_clock_where_a_recording_is_played(name, given, by_c
         ("simulate", {"frame_queue": "every"}, False),
     ],
 )
-def test_the_newest_frame_waits_for_no_large_press_to_settle(name, given, live):
+def test_only_what_is_live_and_not_recorded_passes_frames_over(name, given, live):
     nodes = {component.name: component.parameters for component in _load(name, **given).components}
     assert (nodes["view_splitter"]["frame_queue"] == "newest") == live
-    assert ("large_press_steps" in nodes["force_reconstructor"]) == live
 
 
 def test_a_camera_needs_a_description(tmp_path):

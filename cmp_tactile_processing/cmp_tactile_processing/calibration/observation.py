@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.outcome import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError
-from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean
-from cmp_tactile_processing.geometry.split import check_image, split_frame
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.tracking.tracker import GridTracker
+from cmp_tactile_processing.tracking.views import ViewTrackers
 
 # A corner's mean is not believed to be better than this, px: interpolation has its own errors.
 LEAST_STD = 2e-3
@@ -70,20 +68,13 @@ def track_frames(
     if not len(frames):
         msg = f"{sensor.name}: found no frames, expected at least one of the gel"
         raise CalibrationError(msg)
-    for number, frame in enumerate(frames):
-        name = f"frame {number + 1} of {len(frames)}"
-        check_image(frame, *sensor.frame_size, name)
-    grids: dict[str, list[Grid]] = {}
-    views = build_views(sensor)
-    total = len(views) * len(frames)
-    for name, view in views.items():
-        on_progress(f"preparing the {name} view's tracker", len(grids) * len(frames), total)
-        tracker = GridTracker(sensor, name)
-        before = len(grids) * len(frames)
-        grids[name] = []
-        for frame in frames:
-            grids[name].append(tracker.track(split_frame(frame, view.placement)))
-            on_progress(f"tracking the {name} view", before + len(grids[name]), total)
+    on_progress("preparing the trackers", 0, len(frames))
+    trackers = ViewTrackers(sensor)
+    grids: dict[str, list[Grid]] = {name: [] for name in sensor.views}
+    for number, frame in enumerate(frames, 1):
+        for name, grid in trackers.track(frame, f"frame {number} of {len(frames)}").items():
+            grids[name].append(grid)
+        on_progress("tracking", number, len(frames))
     return grids
 
 

@@ -45,7 +45,6 @@ SUPPORT = (0.0, 0.03, 0.3, 3.0)
 # is the last.
 SHARE = 5e-4
 MAX_QUICK_STEPS, MAX_QUICK_HALVINGS = 60, 6
-WITHOUT_END = 2 * MAX_QUICK_STEPS
 # Steps that are remembered; twice as many save a press of 1 mm little.
 MEMORY = 8
 
@@ -228,49 +227,35 @@ class QuickEquilibrium(_Block):
         """Back to rest."""
         self.displacement = np.zeros((self._elements.node_count, 3))
         self._steps: list[_Step] = []
-        self._begin(warm=False)
 
-    def _begin(self, *, warm: bool) -> None:
-        """An attempt from the displacement on, which is not that of rest where `warm`."""
-        self._taken, self._warm = 0, warm
-
-    def move_to(self, load: Array, accuracy: float = 0.0, most: int = WITHOUT_END) -> bool | None:
+    def move_to(self, load: Array, accuracy: float = 0.0) -> bool:
         """Bring `displacement` (nodes, 3) m to equilibrium with a load (nodes, 3).
 
         accuracy: root mean square of a step at the marker surface, m, below which it is the last
-        one; so it is below SHARE of the displacement.  most: steps after which it stops on the
-        way; the next call, for about the same load, goes on from there.  Returns whether an
-        equilibrium was found, from the latest one on or from rest, and None on the way; where
-        there is none, the block is at rest.
+        one; so it is below SHARE of the displacement.  Returns whether an equilibrium was found,
+        from the latest one on or from rest; where there is none, the block is at rest.
         """
         self.steps = 0
         if not load.any():
             self.reset()
             return True
-        found = self._relax(load, accuracy, most)
-        if found is False and self._warm:
+        moved = bool(self.displacement.any())
+        found = self._relax(load, accuracy)
+        if not found and moved:
             self.reset()
-            found = self._relax(load, accuracy, most)
-        if found is False:
+            found = self._relax(load, accuracy)
+        if not found:
             self.reset()
         return found
 
-    def start_again(self) -> None:
-        """Count the steps from here on, for another load than the one on the way to which it is."""
-        self._begin(warm=bool(self.displacement.any()))
-
-    def _relax(self, load: Array, accuracy: float, most: int) -> bool | None:
+    def _relax(self, load: Array, accuracy: float) -> bool:
         state = self._state(self.displacement, load)
-        while self._taken < MAX_QUICK_STEPS:
-            if self.steps >= most:
-                self.displacement = state.displacement
-                return None
-            self._taken, self.steps = self._taken + 1, self.steps + 1
+        for _ in range(MAX_QUICK_STEPS):
+            self.steps += 1
             way = self._way(state.residual)
             reached = state.displacement + way
             if self._size(way) <= max(accuracy, SHARE * self._size(reached)):
                 self.displacement = reached
-                self._begin(warm=True)
                 return True
             further = self._line_search(state, load, way, MAX_QUICK_HALVINGS)
             if further is None:

@@ -19,11 +19,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.cholesky import RestInverse
-from cmp_tactile_processing.elastic.equilibrium import (
-    WITHOUT_END,
-    NoEquilibriumError,
-    QuickEquilibrium,
-)
+from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError, QuickEquilibrium
 from cmp_tactile_processing.elastic.mesh import MeshDensity, hat_loads, interpolation
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
@@ -51,12 +47,6 @@ MAX_ROUNDS = 10
 FIRST_ACCURACY, ACCURACY = 0.02, 0.15
 # Earlier rounds from which the next is extrapolated.
 DEPTH = 2
-
-# The share of the displacement by which a press moves on from the force that is on the way to
-# equilibrium, and that by which it is another one.
-JUMP_SHARE, NEW_SHARE = 0.05, 0.7
-# Steps that take as long as a solution.
-SOLUTION_STEPS = 2
 
 
 class LargePress:
@@ -136,19 +126,10 @@ class LargePress:
     def excess(self, force: Array, accuracy: float = 0.0) -> Array:
         """By how much more than linearly the markers move under nodal forces (M, 3) N.
 
-        (rows, cols, 3) m, of second order in the force.  See `approach`.
-        """
-        self.approach(force, accuracy)
-        return self._latest
-
-    def approach(self, force: Array, accuracy: float = 0.0, most: int = WITHOUT_END) -> bool:
-        """Seek the excess of nodal forces (M, 3) N in at most so many steps; whether it is found.
-
-        The equilibrium is sought from the last one on, until steps move the markers by less than
-        `accuracy`, m (root mean square), or 5e-4 of their displacement.  Where the steps do not
-        suffice, `latest` stays and the next call goes on from there.  Raises NoEquilibriumError
-        where there is none within reach; the next one is then sought from rest.  Raises
-        GeometryError for an array of another shape.
+        (rows, cols, 3) m, of second order in the force.  The equilibrium is sought from the last
+        one on, until steps move the markers by less than `accuracy`, m (root mean square), or 5e-4
+        of their displacement.  Raises NoEquilibriumError where there is none within reach; the
+        next one is then sought from rest.  Raises GeometryError for an array of another shape.
         """
         nodes = self._problem.nodes
         if np.shape(force) != (nodes.rows * nodes.cols, 3):
@@ -157,26 +138,18 @@ class LargePress:
             raise GeometryError(msg)
         unit = np.asarray(force, dtype=np.float64) / self._young
         with one_thread():
-            finite = np.isfinite(unit).all()
-            found = self._block.move_to(self._load(unit), accuracy, most) if finite else False
-            if found is False:
+            if not (np.isfinite(unit).all() and self._block.move_to(self._load(unit), accuracy)):
                 self.reset()
                 raise NoEquilibriumError(_complaint(force))
-            if found:
-                seen = self._seen(self._at_markers, self._mesh.marker_level)
-                self._latest = seen - self.linear(force)
-        return bool(found)
+            seen = self._seen(self._at_markers, self._mesh.marker_level)
+            self._latest = seen - self._linear(unit)
+        return self._latest
 
-    def linear(self, force: Array) -> Array:
+    def _linear(self, unit: Array) -> Array:
         """Displacement of the markers of the linear gel, (rows, cols, 3) m."""
         nodes, markers = self._problem.nodes, self._problem.markers
-        unit = np.asarray(force, dtype=np.float64) / self._young
         moved = mirrored_response(self._response, nodes, markers, unit.ravel())
         return moved.reshape(markers.rows, markers.cols, 3)
-
-    def turn_to_another(self) -> None:
-        """What comes next is another force, not the one on the way to which the steps ended."""
-        self._block.start_again()
 
     def _load(self, unit: Array) -> Array:
         """Nodal forces of the mesh (lattice nodes, 3), spread over its top as hats."""
@@ -231,7 +204,8 @@ def settle(
     """
     warm = start is not None and bool(np.any(start))
     added = np.array(start, dtype=np.float64) if warm else np.zeros(displacement.shape)
-    moved = _size_of_known(displacement)
+    known = np.isfinite(displacement)
+    moved = _size(displacement[known]) if known.any() else 0.0
     tolerance = max(NOISE_SHARE * noise, SHARE * moved)
     accuracy = tolerance if warm else max(tolerance, FIRST_ACCURACY * moved)
     found: list[tuple[Array, Array]] = []
@@ -248,93 +222,6 @@ def settle(
     return solution, False
 
 
-class GradualSettling:
-    """`settle` over several frames, with a bounded number of steps in each.
-
-    A force is brought to equilibrium, in one frame or several; with the excess that it turns out to
-    have the next one is solved for, until that changes no more.
-    large: the gel.  steps: towards the equilibrium in a frame, SOLUTION_STEPS less where it is
-    solved for a force, too.  taken_off (rows, cols, 3) m: of the displacement in the last solution.
-    """
-
-    def __init__(self, large: LargePress, steps: int) -> None:
-        self._large, self._most = large, steps
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the frames before; the gel is at rest."""
-        self._large.reset()
-        self._added = self.taken_off = self._large.latest
-        self._at = self._linear_at = np.zeros_like(self._added)
-        self._open, self._stands, self._accuracy = np.inf, False, 0.0
-        self._target, self._on_the_way = self._at, False
-        self._found: list[tuple[Array, Array]] = []
-
-    def follow(
-        self, solve: Callable[[Array], Array], displacement: Array, noise: float, worth: float
-    ) -> float:
-        """What is open of the latest of `solve`, root mean square, as a share of the displacement.
-
-        0 where it stands as in `settle`; infinite where it is known to be open by more than
-        `worth`.  Other arguments and errors: see `settle`.
-        """
-        moved = _size_of_known(displacement)
-        tolerance = max(NOISE_SHARE * noise, SHARE * moved)
-        self._look_for_jumps(displacement, moved)
-        self._accuracy = max(self._accuracy, tolerance)
-        left, most, fresh = np.inf, self._most, not self._on_the_way
-        if fresh or self._open < worth * moved:
-            self.taken_off = self._added
-            solution = solve(displacement - self.taken_off)
-            linear = self._large.linear(solution)
-            ahead = self._ahead(linear, tolerance)
-            if self._stands and ahead <= tolerance:
-                return 0.0
-            left, most = self._open + ahead, max(1, most - SOLUTION_STEPS)
-            if fresh:
-                self._target, self._target_linear, self._at = solution, linear, displacement
-                self._on_the_way = True
-        try:
-            found = self._large.approach(self._target, self._accuracy, most)
-        except NoEquilibriumError:
-            self.reset()
-            raise
-        if found:
-            self._take(tolerance)
-            if fresh:
-                left = 0.0 if self._stands else self._open
-        return left / moved if left <= worth * moved else np.inf
-
-    def _ahead(self, linear: Array, tolerance: float) -> float:
-        """By how much the excess will change to that of a force of this linear displacement, m.
-
-        It grows as the square of the displacement.
-        """
-        rate = 2 * _size(self._large.latest) / max(_size(self._linear_at), tolerance)
-        return rate * _size(linear - self._linear_at)
-
-    def _take(self, tolerance: float) -> None:
-        """Add from now on what the force added that has come to equilibrium."""
-        result = self._large.latest
-        change = result - self._added
-        self._open = _size(change)
-        self._stands = max(self._open, self._accuracy) <= tolerance
-        self._accuracy = max(tolerance, min(self._accuracy, ACCURACY * self._open))
-        self._found = [*self._found, (result, change)][-DEPTH - 1 :]
-        self._added = result if self._stands else _extrapolated(self._found)
-        self._on_the_way, self._linear_at = False, self._target_linear
-
-    def _look_for_jumps(self, displacement: Array, moved: float) -> None:
-        """Leave the force on the way where the gel has moved on since."""
-        step = _size_of_known(displacement - self._at)
-        if step > NEW_SHARE * moved:
-            self.reset()
-        elif step > JUMP_SHARE * moved:
-            self._on_the_way, self._found = False, []
-            self._large.turn_to_another()
-        self._accuracy = max(self._accuracy, FIRST_ACCURACY * min(step, moved))
-
-
 def _extrapolated(found: list[tuple[Array, Array]]) -> Array:
     """The mixture of the latest results whose change is least."""
     result, change = found[-1]
@@ -348,8 +235,3 @@ def _extrapolated(found: list[tuple[Array, Array]]) -> Array:
 
 def _size(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _size_of_known(values: Array) -> float:
-    known = np.isfinite(values)
-    return _size(values[known]) if known.any() else 0.0

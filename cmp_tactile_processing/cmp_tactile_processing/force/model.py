@@ -24,7 +24,7 @@ from cmp_tactile_processing.force.contact_regions import (
     resultant_matrix,
     wrench_of,
 )
-from cmp_tactile_processing.force.large_press import GradualSettling, LargePress, settle
+from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_processing.force.measurements import Measurements, Whitening
 from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.force.solution import ForceSolution, ForceSolver
@@ -66,8 +66,6 @@ SAME_SHARE = 0.01
 SMALL_PRESS_RATIO = 1.5e-3
 # Spheres and flats pressed in by 2 to 12 % of the thickness lose 0.3 to 0.5 of that share.
 LINEAR_DOUBT = 0.5
-# Where less of the displacement is open, error bars say it and no flag: noise alone asks for that.
-SETTLED_SHARE = 5e-3
 
 
 class FieldBuilder:
@@ -317,9 +315,7 @@ class ForceModel:
 
     A first pass solves for a smooth traction on the whole surface, a second one for that on the
     nodes found in contact; noise, sizes and smoothness follow from each frame itself.
-    cache_dir, progress: see ElasticModel.  large_press_steps: of the correction for large presses
-    in one frame, so that it may take several and the force is the linear one until then; 0: until
-    it has settled.  Raises GeometryError for a block without a base.
+    cache_dir, progress: see ElasticModel.  Raises GeometryError for a block without a base.
     """
 
     def __init__(
@@ -327,7 +323,6 @@ class ForceModel:
         sensor: SensorDescription,
         cache_dir: Path | None = None,
         progress: Progress | None = None,
-        large_press_steps: int = 0,
     ) -> None:
         self._sensor, self._parameters = sensor, sensor.force
         self.elastic = ElasticModel(sensor, cache_dir, progress)
@@ -342,9 +337,6 @@ class ForceModel:
         self._systematics = SystematicErrors(sensor)
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
-        self._gradual: GradualSettling | None = None
-        if self._large is not None and large_press_steps:
-            self._gradual = GradualSettling(self._large, large_press_steps)
         self._out_of_reach = np.inf
         # What this keeps is made here, before the first frame.
         self.elastic.node_displacement(np.ones(self.elastic.node_position.shape))
@@ -428,7 +420,7 @@ class ForceModel:
     ) -> ForceField:
         """The field with what large strain does taken out; the linear one where that fails."""
         found, size = linear, float(np.linalg.norm(linear.force, axis=1).max())
-        solved = None if self._gradual is None else measured.data
+        solved: Array | None = None
         # To find that there is no equilibrium takes long: not again before the press is less, where
         # it is hardest, as that is where the gel folds.
         if size > self._out_of_reach:
@@ -445,34 +437,23 @@ class ForceModel:
 
         moved = self._in_metres(measured, measured.data)
         noise = self._parameters.noise_in_plane * float(np.sqrt(linear.noise_squared))
-        # What is open by more is no better than the linear force, which is doubted by twice that.
-        worth, left = LINEAR_DOUBT / 2 * self._depth_of(linear), 0.0
         try:
-            if self._gradual is None:
-                _, settled = settle(solve, large.excess, moved, large.latest, noise)
-            else:
-                left = self._gradual.follow(solve, moved, noise, worth)
-                settled = left <= SETTLED_SHARE
+            _, settled = settle(solve, large.excess, moved, large.latest, noise)
         except NoEquilibriumError:
             field = self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
             if ForceFlag.IMPLAUSIBLE not in field.flags:
                 self._out_of_reach = RETRY_SHARE * size
             return field
         self._out_of_reach = np.inf
-        if left > worth:
-            return self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
         flag = ForceFlag.NONE if settled else ForceFlag.NOT_CONVERGED
         # What is fitted now is the measured displacement without the excess.
-        excess = large.latest if self._gradual is None else self._gradual.taken_off
-        data = measured.data - self._whitening.in_noise(excess, measured.known)
+        data = measured.data - self._whitening.in_noise(large.latest, measured.known)
         found = self._solver.completed(found)
         corrected = self._field(found, measured._replace(data=data), large.moved, flag)
         if ForceFlag.IMPLAUSIBLE in corrected.flags:
             self.reset()
-            if left:
-                return self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
             return corrected
-        return replace(doubted(corrected, left) if left else corrected, corrected=True)
+        return replace(corrected, corrected=True)
 
     def _linear_field(
         self, linear: ForceSolution, measured: Measurements, flag: ForceFlag
@@ -487,9 +468,8 @@ class ForceModel:
     def reset(self) -> None:
         """Forget where a large press has settled; all else is of one frame alone."""
         self._out_of_reach = np.inf
-        for large in (self._large, self._gradual):
-            if large is not None:
-                large.reset()
+        if self._large is not None:
+            self._large.reset()
 
     def _field(
         self, solution: ForceSolution, measured: Measurements, moved: Array, flag: ForceFlag

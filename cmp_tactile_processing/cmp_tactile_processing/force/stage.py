@@ -43,7 +43,7 @@ ENCODED_DEVIATIONS = 3.0
 class ForceStage:
     """Turns surfaces of one sensor, in the order of their stamps, into force fields.
 
-    cache_dir, progress: see ElasticModel; large_press_steps: see ForceModel; encoded: see Pipeline.
+    cache_dir, progress: see ElasticModel; encoded: see Pipeline.
     It remembers what the relaxation of the gel and the slip of contacts need of earlier frames, so
     one frame at a time: calls from several threads must take turns.  Surfaces in which nothing was
     found give fields of NaN.
@@ -54,12 +54,11 @@ class ForceStage:
         sensor: SensorDescription,
         cache_dir: Path | None = None,
         progress: Progress | None = None,
-        large_press_steps: int = 0,
         *,
         encoded: bool = False,
     ) -> None:
         self._sensor, self._encoded = sensor, encoded
-        self._model = ForceModel(sensor, cache_dir, progress, large_press_steps)
+        self._model = ForceModel(sensor, cache_dir, progress)
         relaxation = sensor.elastomer.relaxation
         self._relaxation = None if relaxation is None else RelaxationFilter(relaxation)
         self._border = BorderContact(sensor, self._model.elastic, cache_dir)

@@ -45,12 +45,6 @@ class ForceReconstructorParameters(Parameters):
     """What is fixed while the node runs."""
 
     wait_for_model: bool = parameter(False, "wait at the start until the force model is built")
-    large_press_steps: int = parameter(
-        0,
-        "steps of the large-press correction in each frame; until it has converged, the "
-        "force is the linear one, with the flag not_converged; 0: as many steps as it needs",
-        within=(0, 1000),
-    )
 
 
 class ForceReconstructor(StageNode):
@@ -119,11 +113,8 @@ class ForceReconstructor(StageNode):
                 return
             start = time.monotonic()
             try:
-                stage = ForceStage(
-                    replace(self.sensor, force=wanted),
-                    progress=self._on_progress,
-                    large_press_steps=self._options.large_press_steps,
-                )
+                sensor = replace(self.sensor, force=wanted)
+                stage = ForceStage(sensor, progress=self._on_progress)
             except _Abandoned:
                 return
             except Exception as error:  # noqa: BLE001  the node lives on and says so

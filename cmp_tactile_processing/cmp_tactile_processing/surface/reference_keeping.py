@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import ReferenceFramesError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean
-from cmp_tactile_processing.measured import Markers3D, ReferenceFault
+from cmp_tactile_processing.measured import Markers3D, ReferenceFault, Surface
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.gauge import RestGauge
@@ -188,6 +188,15 @@ class ReferenceKeeper:
         """
         reference = Reference.average(frames, self.reference.id + 1, stamp_ns)
         return self._use(*self._gauged(reference), len(frames))
+
+    def surface(self, markers: Markers3D) -> Surface:
+        """The markers with their displacement from the reference.
+
+        A surface that was measured elsewhere keeps its own until one is taken.
+        """
+        if isinstance(markers, Surface) and not self.reference.id:
+            return markers
+        return self.reference.surface(markers)
 
     def _gauged(self, reference: Reference) -> tuple[Reference, str]:
         """The reference with what it shows of the gel and the description, and that in words."""

@@ -336,34 +336,3 @@ def test_a_press_beyond_the_correction_is_forgotten_when_it_ends(sensor):
     flagged = [ForceFlag.NOT_CONVERGED in field.flags for field in fields]
     assert flagged == [True, False, False]
     assert fields[2].corrected
-
-
-def test_a_jump_is_corrected_over_several_frames(sensor):
-    """At once the linear force with its flag, soon that of a model that settles in every frame."""
-    gel = replace(sensor.elastomer, model="neo_hookean")
-    sensor = replace(sensor, elastomer=gel)
-    off = replace(sensor, force=replace(sensor.force, large_press="off"))
-    whole, linear = ForceModel(sensor), ForceModel(off)
-    gradual = ForceModel(sensor, large_press_steps=4)
-    status = np.full(_shape(sensor), Status.MEASURED, np.uint8)
-    weight = bump(whole.elastic.nodes.points, (0, 0), 3e-3)[:, None]
-    rng, on_the_way = np.random.default_rng(0), []
-    for newton, frames in ((2.0, 16), (3.0, 16), (0.5, 6)):
-        moved = noisy(whole.elastic.displacement(weight * [0.0, 0.0, -newton]), rng)
-        moved[3, 4] = np.nan
-        goal = whole.reconstruct(moved, status)
-        assert goal.corrected
-        fields = [gradual.reconstruct(moved, status) for _ in range(frames)]
-        at_once = linear.reconstruct(moved, status)
-        assert fields[0].flags == ForceFlag.NOT_CONVERGED
-        assert not fields[0].corrected
-        assert fields[0].wrench == pytest.approx(at_once.wrench, rel=1e-3, abs=1e-6)
-        assert fields[0].wrench_std == pytest.approx(at_once.wrench_std, rel=0.05)
-        for field in fields:
-            assert (abs(field.wrench - goal.wrench) < 2 * field.wrench_std).all()
-        on_the_way += [f.corrected for f in fields if f.flags == ForceFlag.NOT_CONVERGED]
-        assert fields[-1].flags == ForceFlag.NONE
-        assert fields[-1].corrected
-        assert (abs(fields[-1].wrench - goal.wrench) < 0.5 * goal.wrench_std).all()
-    # Corrected, but not settled.
-    assert any(on_the_way)

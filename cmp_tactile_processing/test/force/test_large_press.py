@@ -78,20 +78,6 @@ def test_a_force_that_the_gel_cannot_follow(press, problem):
         press.excess(np.full_like(force, np.nan))
 
 
-def test_an_equilibrium_in_several_calls_is_that_of_one(press, problem):
-    force = load(problem, LARGE)
-    whole = press.excess(force)
-    steps = press.steps
-    press.reset()
-    before = press.latest
-    for _ in range((steps - 1) // 3):
-        assert not press.approach(force, most=3)
-        assert press.steps == 3
-        assert press.latest is before
-    assert press.approach(force, most=3)
-    assert np.array_equal(press.latest, whole)
-
-
 def test_settling_of_a_scalar_problem():
     """u = f + 0.3 f^2, plainly known; missing values stay missing."""
 
