@@ -65,5 +65,5 @@ def test_parameters_are_refused_with_the_reason_and_unknown_ones_reported(ros, s
     reported = node.set_parameters_atomically([Parameter("sensor_name", value="y")])
     assert "read-only" in reported.reason
     if name != "camera_driver":  # which reports once its source is open, and it is not
-        text = "sensor_nam: no such parameter; did you mean sensor_name? (given at the start"
+        text = "sensor_nam: no such parameter; did you mean 'sensor_name'? (given at the start"
         assert text in capfd.readouterr().err

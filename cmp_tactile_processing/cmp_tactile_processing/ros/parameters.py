@@ -6,7 +6,6 @@ import re
 import traceback
 from collections.abc import Callable, Collection
 from dataclasses import Field, dataclass, fields, replace
-from difflib import get_close_matches
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -23,6 +22,7 @@ from rclpy.parameter import Parameter
 from cmp_tactile_processing.errors import CmpTactileError, ParameterError
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, numbers_text, parameter
+from cmp_tactile_processing.sensor.yaml_section import did_you_mean
 
 TYPES = {
     ParameterType.PARAMETER_BOOL: "true or false",
@@ -100,8 +100,7 @@ def unknown_overrides(node: Node) -> list[str]:
 
 
 def _unknown(node: Node, name: str) -> str:
-    meant = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
-    return f"{name}: no such parameter" + (f"; did you mean {meant[0]}?" if meant else "")
+    return f"{name}: no such parameter{did_you_mean(name, node.get_parameters_by_prefix(''))}"
 
 
 def _plain(found: Any) -> Any:

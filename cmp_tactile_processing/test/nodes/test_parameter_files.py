@@ -122,7 +122,7 @@ REFUSED: list[tuple[str, Any, str]] = [
     ("two_pass", "no", "two_pass: found 'no', expected true or false"),
     ("large_press", "sometimes", "found 'sometimes', expected one of auto, on, off"),
     ("wait_for_model", True, "read-only parameter: wait_for_model"),
-    ("noise_deph", 1e-6, "no such parameter; did you mean noise_depth?"),
+    ("noise_deph", 1e-6, "no such parameter; did you mean 'noise_depth'?"),
 ]
 
 
@@ -146,9 +146,9 @@ def test_a_name_that_is_spelled_wrongly_is_reported_at_the_start(ros, capfd):
     log = capfd.readouterr().err
     reported = [line for line in log.splitlines() if "WARN" in line]
     assert len(reported) == 2, log
-    assert "noise_deph: no such parameter; did you mean noise_depth? (given" in reported[0]
+    assert "noise_deph: no such parameter; did you mean 'noise_depth'? (given" in reported[0]
     meant = qos.replace("surfaces", "surface")
-    assert f"{qos}: no such parameter; did you mean {meant}?" in reported[1]
+    assert f"{qos}: no such parameter; did you mean '{meant}'?" in reported[1]
 
 
 def test_parameters_change_between_frames_and_lose_none(ros):
