@@ -99,8 +99,14 @@ class Pipeline:
         cannot serve, FrameError for a wrong frame; the reference then stays as it was.
         """
         frames = list(frames)
-        self.inspect_print(frame for frame in frames if not isinstance(frame, Surface))
         markers = [self._camera.measure(frame)[1] for frame in frames]
+        Reference.average(markers, 0)  # raises where they cannot serve, before anything changes
+        known = self.print_defects
+        self.inspect_print(frame for frame in frames if not isinstance(frame, Surface))
+        found = filter(None, (*known.values(), *self.print_defects.values()))
+        if any(item.flawed.known.any() or item.bands.loss for item in found):
+            # Flawed corners are now where their new pictures have them, or the model.
+            markers = [self._camera.measure(frame)[1] for frame in frames]
         self._reference_note = self._keeper.take(markers, stamp_ns)
 
     def inspect_print(self, images: Iterable[NDArray[np.uint8]]) -> None:
