@@ -1,41 +1,36 @@
-"""Files of bags, MCAP and rosbag2's SQLite format, whole, without index or end, or damaged.
-
-MCAP records are gone through by their lengths: an index would only say where they are.
-"""
+"""Files of bags: MCAP with or without an end, by `mcap`; rosbag2's SQLite files, by `rosbags`."""
 
 from __future__ import annotations
 
-import sqlite3
+import shlex
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from contextlib import AbstractContextManager, closing, contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
-from io import BytesIO
+from itertools import groupby, islice
+from operator import itemgetter
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
+from mcap.exceptions import EndOfFile
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
+from rosbags.rosbag2 import Reader
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 HEAD_BYTES = 12
 """Of a message: what names the encoding, and the stamp of a header that it begins with."""
 
-RECORD_HEAD = struct.Struct("<BQ")
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-CHUNK_HEAD = struct.Struct("<QQQI")
-NO_CHUNK = 0
 # One in use, and those that others overlap in time.
 KEPT_CHUNKS = 4
-MOST_SUMMARY_BYTES = 2**30
 
-LOG_SUFFIX = "-wal"
+Found = Iterator[tuple[str, int, Any, bytes]]
+"""Topic, time of receipt, place in the file and bytes of messages."""
 
 
 class DamageError(Exception):
@@ -81,8 +76,9 @@ def unpacked(data: bytes) -> bytes:
     return content
 
 
-def head_stamp_ns(head: bytes) -> int:
-    """The stamp of a message that begins with a header, by its first HEAD_BYTES; 0 for none."""
+def head_stamp_ns(message: bytes) -> int:
+    """The stamp of a message that begins with a header; 0 for none."""
+    head = unpacked(message)
     if len(head) < HEAD_BYTES:
         return 0
     order = "<" if head[1] & 1 else ">"
@@ -98,284 +94,200 @@ def full_kind(name: str, encoding: str = "cdr") -> str:
     return kind if encoding == "cdr" else f"{kind} in {encoding or 'unknown encoding'}"
 
 
-class _Record(NamedTuple):
-    """A record and where its content lies in a stream."""
+class BagFile(ABC):
+    """One file of a bag.
 
-    opcode: int
-    begin: int
-    length: int
-
-
-class _Where(NamedTuple):
-    """A message's bytes: among the records of the chunk that begins there, or in the file."""
-
-    chunk: int
-    begin: int
-    length: int
-
-
-class _Part(NamedTuple):
-    """Records of a stream from `first` on: of the chunk that begins there in the file, or none."""
-
-    stream: IO[bytes]
-    chunk: int
-    first: int
-
-
-class McapBagFile:
-    """One file.
-
-    topics: message type by topic.  damage: why some of its bytes cannot be read; empty where all
-    can.
+    topics: message type by topic.  damage: what of it cannot be read; empty where all can.
     """
 
     def __init__(self, path: Path) -> None:
         """Raises DamageError where nothing of it can be read."""
-        self._path = path
-        self._kinds: dict[int, str] = {}
-        self._channels: dict[int, Channel] = {}
+        self.path = path
         self.topics: dict[str, str] = {}
-        self.damage = ""
-        with path.open("rb") as file:
-            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                size = path.stat().st_size
-                raise DamageError("found no MCAP in it" if size else "the file is empty")
-        if not self._take_summary():
-            self.index(())
-            if self.damage and not self._channels:
-                raise DamageError(self.damage)
-
-    def index(self, topics: Collection[str]) -> list[StoredMessage]:
-        """The messages of some topics without their bytes, in the order they were written.
-
-        What is damaged is passed over where its length is known.
-        """
-        self.damage = ""
-        found: list[StoredMessage] = []
-        with self._path.open("rb") as file:
-            for part, record in self._all_records(file):
-                try:
-                    found += self._take(part, record, topics)
-                except Exception as error:  # noqa: BLE001, PERF203  damaged bytes raise anything
-                    self.damage = f"the record at byte {record.begin} cannot be read: {error}"
-        return found
-
-    @contextmanager
-    def opened(self) -> Iterator[Callable[[_Where], bytes]]:
-        """Reads the CDR bytes at a message's `where`; DamageError where they are damaged."""
-        with self._path.open("rb") as file:
-            chunk = lru_cache(KEPT_CHUNKS)(lambda begin: _chunk_records(file, begin))
-
-            def read(where: _Where) -> bytes:
-                if where.chunk != NO_CHUNK:
-                    return unpacked(chunk(where.chunk)[where.begin : where.begin + where.length])
-                file.seek(where.begin)
-                return unpacked(file.read(where.length))
-
-            yield read
-
-    def _all_records(self, file: IO[bytes]) -> Iterator[tuple[_Part, _Record]]:
-        """Those up to the end of the data, and where they are."""
-        for record in self._readable(file, self._path.stat().st_size, len(MCAP0_MAGIC)):
-            if record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                return
-            if record.opcode != Opcode.CHUNK:
-                yield _Part(file, NO_CHUNK, 0), record
-                continue
-            try:
-                part, end = _part_of_chunk(file, record)
-            except DamageError as error:
-                self.damage = str(error)
-                continue
-            for inner in self._readable(part.stream, end, part.first):
-                yield part, inner
-        self.damage = self.damage or "the file has no end; its recorder did not close it"
-
-    def _readable(self, stream: IO[bytes], end: int, begin: int = 0) -> Iterator[_Record]:
-        """The records between two places, up to one that is cut."""
-        try:
-            yield from _records(stream, begin, end)
-        except DamageError as error:
-            self.damage = str(error)
-
-    def _take(
-        self, part: _Part, record: _Record, topics: Collection[str]
-    ) -> Iterator[StoredMessage]:
-        """Learn a schema or channel; give a message of a topic that is wanted."""
-        reading = ReadDataStream(part.stream)
-        if record.opcode == Opcode.SCHEMA:
-            self._add_schema(Schema.read(reading))
-        elif record.opcode == Opcode.CHANNEL:
-            self._add_channel(Channel.read(reading))
-        elif record.opcode == Opcode.MESSAGE:
-            number, _, received_ns, _ = MESSAGE_HEAD.unpack(reading.read(MESSAGE_HEAD.size))
-            channel = self._channels.get(number)
-            if channel is None or channel.topic not in topics:
-                return
-            begin, length = record.begin + MESSAGE_HEAD.size, record.length - MESSAGE_HEAD.size
-            head = part.stream.read(min(length, HEAD_BYTES))
-            if head.startswith(ZSTD_MAGIC):
-                head = unpacked(head + part.stream.read(length - len(head)))
-            where = _Where(part.chunk, begin - part.first, length)
-            kind, stamp_ns = self._kind(channel), head_stamp_ns(head)
-            yield StoredMessage(channel.topic, kind, received_ns, stamp_ns, where)
-
-    def _take_summary(self) -> bool:
-        """Whether the file ends with a summary that names all channels."""
-        with self._path.open("rb") as file:
-            try:
-                limited = SeekingReader(file, record_size_limit=MOST_SUMMARY_BYTES)
-                summary = limited.get_summary()
-            except Exception:  # noqa: BLE001  damaged bytes raise anything
-                return False
-        statistics = summary.statistics if summary else None
-        if summary is None or statistics is None:
-            return False
-        if len(summary.channels) < statistics.channel_count:
-            return False
-        for schema in summary.schemas.values():
-            self._add_schema(schema)
-        for channel in summary.channels.values():
-            self._add_channel(channel)
-        return True
-
-    def _add_schema(self, schema: Schema) -> None:
-        self._kinds[schema.id] = schema.name
-
-    def _add_channel(self, channel: Channel) -> None:
-        self._channels[channel.id] = channel
-        self.topics.setdefault(channel.topic, self._kind(channel))
-
-    def _kind(self, channel: Channel) -> str:
-        return full_kind(self._kinds.get(channel.schema_id, ""), channel.message_encoding)
-
-
-def _records(stream: IO[bytes], begin: int, end: int) -> Iterator[_Record]:
-    """The records between two places; DamageError where one is cut.
-
-    A chunk that is cut comes before that, with the length that is left.  The stream stands where
-    the record begins.
-    """
-    while begin < end:
-        stream.seek(begin)
-        head = stream.read(RECORD_HEAD.size)
-        if len(head) < RECORD_HEAD.size:
-            msg = f"a record is incomplete at byte {begin}"
-            raise DamageError(msg)
-        opcode, length = RECORD_HEAD.unpack(head)
-        if not opcode:
-            msg = f"found no record at byte {begin}"
-            raise DamageError(msg)
-        begin += RECORD_HEAD.size
-        if begin + length > end:
-            if opcode == Opcode.CHUNK:
-                yield _Record(opcode, begin, end - begin)
-            msg = f"a record of {length} bytes at byte {begin} is incomplete"
-            raise DamageError(msg)
-        yield _Record(opcode, begin, length)
-        begin += length
-
-
-def _part_of_chunk(file: IO[bytes], chunk: _Record) -> tuple[_Part, int]:
-    """The records of a chunk and where they end; they are read only where they are compressed."""
-    file.seek(chunk.begin + CHUNK_HEAD.size)
-    reading = ReadDataStream(file)
-    try:
-        compression = reading.read_prefixed_string()
-        reading.read8()
-    except Exception:  # noqa: BLE001  damaged bytes raise anything
-        msg = f"the chunk at byte {chunk.begin} is incomplete"
-        raise DamageError(msg) from None
-    if not compression:
-        return _Part(file, chunk.begin, file.tell()), chunk.begin + chunk.length
-    data = _chunk_records(file, chunk.begin)
-    return _Part(BytesIO(data), chunk.begin, 0), len(data)
-
-
-def _chunk_records(file: IO[bytes], begin: int) -> bytes:
-    """The records of a chunk, unpacked; of one that is cut, what is there of them.
-
-    DamageError where they are not what its checksum says.
-    """
-    try:
-        file.seek(begin)
-        chunk = Chunk.read(ReadDataStream(file))
-        is_whole = len(chunk.data) >= chunk.uncompressed_size or chunk.compression != ""
-        if chunk.compression == "zstd":
-            # In one go, nothing of a chunk that is cut would be unpacked.
-            unpacking = zstandard.ZstdDecompressor().decompressobj()
-            chunk = replace(chunk, compression="", data=unpacking.decompress(chunk.data))
-            is_whole = unpacking.eof
-        # A checksum is only over all of them.
-        stream, size = get_chunk_data_stream(chunk, validate_crc=is_whole)
-        return stream.read(size)
-    except Exception as error:  # noqa: BLE001  damaged bytes raise anything
-        msg = f"the chunk at byte {begin}: {str(error) or type(error).__name__}"
-        raise DamageError(msg) from None
-
-
-class SqliteBagFile:
-    """As `McapBagFile`, with what its write-ahead log still holds."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises DamageError where nothing of it can be read."""
-        self._path = path
-        self._topics: dict[int, tuple[str, str]] = {}
         self.damage = ""
         if not path.stat().st_size:
             raise DamageError("the file is empty")
-        try:
-            with self._connected() as connection:
-                rows = connection.execute("SELECT id, name, type, serialization_format FROM topics")
-                for number, name, kind, encoding in rows:
-                    self._topics[number] = name, full_kind(kind, encoding)
-        except sqlite3.Error as error:
-            hint = (
-                f"; with its {LOG_SUFFIX} file it can only be read in a folder with write access: "
-                "copy it there"
-            )
-            raise DamageError(f"{error}{hint if self._has_log else ''}") from None
-        self.topics = dict(self._topics.values())
 
     def index(self, topics: Collection[str]) -> list[StoredMessage]:
-        """As `McapBagFile`, up to the first damage."""
+        """The messages of some topics without their bytes, in the order of the file.
+
+        What is damaged is left out.
+        """
         self.damage = ""
         found = []
-        query = f"SELECT id, topic_id, timestamp, substr(data, 1, {HEAD_BYTES}) FROM messages"  # noqa: S608
-        try:
-            with self._connected() as connection:
-                for row, number, received_ns, head in connection.execute(f"{query} ORDER BY id"):
-                    name, kind = self._topics.get(number, ("", ""))
-                    if name in topics:
-                        start = self._read(connection, row) if head[:4] == ZSTD_MAGIC else head
-                        stamp_ns = head_stamp_ns(start)
-                        found.append(StoredMessage(name, kind, received_ns, stamp_ns, row))
-        except (sqlite3.Error, DamageError) as error:
-            self.damage = str(error)
+        for topic, received_ns, where, data in self._messages(topics):
+            try:
+                stamp_ns = head_stamp_ns(data)
+            except DamageError as error:
+                self.damage = str(error)
+                continue
+            found.append(StoredMessage(topic, self.topics[topic], received_ns, stamp_ns, where))
         return found
 
-    @contextmanager
-    def opened(self) -> Iterator[Callable[[int], bytes]]:
-        """As `McapBagFile`."""
-        with self._connected() as connection:
-            yield lambda row: self._read(connection, row)
+    @abstractmethod
+    def _messages(self, topics: Collection[str]) -> Found:
+        """The messages that can be read; sets `damage` where some cannot."""
 
-    def _read(self, connection: sqlite3.Connection, row: int) -> bytes:
+    @abstractmethod
+    def opened(self) -> AbstractContextManager[Callable[[Any], bytes]]:
+        """Reads the bytes at a message's `where`, as they are in the file.
+
+        Whatever it raises means that they are damaged.
+        """
+
+
+class McapBagFile(BagFile):
+    """An MCAP file: messages in the order in which they were written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._size = path.stat().st_size
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        with path.open("rb") as file:
+            if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                raise DamageError("found no MCAP in it")
+            self._take_summary(file)
+        if not self.topics:
+            self.index(())
+        if self.damage and not self.topics:
+            raise DamageError(self.damage)
+
+    @contextmanager
+    def opened(self) -> Iterator[Callable[[tuple[int, int]], bytes]]:
+        """As that of a `BagFile`."""
+        with self.path.open("rb") as file:
+
+            @lru_cache(KEPT_CHUNKS)
+            def parts(begin: int) -> list[Any]:
+                _, record = next(self._records(file, begin))
+                return _parts(record, validate_crc=True)
+
+            yield lambda where: bytes(parts(where[0])[where[1]].data)
+
+    def _messages(self, topics: Collection[str]) -> Found:
+        with self.path.open("rb") as file:
+            for begin, record in self._records_in_order(file):
+                try:
+                    parts = _parts(record)
+                except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+                    self._note_damage(f"the chunk at byte {begin}", error)
+                    continue
+                for number, part in enumerate(parts):
+                    if isinstance(part, Message):
+                        channel = self._channels.get(part.channel_id)
+                        if channel is not None and channel.topic in topics:
+                            yield channel.topic, part.log_time, (begin, number), part.data
+                    else:
+                        self._learn(part)
+
+    def _records_in_order(self, file: IO[bytes]) -> Iterator[tuple[int, McapRecord]]:
+        """Records up to the end of the data, or to where the file is damaged."""
+        begin = 0
         try:
-            found = connection.execute("SELECT data FROM messages WHERE id = ?", (row,)).fetchone()
-        except sqlite3.Error as error:
-            raise DamageError(str(error)) from None
-        return unpacked(bytes(found[0]))
+            for begin, record in self._records(file):
+                if isinstance(record, DataEnd):
+                    return
+                yield begin, record
+        except EndOfFile:
+            self.damage = self.damage or "the file has no end; its recorder did not close it"
+        except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+            self._note_damage(f"after byte {begin}", error)
+
+    def _records(self, file: IO[bytes], begin: int = 0) -> Iterator[tuple[int, McapRecord]]:
+        """Chunks, and what lies between them, from a byte on, and where each begins."""
+        file.seek(begin)
+        limit = self._size
+        is_first = begin == 0
+        reading = StreamReader(file, not is_first, emit_chunks=True, record_size_limit=limit)
+        for record in reading.records:
+            yield begin, record
+            begin = file.tell()
+
+    def _note_damage(self, place: str, error: Exception) -> None:
+        self.damage = f'{place}: {error}; "mcap recover" may save more'
+
+    def _learn(self, record: McapRecord) -> None:
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self._channels[record.id] = record
+            schema = self._schemas.get(record.schema_id)
+            kind = full_kind(schema.name if schema else "", record.message_encoding)
+            self.topics.setdefault(record.topic, kind)
+
+    def _take_summary(self, file: IO[bytes]) -> None:
+        """Learn the topics at the end of the file, if it names all."""
+        file.seek(0)
+        try:
+            summary = SeekingReader(file, record_size_limit=self._size).get_summary()
+        except Exception:  # noqa: BLE001  damaged bytes raise anything
+            return
+        statistics = summary and summary.statistics
+        if summary and statistics and len(summary.channels) >= statistics.channel_count:
+            for record in (*summary.schemas.values(), *summary.channels.values()):
+                self._learn(record)
+
+
+def _parts(record: McapRecord, *, validate_crc: bool = False) -> list[McapRecord]:
+    """The records of a chunk; may raise anything where it is damaged."""
+    return breakup_chunk(record, validate_crc) if isinstance(record, Chunk) else [record]
+
+
+class SqliteBagFile(BagFile):
+    """A .db3 file: messages in the order in which they were received.
+
+    What a recorder that was killed left in its write-ahead log is not read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        log = path.with_name(path.name + "-wal")
+        has_log = log.is_file() and log.stat().st_size > 0
+        self._lost = (
+            f"its write-ahead log {log.name} is not read; to store what it holds in the bag: "
+            f"sqlite3 {shlex.quote(str(path))} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            if has_log
+            else ""
+        )
+        try:
+            with self._reader() as reader:
+                for item in reader.connections:
+                    encoding = getattr(item.ext, "serialization_format", "cdr")
+                    self.topics[item.topic] = full_kind(item.msgtype, encoding)
+        except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+            raise DamageError("; ".join(filter(None, (str(error), self._lost)))) from None
 
     @contextmanager
-    def _connected(self) -> Iterator[sqlite3.Connection]:
-        # Without a log nothing is written beside the file, which may be on a read-only disk.
-        mode = "mode=ro" if self._has_log else "immutable=1"
-        address = f"{self._path.resolve().as_uri()}?{mode}"
-        with closing(sqlite3.connect(address, uri=True, check_same_thread=False)) as connection:
-            yield connection
+    def opened(self) -> Iterator[Callable[[tuple[frozenset[int], int, int]], bytes]]:
+        """As that of a `BagFile`."""
+        with self._reader() as reader:
 
-    @property
-    def _has_log(self) -> bool:
-        log = self._path.with_name(self._path.name + LOG_SUFFIX)
-        return log.is_file() and log.stat().st_size > 0
+            def read(where: tuple[frozenset[int], int, int]) -> bytes:
+                ids, time_ns, number = where
+                wanted = [item for item in reader.connections if item.id in ids]
+                at_once = reader.messages(wanted, time_ns, time_ns + 1)
+                return bytes(next(islice(at_once, number, None))[2])
+
+            yield read
+
+    def _messages(self, topics: Collection[str]) -> Found:
+        self.damage = self._lost
+        try:
+            with self._reader() as reader:
+                wanted = [item for item in reader.connections if item.topic in topics]
+                ids = frozenset(item.id for item in wanted)
+                found = reader.messages(wanted)
+                for time_ns, at_once in groupby(found, key=itemgetter(1)):
+                    for number, (item, _, data) in enumerate(at_once):
+                        yield item.topic, time_ns, (ids, time_ns, number), bytes(data)
+        except Exception as error:  # noqa: BLE001  damaged bytes raise anything
+            self.damage = str(error)
+
+    @contextmanager
+    def _reader(self) -> Iterator[Any]:
+        # Reader itself wants the name in lower case.
+        reader = Reader.STORAGE_PLUGINS[".db3"](self.path)
+        reader.open()
+        with closing(reader):
+            yield reader

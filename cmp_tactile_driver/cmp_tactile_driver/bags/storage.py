@@ -17,12 +17,18 @@ from typing import Any
 import yaml
 import zstandard
 
-from cmp_tactile_driver.bags.files import DamageError, McapBagFile, SqliteBagFile, StoredMessage
+from cmp_tactile_driver.bags.files import (
+    BagFile,
+    DamageError,
+    McapBagFile,
+    SqliteBagFile,
+    StoredMessage,
+    unpacked,
+)
 from cmp_tactile_driver.bags.timeline import run_on
 from cmp_tactile_driver.errors import BagError
 from cmp_tactile_driver.sources.files import foreign_content
 
-BagFile = McapBagFile | SqliteBagFile
 FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
 STORAGE_SUFFIXES = tuple(FORMATS)
 PACKED_SUFFIX = ".zstd"
@@ -86,8 +92,8 @@ class BagStorage:
             opened: list[Any] = [stack.enter_context(file.opened()) for file in self._files]
             for message in messages:
                 try:
-                    data = opened[message.file](message.where)
-                except DamageError as error:
+                    data = unpacked(opened[message.file](message.where))
+                except Exception as error:  # noqa: BLE001  damaged bytes raise anything
                     failed += 1
                     count = len(messages) - failed
                     self.loss = _damage(self._path, error, count, len(messages))

@@ -5,7 +5,7 @@ Public reports, tried on this reader (report: trial: result):
 - foxglove/mcap 683: the header's profile is empty: read
 - ros2/rosbag2 1276: some receipts at time 0: times by stamps, one line
 - ros2/rosbag2 1572: /tf_static was received before the frames: time 0 is the first frame
-- ros2/rosbag2 395, 901: SQLite without metadata.yaml, with its log left over: whole
+- ros2/rosbag2 395, 901: SQLite without metadata.yaml: whole; what its log holds is named
 - ros2/rosbag2 990: files compressed as a whole, no metadata.yaml: whole
 - ros2/rosbag2 1623: messages compressed one by one in a .db3 file: read
 - ros2/rosbag2 1089: SQLite of Eloquent, whose topics have no QoS: read
@@ -14,13 +14,15 @@ Public reports, tried on this reader (report: trial: result):
 - facontidavide/cloudini 29: other QoS in metadata.yaml than in the file: read
 - foxglove/mcap 389: zstd without the content's size, of chunks or messages: read
 - foxglove/mcap 1474: cut within the summary: whole, as nothing of the messages is missing
-- foxglove/mcap 385: cut within a chunk: read up to the cut (test_bag_writer)
+- foxglove/mcap 385: cut within a chunk: read up to that chunk (test_bag_reader)
 - ouster-lidar/ouster-sdk 666: a file of a split recording without messages of the topic: counted
 """
 
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -304,7 +306,7 @@ def test_a_device_is_no_recording():
         open_recording(Path("/dev/null"))
 
 
-def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, frames):
+def test_a_write_ahead_log_of_sqlite_is_named(tmp_path, frames):
     """A recorder that was killed leaves its last messages there."""
     times = made_bags.stamps(len(frames))
     messages = made_bags.images(frames)
@@ -322,6 +324,12 @@ def test_what_the_write_ahead_log_of_sqlite_still_holds(tmp_path, frames):
     for suffix in ("", "-wal"):
         shutil.copy(f"{file}{suffix}", bag / f"killed_0.db3{suffix}")
     connection.close()
+    reader = BagReader(bag)
+    made_bags.assert_played(reader.frames(), frames[:6])
+    assert "killed_0.db3-wal is not read" in reader.health.problem
+    command = re.search("sqlite3 (.*) '(PRAGMA.*)'", reader.health.problem)
+    with closing(sqlite3.connect(command[1])) as repaired:
+        repaired.execute(command[2])
     _check_whole(BagReader(bag), frames)
 
 
@@ -514,4 +522,4 @@ def test_zeros_after_a_power_cut_are_passed_over(tmp_path, frames):
     path.write_bytes(path.read_bytes()[:end] + bytes(100_000))
     reader = BagReader(path)
     assert len(list(reader.frames())) == len(frames)
-    assert "found no record at byte" in reader.health.problem
+    assert "the file has no end" in reader.health.problem
