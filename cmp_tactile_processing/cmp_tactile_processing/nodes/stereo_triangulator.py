@@ -10,8 +10,11 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.client import Client
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
@@ -30,6 +33,8 @@ from cmp_tactile_processing.surface import reference_keeping
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 from cmp_tactile_processing.surface.gauge import RestGauge
 from cmp_tactile_processing.surface.stillness import RestParameters
+
+SERVICE_S, ANSWER_S = 1.0, 60.0
 
 
 @dataclass(frozen=True)
@@ -84,9 +89,10 @@ class StereoTriangulator(StageNode):
     A sensor with one view has one grid, and its surface no depth.  Displacement refers to the
     nominal surface of the sensor description until a reference is taken.  The node takes it when
     the gel is still and nothing seems to touch it (`auto_reference`), or when the service
-    `~/set_reference` is called.  `reference` (latched) is the surface that displacement refers to.
-    The diagnostics warn, with the reason, while there is no reference, and of drift of the gel at
-    rest (docs/reference.md).  `surface_points` is made only while somebody subscribes.
+    `~/set_reference` is called, which first has the trackers inspect the print, as
+    `Pipeline.set_reference` does.  `reference` (latched) is the surface that displacement refers
+    to.  The diagnostics warn, with the reason, while there is no reference, and of drift of the gel
+    at rest (docs/reference.md).  `surface_points` is made only while somebody subscribes.
     """
 
     default_name = "stereo_triangulator"
@@ -119,7 +125,9 @@ class StereoTriangulator(StageNode):
             "~/set_reference",
             "a reference is already being taken",
             self._wanted_for_reference,
+            before=self._inspect_print,
         )
+        self._trackers: dict[str, Client[Any, Any]] = {}
 
     def _build_rig(self, parameters: TriangulationParameters) -> None:
         self._rig = StereoRig(replace(self.sensor, triangulation=parameters))
@@ -189,6 +197,42 @@ class StereoTriangulator(StageNode):
         surface = surface_at_rest(self._keeper.reference, self.sensor.pattern.shape)
         header = conversions.header_at(stamp, self._frame)
         self._reference_publisher.publish(conversions.surface_to_msg(surface, header))
+
+    async def _inspect_print(self) -> str:
+        """Have the nodes that publish the grids inspect the print; why one could not, or empty.
+
+        Those without such a service, as a replay of grids, know nothing of the print.
+        """
+        asked = [
+            client.call_async(Trigger.Request())
+            for view in self.sensor.views
+            for node in self.get_publishers_info_by_topic(self.resolve_topic_name(f"{view}/grid"))
+            if (client := self._tracker(node.node_name, node.node_namespace)) is not None
+        ]
+
+        def give_up() -> None:
+            for future in asked:
+                future.cancel()
+
+        # A tracker that has ended never answers.
+        timer = self.create_steady_timer(ANSWER_S, give_up)
+        answers = [await future for future in asked]
+        self.destroy_timer(timer)
+        if None in answers:
+            return f"the print was not inspected within {ANSWER_S:g} s"
+        return next((answer.message for answer in answers if not answer.success), "")
+
+    def _tracker(self, name: str, namespace: str) -> Client[Any, Any] | None:
+        """The client of a node's service inspect_print; None where it has none."""
+        service = f"{namespace.rstrip('/')}/{name}/inspect_print"
+        if service not in dict(self.get_service_names_and_types()):
+            return None
+        if service not in self._trackers:
+            group = ReentrantCallbackGroup()
+            self._trackers[service] = self.create_client(Trigger, service, callback_group=group)
+        client = self._trackers[service]
+        # The graph knows the service, so this is soon over.
+        return client if client.wait_for_service(SERVICE_S) else None
 
     def _wanted_for_reference(self) -> tuple[int, float, str]:
         topics = " and ".join(self.resolve_topic_name(f"{v}/grid") for v in self.sensor.views)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, Generic, TypeVar
@@ -145,14 +145,20 @@ Answer = Callable[[bool, str], None]
 class FrameService(Generic[Frame]):
     """A Trigger service that collects frames, one request at a time.
 
-    name: the service's; busy: the answer while another request is open.
+    name: the service's; busy: the answer while another request is open; before: what is to be done
+    first, it returns why it failed.
     """
 
     def __init__(
-        self, node: ReportingNode, name: str, busy: str, wanted: Callable[[], Wanted]
+        self,
+        node: ReportingNode,
+        name: str,
+        busy: str,
+        wanted: Callable[[], Wanted],
+        before: Callable[[], Awaitable[str]] | None = None,
     ) -> None:
         self._node, self._busy, self._wanted = node, busy, wanted
-        self._count = 0
+        self._before, self._asked, self._count = before, False, 0
         self._frames: list[Frame] | None = None
         self._finish: Answer = lambda *_: None
         # A group of its own: the service waits for frames, which must come in meanwhile.
@@ -177,9 +183,20 @@ class FrameService(Generic[Frame]):
     async def _answer(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        if self._frames is not None:
+        if self._asked:
             response.success, response.message = False, self._busy
             return response
+        self._asked = True
+        try:
+            reason = await self._before() if self._before is not None else ""
+            found = (False, reason) if reason else await self._collect()
+        finally:
+            self._asked = False
+        response.success, response.message = found
+        return response
+
+    async def _collect(self) -> tuple[bool, str]:
+        """Success and explanation, once the frames have come or the time is up."""
         self._count, timeout_s, topics = self._wanted()
         frames: list[Frame] = []
         outcome: Future[tuple[bool, str]] = Future()
@@ -198,11 +215,11 @@ class FrameService(Generic[Frame]):
             # The last frame comes on another thread, which the executor does not see.
             outcome.add_done_callback(lambda _: executor.wake())
         timer = self._node.create_steady_timer(timeout_s, give_up)
-        response.success, response.message = await outcome
+        found = await outcome
         self._node.destroy_timer(timer)
         if self._frames is frames:
             self._frames = None
-        return response
+        return found
 
 
 class StageNode(ReportingNode):
