@@ -12,6 +12,7 @@ import gc
 import threading
 import time
 import traceback
+import weakref
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as LateError
@@ -44,6 +45,8 @@ ComponentLookup = Callable[[str, str], ComponentClass]
 
 STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
+# How often, and how long apart in s, it is tried to free an unloaded component.
+FREEING_TRIES, FREEING_S = 5, 0.05
 
 
 def find_component(package: str, plugin: str) -> ComponentClass:
@@ -208,7 +211,9 @@ class ComponentContainer:
 
     def _stop(self, loaded: LoadedComponent, timeout: float) -> bool:
         """Destroy a component, and end a thread without any; False where it is still busy."""
-        spinner = loaded.spinner
+        spinner, node = loaded.spinner, loaded.node
+        is_there = weakref.ref(node) if node is not None else lambda: None
+        del node
         removed = spinner.do(partial(spinner.remove, loaded))
         is_last = not any(item.spinner is spinner for item in self._components.values())
         if is_last:
@@ -221,7 +226,7 @@ class ComponentContainer:
         if is_last:
             # Its frames would keep the node from being freed.
             spinner.join(timeout)
-        _free_memory()
+        _free_memory(is_there)
         return True
 
     def _check_open(self) -> None:
@@ -236,14 +241,18 @@ class ComponentContainer:
                 raise ComponentLoadError(f"{msg}; expected a different name")
 
 
-def _free_memory() -> None:
+def _free_memory(is_there: Callable[[], Node | None]) -> None:
     """Free what is unloaded; all components wait for that 0.1 s.
 
     A node and its callbacks refer to one another; its arrays, some 30 MB of a sensor, would
-    stay until Python looks for such circles by itself.
+    stay until Python looks for such circles by itself.  Another thread may hold it for a moment.
     """
-    gc.unfreeze()
-    gc.collect()
+    for _ in range(FREEING_TRIES):
+        gc.unfreeze()
+        gc.collect()
+        if is_there() is None:
+            break
+        time.sleep(FREEING_S)
     spare_the_collector()
 
 
