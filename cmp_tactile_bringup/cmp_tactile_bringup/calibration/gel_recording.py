@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,51 +14,22 @@ from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
 from cmp_tactile_processing.errors import ReferenceFramesError
-from cmp_tactile_processing.geometry.rigid_motion import local_mean
 from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.pipeline import MarkerCamera
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
+from cmp_tactile_processing.surface.stillness import (
+    RestParameters,
+    largest_motion,
+    motion_limit,
+    rest_shape,
+    why_touched,
+)
 
-# Nine neighbouring markers are averaged where the motion of one place is judged.
-NEIGHBOURS = 9
-# What noise may make of the largest of some hundred local means, in standard deviations.
-DEVIATIONS = 5.0
-# Motion below this is none, m: a tenth of the least that a load of interest makes.
-LEAST_MOTION = 3e-6
-# Standard deviation of normal noise per median of its absolute value.
-MAD_TO_STD = 1.4826
 # A reference sensor's reading changes by more than this while a load is put on: relative, and N.
 FORCE_CHANGE, LEAST_FORCE_CHANGE = 0.02, 0.02
 # More frames at rest make the reference no better than the markers of one loaded frame are.
 MOST_REST_FRAMES = 50
-
-
-def motion_limit(position: NDArray[np.float64]) -> float:
-    """Motion between two frames, as `largest_motion` has it, that noise does not explain, m.
-
-    position (n, rows, cols, 3) m.  From differences of second order, which steady motion leaves
-    at 0, over all frames: most of a recording may move.
-    """
-    if len(position) < 3:
-        return LEAST_MOTION
-    second = position[2:] - 2 * position[1:-1] + position[:-2]
-    known = np.abs(second)[np.isfinite(second).all(axis=-1)]
-    if not known.size:
-        return LEAST_MOTION
-    deviation = MAD_TO_STD * np.median(known, axis=0) / math.sqrt(6)
-    noise = float(np.sqrt((deviation**2).sum())) * math.sqrt(2 / NEIGHBOURS)
-    return max(LEAST_MOTION, DEVIATIONS * noise)
-
-
-def largest_motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
-    """Most that neighbouring markers moved together, m; positions (rows, cols, 3), NaN if unknown.
-
-    Infinite where too few markers are known.
-    """
-    moved = np.linalg.norm(local_mean(after - before), axis=-1)
-    return float(np.nanmax(moved)) if np.isfinite(moved).any() else math.inf
 
 
 def leading_frames(position: NDArray[np.float64], most: int) -> range:

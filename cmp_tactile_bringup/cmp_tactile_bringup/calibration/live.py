@@ -29,6 +29,7 @@ from cmp_tactile_processing.pipeline import MarkerCamera
 from cmp_tactile_processing.ros.messages.reading import image_from_msg, stamp_ns
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
 
 IMAGE_TYPES = {Image: IMAGE, CompressedImage: COMPRESSED_IMAGE}
 # A camera is faster than a board is found: of what waits, only the newest is worth looking at.
@@ -212,8 +213,8 @@ class Weighing:
             fresh = islice(self.frames, STALE_FRAMES, STALE_FRAMES + self.count)
             taken = [camera.measure(image)[1] for image in fresh]
             position = np.stack([item.position for item in taken])
-            moved = max(gel_recording.largest_motion(position[0], item) for item in position[1:])
-            limit = gel_recording.motion_limit(position)
+            moved = max(largest_motion(position[0], item) for item in position[1:])
+            limit = motion_limit(position)
             if moved <= limit:
                 self._markers += taken
                 return

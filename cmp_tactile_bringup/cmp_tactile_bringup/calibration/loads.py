@@ -16,8 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.gel_recording import (
     GelMotion,
-    largest_motion,
-    motion_limit,
     steady_stretches,
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
@@ -28,6 +26,7 @@ from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
+from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
 
 TF_STATIC = "/tf_static"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"

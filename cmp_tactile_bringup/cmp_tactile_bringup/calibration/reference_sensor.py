@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.calibration.gel_recording import (
     GelMotion,
-    largest_motion,
-    motion_limit,
     steady_stretches,
 )
 from cmp_tactile_bringup.calibration.loads import (
@@ -22,6 +20,7 @@ from cmp_tactile_bringup.calibration.loads import (
 )
 from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_processing.calibration.material.loads import LoadSample
+from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
 
 # The force is looked for so much earlier or later than the gel's motion, in such steps.
 MAX_LAG_S = 1.0

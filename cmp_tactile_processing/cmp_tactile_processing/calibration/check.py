@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig
+from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit, rest_shape
 
 FEWEST_CORNERS = 6
 # Gaps are what is looked for: no marker is left out for its gap, m.
@@ -54,12 +56,6 @@ class CheckParameters(Parameters, section="check"):
     )
     tracked: float = parameter(
         0.8, "share of the markers that both views measured in all frames", within=(0.0, 1.0)
-    )
-    still: float = parameter(
-        0.15,
-        "change between frames up to which the gel is still",
-        unit="px",
-        within=(1e-3, 10.0),
     )
     rest_shape: float = parameter(
         60e-6,
@@ -130,25 +126,6 @@ def rigid_drift(position: NDArray[np.float64], nominal: NDArray[np.float64]) -> 
     return RigidDrift(turn, shift, scale - 1, (position - fitted)[..., :dims])
 
 
-def rest_frames(
-    positions: NDArray[np.float64],
-    nominal: NDArray[np.float64],
-    still: NDArray[np.bool_],
-    limit: float,
-) -> NDArray[np.intp]:
-    """Which frames (F, rows, cols, 3) m show the gel at rest.
-
-    Those that are still (F,), with the rest shape when that is moved and grown as a whole; limit:
-    m, of what is left then.
-    """
-    found = []
-    for number in np.flatnonzero(still):
-        drift = rigid_drift(positions[number], nominal)
-        if drift is not None and drift.shape_peak <= limit:
-            found.append(number)
-    return np.array(found, dtype=np.intp)
-
-
 class CheckedRecording:
     """Grids and markers in space of all frames."""
 
@@ -182,11 +159,18 @@ class CheckedRecording:
         return np.stack([grid.corners for grid in self.grids[view]])
 
     def rest(self) -> NDArray[np.intp]:
-        """Frames of the gel at rest."""
-        still = np.ones(len(self.positions), np.bool_)
-        for name in self.views:
-            still &= _still(self.pixels(name), self.limits.still)
-        return rest_frames(self.positions, self.nominal, still, self.limits.rest_shape)
+        """Numbers of the frames that show the gel at rest.
+
+        At rest for two frames at least: in between a gel passes its rest shape as well.  Of fewer
+        than three frames, whose noise is unknown, the shape alone decides.
+        """
+        limit = motion_limit(self.positions)
+        steps = [largest_motion(*both) for both in pairwise(self.positions)]
+        quiet = np.array(steps) <= limit
+        still = np.append(quiet, False) | np.insert(quiet, 0, False) | (len(self.positions) < 3)
+        shapes = [rest_shape(self.nominal, position) for position in self.positions]
+        alike = [shape is not None and shape.bump <= self.limits.rest_shape for shape in shapes]
+        return np.flatnonzero(still & alike)
 
     def drift(self, rest: NDArray[np.intp]) -> RigidDrift | None:
         """Motion of the gel at rest against the description."""
@@ -238,22 +222,6 @@ class CheckedRecording:
         ]
         lengths2 = (np.stack(off) ** 2).sum(axis=-1)
         return float(np.sqrt(np.nanmean(lengths2)))
-
-
-def _still(pixels: NDArray[np.float64], limit: float) -> NDArray[np.bool_]:
-    """Which frames (F,) differ from a neighbour by no more than that in the median, px.
-
-    A single frame has no neighbour: its shape alone decides then.
-    """
-    if len(pixels) < 2:
-        return np.ones(len(pixels), np.bool_)
-    lengths = np.linalg.norm(np.diff(pixels, axis=0), axis=-1).reshape(len(pixels) - 1, -1)
-    steps = np.array(
-        [np.median(row[np.isfinite(row)]) if np.isfinite(row).any() else np.inf for row in lengths]
-    )
-    # At rest for two frames at least: in between a gel passes its rest shape as well.
-    quiet = steps <= limit
-    return np.asarray(np.append(quiet, False) | np.insert(quiet, 0, False))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.geometry.rigid_motion import fit_motion, local_mean
+from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean, local_mean
 from cmp_tactile_processing.measured import Markers3D, Status
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
@@ -24,6 +24,8 @@ MOST_MARKERS = 0.95
 DEVIATIONS = 5.0
 # Nine markers are averaged where one's creep is measured.
 NEIGHBOURS = 9
+# Motion below this is none, m: a tenth of the least that a load of interest makes.
+LEAST_MOTION = 3e-6
 # Another scale is another sensor, or a press from rim to rim.
 LARGEST_SCALE = 0.03
 # Standard deviation of normal noise per median of its absolute value.
@@ -125,6 +127,30 @@ def rest_shape(rest: NDArray[np.float64], position: NDArray[np.float64]) -> Rest
     return RestShape(shift, motion.scale, float(bump[row, col]), (int(row), int(col)))
 
 
+def motion_limit(position: NDArray[np.float64]) -> float:
+    """Motion between two frames, as `largest_motion` has it, that noise does not explain, m.
+
+    position (n, rows, cols, 3) m.  From differences of second order, which steady motion leaves
+    at 0, over all frames: most of a recording may move.
+    """
+    second = np.diff(position, n=2, axis=0)
+    known = np.abs(second[np.isfinite(second[..., :2]).all(axis=-1)])
+    if not known.size:
+        return LEAST_MOTION
+    deviation = MAD_TO_STD * np.nan_to_num(np.median(known, axis=0)) / math.sqrt(6)
+    noise = float(np.sqrt((deviation**2).sum())) * math.sqrt(2 / NEIGHBOURS)
+    return max(LEAST_MOTION, DEVIATIONS * noise)
+
+
+def largest_motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
+    """Most that neighbouring markers moved together, m; positions (rows, cols, 3), NaN if unknown.
+
+    Infinite where too few markers are known.
+    """
+    moved = largest_local_mean(after - before)
+    return math.inf if math.isnan(moved) else moved
+
+
 class StillnessWatch:
     """Judges frames, `rest_frames` of them at a time.
 
@@ -209,8 +235,7 @@ def _shake(stack: NDArray[np.float64]) -> float:
 def _creep(stack: NDArray[np.float64]) -> float:
     """Most that neighbouring markers moved together from the first to the last half, m."""
     half = len(stack) // 2
-    moved = np.linalg.norm(local_mean(_median(stack[-half:]) - _median(stack[:half])), axis=-1)
-    return float(np.nanmax(moved)) if np.isfinite(moved).any() else math.nan
+    return largest_local_mean(_median(stack[-half:]) - _median(stack[:half]))
 
 
 def _shake_limit(frames: tuple[Markers3D, ...], parameters: RestParameters) -> float:
