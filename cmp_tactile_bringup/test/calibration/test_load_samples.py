@@ -1,7 +1,6 @@
 """What `cmp_tactile calibrate force` reads: loads, steady frames, a reference sensor's topic."""
 
 import dataclasses
-import itertools
 
 import made_bags
 import numpy as np
@@ -14,7 +13,6 @@ from cmp_tactile_bringup.calibration.gel_recording import (
     read_motion,
     steady_stretches,
 )
-from cmp_tactile_bringup.calibration.live import Weighing
 from cmp_tactile_bringup.calibration.loads import (
     WrenchSeries,
     at_frames,
@@ -344,32 +342,3 @@ def test_a_recording_that_cannot_serve_is_reported(weigh_bag, tmp_path):
     other = dataclasses.replace(sensor, pattern=pattern)
     with pytest.raises(BagError, match=r"no frame can be used: .*found 20, 20, "):
         read_motion(weigh_bag, other, "/sample_rig/truth/surface")
-
-
-def test_weights_are_asked_for_until_the_gel_is_still(weigh_bag):
-    images = [frame.image for frame in BagReader(weigh_bag).frames()]
-    wrench = read_truth(weigh_bag).wrench[:, 2]
-    held = int(np.flatnonzero(wrench < -1.9)[1])
-    # What is shown after each answer: rest, a weight that is still being put on, the weight.
-    shows = iter([[0], [0, 3, held], [held]])
-    asked, reported, shown = [], [], itertools.cycle([images[0]])
-
-    def ask(wish):
-        nonlocal shown
-        asked.append(wish)
-        shown = itertools.cycle(images[number] for number in next(shows))
-
-    def camera():
-        while True:
-            yield next(shown)
-
-    sensor = load_sensor("sample_rig")
-    (sample,) = Weighing(sensor, camera(), 4, ask, reported.append).samples([0.2])
-    assert asked == ["Let nothing touch the gel, then press Enter. "] + 2 * [
-        "Put 0.2 kg on the gel, then let go of it, then press Enter. "
-    ]
-    assert len(reported) == 1
-    assert "The gel moves by" in reported[0]
-    np.testing.assert_allclose(sample.force, [0, 0, -1.96133])
-    # The gel under 200 g: 0.38 mm deep.
-    assert np.nanmin(sample.displacement[..., 2]) == pytest.approx(-0.38e-3, rel=0.05)

@@ -1,7 +1,6 @@
 """`cmp_tactile calibrate force`: finds a gel that is not as described, and reports mistakes."""
 
 import dataclasses
-import itertools
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from made_bags import STORE
 from rosbags.rosbag2 import Reader
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
-from waiting import in_background
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing.sensor.description import (
@@ -179,40 +177,6 @@ def check_gel(new, bag, method, samples):
     record = found.calibration
     assert (record.method, record.samples) == (method, samples)
     assert 0 < record.normal_std < 0.2
-
-
-@pytest.mark.ros
-def test_running_sensors_are_recorded_together(ros, weigh_bag):
-    """Frames and wrenches of a short while, by their stamps."""
-    pytest.importorskip("rclpy")
-    from geometry_msgs.msg import WrenchStamped
-    from ros_graph import header_at
-    from sensor_msgs.msg import Image
-
-    from cmp_tactile_bringup.calibration.live import LiveReference
-    from cmp_tactile_processing.ros.messages.conversions import image_to_msg
-
-    images = [frame.image for frame in BagReader(weigh_bag).frames()][:12]
-    camera = ros.node.create_publisher(Image, "image_raw", 2)
-    reference = ros.node.create_publisher(WrenchStamped, "wrench", 2)
-
-    def publish(number):
-        header = header_at(FRAME_NS * number)
-        message = WrenchStamped(header=header)
-        message.wrench.force.z = -float(number)
-        reference.publish(message)
-        camera.publish(image_to_msg(images[min(number // 4, 11)], "mono8", header))
-
-    frames, wrenches = (f"{ros.namespace}/{name}" for name in ("image_raw", "wrench"))
-    sensor = SensorDescription.load(weigh_bag / "sensor.yaml")
-    with (
-        in_background(map(publish, itertools.count()), 0.05),
-        LiveReference(frames, sensor, 20.0, wrenches) as live,
-    ):
-        motion, series = live.record(1.0, lambda *_: None)
-    assert len(motion.stamp_ns) > 1
-    assert set(motion.stamp_ns) <= set(FRAME_NS * np.arange(10_000))
-    np.testing.assert_allclose(series.force[:, 2], -series.stamp_ns / FRAME_NS)
 
 
 @pytest.mark.usefixtures("weights")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
-    from cmp_tactile_bringup.calibration.loads import WrenchSeries
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
     from cmp_tactile_bringup.terminal import OnStage
     from cmp_tactile_processing.calibration.material.loads import (
@@ -29,7 +27,6 @@ if TYPE_CHECKING:
 
 OWN_SENSOR = f"{sources.SENSOR}; not needed if sensor.yaml is in the recording's folder"
 KILOGRAMS = Number(1e-4, 100, "kg")
-LIVE_FRAMES = 20
 # Samples that are taken of a recording with a force sensor, and what a good six-axis one resolves.
 MOST_SAMPLES, WRENCH_STD_N = 60, 0.01
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
@@ -37,7 +34,7 @@ WORDY_COLUMNS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
+class Force(sources.Output, sources.WrenchSensor):
     """Find Young's modulus of the gel. The loads are weights on the gel, or presses that a
     reference force sensor (geometry_msgs/WrenchStamped) has recorded. Poisson's ratio, thickness
     and shading layer are taken from the description. The uncertainty of the modulus becomes part of
@@ -60,8 +57,6 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
           --output weighed.yaml
       cmp_tactile calibrate force my_bag --wrench-topic /ft/wrench --wrench-rotation 180 0 0
           --sensor my_sensor.yaml --output weighed.yaml
-      cmp_tactile calibrate force --topic /my_sensor/image_raw --mass 0.2 0.5
-          --sensor my_sensor.yaml --output weighed.yaml
     """
 
     input: Annotated[
@@ -74,8 +69,7 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     topic: Annotated[
         str,
         option(
-            "image or surface topic, if the bag has several; without INPUT: image topic of a "
-            "running sensor",
+            "image or surface topic, if the bag has several",
             metavar=sources.IMAGE_TOPIC,
         ),
     ] = ""
@@ -95,23 +89,12 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
             "a load counts if the gel is still for N frames in a row", Number(1, 1000, kind=int)
         ),
     ] = 4
-    duration: Annotated[
-        float, option("how long to record a running sensor", Number(1, 3600, "s"))
-    ] = 30.0
     weights: Annotated[Path | None, option("known loads and their times", metavar="FILE.yaml")] = (
         None
     )
     wrench_topic: Annotated[str, option("topic of the reference force sensor", metavar="TOPIC")] = (
         ""
     )
-    mass: Annotated[
-        list[float] | None,
-        option(
-            "weights for a running sensor; you are asked to put them on the gel one after another",
-            KILOGRAMS,
-            metavar="KG...",
-        ),
-    ] = None
     every_frame: Annotated[
         bool,
         sources.force_sensor_option(
@@ -148,22 +131,15 @@ class Force(sources.Output, sources.LiveInput, sources.WrenchSensor):
     @property
     def _source(self) -> str:
         """What the new modulus comes from, in words."""
-        loads = self.wrench_topic or self.weights or f"weights of {self.mass} kg"
-        return f"{self.input or self.topic}: {loads}"
+        return f"{self.input}: {self.wrench_topic or self.weights}"
 
     def _check_usage(self) -> None:
         """End with the usage where arguments do not go together."""
-        loads = ("weights", "wrench_topic", "mass")
-        self.check_exclusive(*loads)
-        if not any(getattr(self, name) for name in loads):
-            misuse("give one of --weights, --wrench-topic and --mass")
-        if self.mass:
-            if self.input is not None or not self.topic:
-                misuse("--mass needs the --topic of a running sensor, and no INPUT")
-            if not sys.stdin.isatty():
-                misuse("--mass needs a terminal for its questions, found none; use --weights")
-        if self.wrench_topic and self.input is None and not self.topic:
-            misuse("--wrench-topic needs INPUT, or the --topic of a running sensor")
+        self.check_exclusive("weights", "wrench_topic")
+        if self.weights is None and not self.wrench_topic:
+            misuse("give one of --weights and --wrench-topic")
+        if self.wrench_topic and self.input is None:
+            misuse("--wrench-topic needs INPUT")
         if self.input is None and not self.sensor:
             misuse("without INPUT, --sensor is required")
         if self.rest and not self.rest[0] < self.rest[1]:
@@ -183,8 +159,6 @@ def _sensor(arguments: Force) -> SensorDescription:
 def _samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
     from cmp_tactile_bringup.terminal import shown_stages
 
-    if arguments.mass:
-        return _live_samples(arguments, sensor)
     with shown_stages() as on_stage:
         if arguments.weights is not None:
             return _weight_samples(arguments, arguments.weights, sensor, on_stage)
@@ -217,6 +191,8 @@ def _weight_samples(
 def _sensor_samples(
     arguments: Force, sensor: SensorDescription, on_stage: OnStage
 ) -> list[LoadSample]:
+    from cmp_tactile_bringup.calibration.gel_recording import read_motion
+    from cmp_tactile_bringup.calibration.loads import read_wrench
     from cmp_tactile_bringup.calibration.reference_sensor import (
         SensorSampling,
         drift_text,
@@ -225,8 +201,12 @@ def _sensor_samples(
         zeroed,
     )
     from cmp_tactile_bringup.commands.calibrate.outcome import warn
+    from cmp_tactile_bringup.recordings.library import recorded_source
 
-    motion, series = _motion_and_wrench(arguments, sensor, on_stage)
+    assert arguments.input is not None  # noqa: S101  else there was the usage
+    # First, as it is soon found to be missing.
+    series = read_wrench(recorded_source(arguments.input, on_stage), arguments.wrench_topic)
+    motion = read_motion(arguments.input, sensor, arguments.topic, arguments.rest, on_stage)
     lag = lag_s(motion, series, arguments.time_offset)
     if lag:
         arguments = replace(arguments, time_offset=arguments.time_offset + lag)
@@ -244,38 +224,6 @@ def _sensor_samples(
         std=WRENCH_STD_N,
     )
     return samples_of_sensor(motion, zero, sampling)
-
-
-def _motion_and_wrench(
-    arguments: Force, sensor: SensorDescription, on_stage: OnStage
-) -> tuple[GelMotion, WrenchSeries]:
-    """Of the recording, or of the running sensors where there is none."""
-    from cmp_tactile_bringup.calibration.gel_recording import read_motion
-    from cmp_tactile_bringup.calibration.loads import read_wrench
-    from cmp_tactile_bringup.recordings.library import recorded_source
-
-    topic, wrench_topic = arguments.topic, arguments.wrench_topic
-    if arguments.input is not None:
-        # First, as it is soon found to be missing.
-        series = read_wrench(recorded_source(arguments.input, on_stage), wrench_topic)
-        return read_motion(arguments.input, sensor, topic, arguments.rest, on_stage), series
-    from cmp_tactile_bringup.calibration.live import LiveReference
-
-    print(f"Recording {arguments.duration:g} s: leave the gel alone for a second, then load it.")
-    with LiveReference(topic, sensor, arguments.timeout, wrench_topic) as live:
-        return live.record(arguments.duration, on_stage)
-
-
-def _live_samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
-    from cmp_tactile_bringup.calibration.live import LiveFrames, Weighing
-    from cmp_tactile_bringup.commands.calibrate import sources
-    from cmp_tactile_bringup.terminal import shown_stages
-
-    with shown_stages() as on_stage:
-        sources.prepare_tracker(sensor, on_stage)
-    with LiveFrames(arguments.topic, sensor, arguments.timeout) as live:
-        count = max(arguments.frames, LIVE_FRAMES)
-        return Weighing(sensor, iter(live), count, input, print).samples(arguments.mass or [])
 
 
 def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) -> int:
