@@ -25,12 +25,3 @@ class ClusterError(CmpTactileError):
 
 class OutputError(CmpTactileError):
     """Results that cannot be written where they should go."""
-
-
-class TaskError(CmpTactileError):
-    """A recording that could not be processed, there or in another process.
-
-    trace: where in the code that was found, in several lines; empty where it is not known.
-    """
-
-    trace = ""

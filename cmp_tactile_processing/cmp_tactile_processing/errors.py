@@ -46,7 +46,12 @@ _REPR = _Repr()
 
 
 class CmpTactileError(Exception):
-    """Base of all errors that a user can cause and mend."""
+    """Base of all errors that a user can cause and repair.
+
+    trace: where in the code of another process it was found, in several lines; empty for this one.
+    """
+
+    trace = ""
 
 
 class CalibrationError(CmpTactileError):
@@ -59,14 +64,6 @@ class DescriptionError(CmpTactileError):
 
 class FrameError(CmpTactileError):
     """A camera frame or view image of the wrong size or type."""
-
-
-class UndecidedViewsError(FrameError):
-    """A picture that does not show whether its views are mirrored.  layouts: what they may be."""
-
-    def __init__(self, message: str, layouts: tuple[str, ...]) -> None:
-        super().__init__(message)
-        self.layouts = layouts
 
 
 class GeometryError(CmpTactileError):

@@ -374,18 +374,11 @@ class Init(Looking):
 
     def _proposal(self, image: NDArray[np.uint8], pitch: float) -> Proposal:
         from cmp_tactile_processing.calibration.proposal import Known, propose
-        from cmp_tactile_processing.errors import UndecidedViewsError
 
         print("counting the corners ...", file=sys.stderr)
         known = Known(pitch, self.angle_of_view, self.code_seed)
-        try:
-            found = propose(image, known, self.output.stem, self.views or "")
-        except UndecidedViewsError as error:
-            if not self.asks:
-                raise
-            question = f"{error}\nViews ({', '.join(error.layouts)})"
-            layout = self.ask(question, "", Choice(error.layouts).parse)
-            found = propose(image, known, self.output.stem, layout)
+        choose = self._ask_for_views if self.asks else None
+        found = propose(image, known, self.output.stem, self.views or "", choose)
         gel = found.sensor.elastomer
         young = self.young or self.ask(
             "Young's modulus of the gel, kPa", gel.young / 1e3, YOUNG.parse
@@ -395,6 +388,9 @@ class Init(Looking):
         )
         gel = replace(gel, young=1e3 * young, size=(*gel.size[:2], depth / 1e3))
         return replace(found, sensor=replace(found.sensor, elastomer=gel))
+
+    def _ask_for_views(self, reason: str, layouts: tuple[str, ...]) -> str:
+        return self.ask(f"{reason}\nViews ({', '.join(layouts)})", "", Choice(layouts).parse)
 
     def _text(self, found: Proposal) -> str:
         """The file of the description, what is assumed marked."""

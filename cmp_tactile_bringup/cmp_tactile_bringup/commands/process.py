@@ -162,8 +162,8 @@ class Process(Command):
 
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
-    from cmp_tactile_bringup.errors import TaskError
     from cmp_tactile_bringup.terminal import shown_stages
+    from cmp_tactile_processing.errors import CmpTactileError
 
     ready: list[Job] = []
     complete: list[bool] = []
@@ -175,7 +175,7 @@ def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool
             ready.append(replace(job, sensor=sensor))
     with shown_stages() as on_stage, closing(_run(ready, arguments, on_stage)) as results:
         for job, result in results:
-            if arguments.debug and isinstance(result, TaskError):
+            if arguments.debug and isinstance(result, CmpTactileError):
                 console.print(result.trace, markup=False, highlight=False)
             complete.append(_report(console, job, result))
             if len(jobs) > 1:

@@ -28,7 +28,7 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.errors import ClusterError, OutputError, TaskError
+from cmp_tactile_bringup.errors import ClusterError, OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Outcome
 from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
 from cmp_tactile_bringup.recordings import results
@@ -41,6 +41,7 @@ from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.processes import python_command
@@ -58,7 +59,7 @@ STAMP_FAULTS = {
 # Of all frames, what may be missing without a word.
 MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
-Result = tuple[Job, Outcome | TaskError]
+Result = tuple[Job, Outcome | CmpTactileError]
 LOCK_WAIT_S = 1.0
 SECONDS_TO_CONNECT = 10
 SECONDS_FOR_WORKERS = 30
@@ -307,13 +308,13 @@ def run_job(job: Job, on_stage: OnStage) -> Outcome:
             raise OutputError(msg) from error
 
 
-def run_guarded(job: Job, on_stage: OnStage = lambda *_: None) -> Outcome | TaskError:
+def run_guarded(job: Job, on_stage: OnStage = lambda *_: None) -> Outcome | CmpTactileError:
     """As `run_job`; no error of the job leaves this."""
     try:
         return run_job(job, on_stage)
     except Exception as error:  # noqa: BLE001  the others are to be processed all the same
         line = error_line(error, "; --debug shows where").removeprefix("error: ")
-        failure = TaskError(line)
+        failure = CmpTactileError(line)
         failure.trace = traceback.format_exc()
         return failure
 
@@ -371,7 +372,7 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
     except BrokenProcessPool:
         reason = "a process ended early: was there enough memory? Try fewer --jobs"
         for job in left:
-            yield job, TaskError(f"{job.label}: {reason}")
+            yield job, CmpTactileError(f"{job.label}: {reason}")
     finally:
         os.chdir(started_in)
         # A process that is killed leaves its own; what another run writes stays.
@@ -409,7 +410,7 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Result, None,
                 yield job, future.result()
             else:
                 reason = f"on the cluster: {type(error).__name__}: {error}"
-                yield job, TaskError(f"{job.label}: {reason}")
+                yield job, CmpTactileError(f"{job.label}: {reason}")
 
 
 def _connected(address: str) -> Any:
@@ -432,9 +433,9 @@ def _connected(address: str) -> Any:
     return client
 
 
-def _run_on_worker(job: Job) -> Outcome | TaskError:
+def _run_on_worker(job: Job) -> Outcome | CmpTactileError:
     # It was made by who sent the job; results written elsewhere would never be found.
     if not Path(job.folder).is_dir():
         expected = "expected a file system that all machines share, with the same paths"
-        return TaskError(f"{job.folder}: found no such folder on a worker, {expected}")
+        return CmpTactileError(f"{job.folder}: found no such folder on a worker, {expected}")
     return run_guarded(job)

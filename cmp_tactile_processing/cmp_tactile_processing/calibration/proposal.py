@@ -8,7 +8,7 @@ length, and two views show how the surface is curved.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -25,7 +25,7 @@ from cmp_tactile_processing.calibration.counting import (
     focal_px,
 )
 from cmp_tactile_processing.calibration.map_fit import map_fit
-from cmp_tactile_processing.errors import DescriptionError, FrameError, UndecidedViewsError
+from cmp_tactile_processing.errors import DescriptionError, FrameError
 from cmp_tactile_processing.geometry.optics import FLIP_X, build_views, reflection
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
@@ -36,6 +36,7 @@ from cmp_tactile_processing.tracking.dots import Decoding, DotDecoder
 from cmp_tactile_processing.tracking.tracker import GridTracker
 
 Float = NDArray[np.float64]
+Choose = Callable[[str, tuple[str, ...]], str]
 
 # What a frame holds: a view, two that mirrors show, or two of cameras that are joined to a frame.
 LAYOUTS = ("one", "mirrors", "cameras")
@@ -157,19 +158,22 @@ def _check_alike(views: Sequence[View]) -> None:
     raise FrameError(msg)
 
 
-def propose(image: Image, known: Known, name: str, layout: str = "") -> Proposal:
+def propose(
+    image: Image, known: Known, name: str, layout: str = "", choose: Choose | None = None
+) -> Proposal:
     """The proposal for a picture (H, W) uint8 of a pattern.
 
-    layout: one of LAYOUTS, or empty for what dots show.
-    Raises FrameError where no checkers are seen, too few, or not the same in both views, and where
-    dots contradict the layout; UndecidedViewsError where nothing shows it.
+    layout: one of LAYOUTS, or empty for what dots show.  choose: returns the layout where nothing
+    shows it, from why it is not known and the possible ones.
+    Raises FrameError where no checkers are seen, too few, or not the same in both views, where
+    dots contradict the layout, and where nothing shows it and there is no `choose`.
     """
     views = find_views(image, layout)
     if len(views) == 1:
         _check_lines(views[0].seen)
     else:
         _check_alike(views)
-    layout = _layout_by_dots(views, layout, known.code_seed)
+    layout = _layout_by_dots(views, layout, known.code_seed, choose)
     size = parts.ImageSize(image.shape[1], image.shape[0])
     rig = _fitted(size, views, layout, known)
     if not FOCAL[0] < rig.focal / size.width < FOCAL[1]:
@@ -205,7 +209,7 @@ def _place_on_sheet(seen: Sighting, seed: int) -> Decoding | None:
     return found if found is not None and found.is_certain else None
 
 
-def _layout_by_dots(views: Sequence[View], given: str, seed: int) -> str:
+def _layout_by_dots(views: Sequence[View], given: str, seed: int, choose: Choose | None) -> str:
     """The layout that dots show, or the given one where there are none."""
     plain, possible = ("one", ("one",)) if len(views) == 1 else ("cameras", LAYOUTS[1:])
     places = [_place_on_sheet(view.seen, seed) for view in views]
@@ -218,7 +222,9 @@ def _layout_by_dots(views: Sequence[View], given: str, seed: int) -> str:
             "picture: found a pattern without dots, which looks the same in a mirror; expected "
             f"{options} ({MEANT[plain]})"
         )
-        raise UndecidedViewsError(msg, possible)
+        if choose is not None:
+            return choose(msg, possible)
+        raise FrameError(msg)
     layout = shown.pop()
     if shown or layout not in possible or given not in ("", layout):
         mirrored = "mirrored" if layout == "mirrors" else "not mirrored"

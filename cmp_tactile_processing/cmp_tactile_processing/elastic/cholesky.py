@@ -29,10 +29,6 @@ Index = NDArray[np.intp]
 LEAF_ELEMENTS = 2
 
 
-class NotPositiveDefiniteError(Exception):
-    """The matrix has no Cholesky factor: the block is unstable in this state."""
-
-
 @dataclass(frozen=True)
 class Region:
     """Lattice columns that are eliminated together, once the regions `children` are.
@@ -165,7 +161,7 @@ class Dissection:
         """Eliminate the matrix assembled from (elements, 81, 81), front after front.
 
         What a front leaves on its rim is kept only until its parent has taken it.
-        Raises NotPositiveDefiniteError.
+        Raises LinAlgError where there is none: the block is unstable in this state.
         """
         rests: dict[int, Array] = {}
         for number, front in enumerate(self.fronts):
@@ -178,7 +174,7 @@ class Dissection:
             factor, info = lapack.dpotrf(matrix[:own, :own], lower=1, clean=0)
             if info != 0:
                 msg = f"pivot {front.unknowns[info - 1]} is not positive"
-                raise NotPositiveDefiniteError(msg)
+                raise np.linalg.LinAlgError(msg)
             link = blas.dtrsm(1.0, factor, matrix[own:, :own].T, lower=1)
             rest = np.asfortranarray(matrix[own:, own:])
             if rest.size > 0:
@@ -189,7 +185,7 @@ class Dissection:
     def factor(self, stiffness: Array) -> BlockFactor:
         """Factor of the matrix assembled from (elements, 81, 81).
 
-        Raises NotPositiveDefiniteError.
+        Raises LinAlgError where there is none: the block is unstable in this state.
         """
         return BlockFactor(self.unknowns, list(self.steps(stiffness)))
 

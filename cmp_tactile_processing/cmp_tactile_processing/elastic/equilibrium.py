@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.elastic.cholesky import (
     BlockFactor,
     Dissection,
-    NotPositiveDefiniteError,
     RestInverse,
 )
 from cmp_tactile_processing.elastic.mesh import BlockMesh
@@ -186,7 +185,7 @@ class NewtonEquilibrium(_Block):
             self.factorisations += 1
             try:
                 factor = self._dissection.factor(stiffness + support * self._stiffness_at_rest)
-            except NotPositiveDefiniteError:
+            except np.linalg.LinAlgError:
                 continue
             return _Tangent(factor, displacement, support)
         return self._tangent_at_rest

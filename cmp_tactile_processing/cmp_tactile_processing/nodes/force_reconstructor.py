@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections import deque
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -34,10 +35,6 @@ from cmp_tactile_processing.sensor.parameters import (
 # Of the frames of which the wrench alone is asked for, one in so many is looked at in full for the
 # diagnostics.
 REPORTED_FRAME = 10
-
-
-class _Abandoned(Exception):  # noqa: N818  not an error
-    """The node is gone, nobody waits for the model."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,7 @@ class ForceReconstructor(StageNode):
             try:
                 sensor = replace(self.sensor, force=wanted)
                 stage = ForceStage(sensor, progress=self._on_progress)
-            except _Abandoned:
+            except CancelledError:
                 return
             except Exception as error:  # noqa: BLE001  the node lives on and says so
                 self.diagnostics.failure = f"force model cannot be built: {error}"
@@ -139,7 +136,7 @@ class ForceReconstructor(StageNode):
 
     def _on_progress(self, step: str, share: float) -> None:
         if self._gone:
-            raise _Abandoned
+            raise CancelledError
         self._progress = f"{step}: {share:.0%}"
 
     def _on_surface(self, surface: Surface, header: Header) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -322,7 +323,7 @@ class LiveContact:
     def _simulate(self) -> None:
         try:
             simulation = Simulation(self._scene, progress=self._on_progress)
-        except _StoppedError:
+        except CancelledError:
             return
         self._simulation, player = simulation, ScenePlayer(simulation)
         self._publish(player.contact)
@@ -335,7 +336,7 @@ class LiveContact:
     def _on_progress(self, what: str, share: float) -> None:
         self._note = f"{what}, {100 * share:.0f} %"
         if self._worker.stopping:
-            raise _StoppedError
+            raise CancelledError
 
     def _step(self, player: ScenePlayer, elapsed: float) -> None:
         with self._lock:
@@ -391,7 +392,3 @@ class LiveContact:
             moved = self._simulation.elastomer.marker_displacement(contact.force)
             self._latest, self._pictures = LiveState(number, contact, moved), 0
         self._problem = ""
-
-
-class _StoppedError(Exception):
-    """Ends the building of a model that nobody waits for any more."""
