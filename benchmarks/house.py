@@ -1,9 +1,10 @@
-"""Count source lines, modules and functions of the repository.
+"""Count lines, modules, classes, errors and constants of the repository, beside their goals.
 
 usage: house.py [--json] [CHECKOUT]
 
 Source lines are those without blank lines, comments and docstrings. Shipped lines are those that
 are installed: the packages without their tests, the set-up and the underlay.
+Constants are the numbers that modules assign to names.
 """
 
 from __future__ import annotations
@@ -14,8 +15,19 @@ import json
 import subprocess
 import tokenize
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
+# What one person can hold in mind; nobody is stopped by them.
+GOALS = {
+    "shipped source lines": 39_000,
+    "shipped modules": 260,
+    "classes": 520,
+    "error classes": 10,
+    "constants": 800,
+    "source lines of tests": 23_000,
+    "source lines of benchmarks": 8_000,
+}
 SHIPPED = ("cmp_tactile_", "setup/", "underlay/")
 LAYOUT = {
     tokenize.COMMENT,
@@ -28,22 +40,56 @@ LAYOUT = {
 }
 
 
-def count(path: Path) -> tuple[int, list[int]]:
-    """Source lines of a file, and those of each of its functions."""
-    with tokenize.open(path) as file:
-        tokens = list(tokenize.generate_tokens(file.readline))
-    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-    source = {
-        line
-        for token in tokens
-        if token.type not in LAYOUT
-        for line in range(token.start[0], token.end[0] + 1)
-    }
-    for node in nodes:
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            source -= _lines_of(node)
-    functions = (node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
-    return len(source), [len(source & _lines_of(function)) for function in functions]
+@dataclass(frozen=True)
+class Module:
+    """Of a file: source lines, those of each function, classes, errors among them, constants."""
+
+    lines: int
+    functions: list[int]
+    classes: int
+    errors: int
+    constants: int
+
+    @classmethod
+    def from_file(cls, path: Path) -> Module:
+        """Count."""
+        with tokenize.open(path) as file:
+            tokens = list(tokenize.generate_tokens(file.readline))
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        nodes = list(ast.walk(tree))
+        source = {
+            line
+            for token in tokens
+            if token.type not in LAYOUT
+            for line in range(token.start[0], token.end[0] + 1)
+        }
+        for node in nodes:
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                source -= _lines_of(node)
+        functions = [n for n in nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+        classes = [node for node in nodes if isinstance(node, ast.ClassDef)]
+        return cls(
+            lines=len(source),
+            functions=[len(source & _lines_of(function)) for function in functions],
+            classes=len(classes),
+            errors=sum(map(_is_error, classes)),
+            constants=sum(map(_constants, tree.body)),
+        )
+
+
+def _is_error(node: ast.ClassDef) -> bool:
+    return any(ast.unparse(base).endswith(("Error", "Exception")) for base in node.bases)
+
+
+def _constants(node: ast.stmt) -> int:
+    """How many names an assignment of numbers gives."""
+    if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+        return 0
+    values = (item.value for item in ast.walk(node.value) if isinstance(item, ast.Constant))
+    if not any(type(value) in (int, float) for value in values):
+        return 0
+    target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+    return len(target.elts) if isinstance(target, ast.Tuple) else 1
 
 
 def _lines_of(node: ast.stmt) -> set[int]:
@@ -63,17 +109,20 @@ def measure(root: Path) -> dict[str, int]:
     shipped = [
         path for path in others if path.startswith(SHIPPED) and not path.endswith("setup.py")
     ]
-    functions = sorted(lines for path in shipped for lines in count(root / path)[1])
-    benchmarks = [path for path in others if path.startswith("benchmarks/")]
+    modules = [Module.from_file(root / path) for path in shipped]
+    functions = sorted(lines for module in modules for lines in module.functions)
 
     def total(chosen: Iterable[str]) -> int:
-        return sum(count(root / path)[0] for path in chosen)
+        return sum(Module.from_file(root / path).lines for path in chosen)
 
     return {
-        "shipped source lines": total(shipped),
+        "shipped source lines": sum(module.lines for module in modules),
         "shipped modules": len(shipped),
-        "source lines of benchmarks": total(benchmarks),
+        "classes": sum(module.classes for module in modules),
+        "error classes": sum(module.errors for module in modules),
+        "constants": sum(module.constants for module in modules),
         "source lines of tests": total(filter(_is_test, paths)),
+        "source lines of benchmarks": total(p for p in others if p.startswith("benchmarks/")),
         "90 % of the functions are below": functions[int(0.9 * len(functions))],
         "longest function": functions[-1],
     }
@@ -90,7 +139,8 @@ def main() -> None:
         print(json.dumps(figures))
         return
     for name, value in figures.items():
-        print(f"{name:<38} {value}")
+        goal = f"   (goal {GOALS[name]:,})" if name in GOALS else ""
+        print(f"{name:<38} {value:>7,}{goal}")
 
 
 if __name__ == "__main__":
