@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -85,7 +85,7 @@ def test_bands_are_reported_and_forces_right(bands, press, pipeline):
 
 def test_bands_that_move_corners_by_most_of_a_pixel_are_named(press, pipeline):
     """Bands of the width of checkers: it is the light, not the gel, that moves."""
-    with pytest.raises(ReferenceFramesError, match="flickers"):
+    with pytest.raises(CalibrationError, match="flickers"):
         processed(pipeline, list(lit(press[0], *FINE)))
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.image.prepared import PreparedImage
@@ -195,7 +195,7 @@ def test_several_frames_show_what_one_cannot(sensor):
     """Small spots under strong noise."""
     ink = Checkerboard(sensor.pattern, replace(BLOBS, blob_radius=7e-5), seed=4)
     inspection = PrintInspection(sensor.pattern.shape)
-    with pytest.raises(ReferenceFramesError, match="no frames"):
+    with pytest.raises(CalibrationError, match="no frames"):
         inspection.result()
     image, grid = photograph(sensor, ink, CameraSettings(read_noise=0, blur=1.5))
     found = []
@@ -219,9 +219,9 @@ def test_frames_of_another_rest_or_size_are_refused(sound):
     image, grid = photograph(*sound)
     inspection = PrintInspection(grid.shape)
     inspection.add(image, grid)
-    with pytest.raises(ReferenceFramesError, match=r"the gel 2\.8\d px from"):
+    with pytest.raises(CalibrationError, match=r"the gel 2\.8\d px from"):
         inspection.add(image, replace(grid, corners=grid.corners + 2.0))
-    with pytest.raises(GeometryError, match="found an image of"):
+    with pytest.raises(InputError, match="found an image of"):
         inspection.add(replace(image, grey=image.grey[:40, :50]), grid)
     assert inspection.result().frames == 1
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_simulation.rendering.ink import HOUSING_GREY
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
@@ -97,7 +97,7 @@ class Cover:
 
     shape: one of COVERS.  share: part of the pattern's width, height or diameter that it hides.
     grey: 0 to 255, where light skin is 205 and dark ink 45.  texture: standard deviation of its
-    grey.  Raises ParameterError for another shape.
+    grey.  Raises InputError for another shape.
     """
 
     shape: str = "left"
@@ -108,7 +108,7 @@ class Cover:
     def __post_init__(self) -> None:
         if self.shape not in COVERS:
             msg = f"cover.shape: found {self.shape!r}, expected one of {', '.join(COVERS)}"
-            raise ParameterError(msg)
+            raise InputError(msg)
 
     def mask(
         self, corners: NDArray[np.float64], size: tuple[int, int], fineness: int = 1

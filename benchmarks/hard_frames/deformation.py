@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern
@@ -160,11 +160,11 @@ DEFORMATIONS: dict[str, Callable[[Pattern, np.random.Generator], Deformation]] =
 def deformation_of(kind: str, pattern: Pattern, seed: int = 0) -> Deformation:
     """Zones of that kind, of a size that suits the pattern, at places set by the seed.
 
-    Raises ParameterError for a kind that is not in DEFORMATIONS.
+    Raises InputError for a kind that is not in DEFORMATIONS.
     """
     if kind not in DEFORMATIONS:
         msg = f"deformation: found {kind!r}, expected one of {', '.join(DEFORMATIONS)}"
-        raise ParameterError(msg)
+        raise InputError(msg)
     return DEFORMATIONS[kind](pattern, np.random.default_rng([len(kind), seed]))
 
 

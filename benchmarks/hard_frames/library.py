@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import FrameError, ParameterError
+from cmp_tactile_processing.errors import FrameError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, GridShape, Status, ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -255,11 +255,11 @@ SEQUENCES: dict[str, Callable[[SensorDescription, int], Cases]] = {
 def sequence_of(kind: str, sensor: SensorDescription, seed: int = 0) -> Cases:
     """The frames of that sequence, in order; lengths suit a pattern of about 14.5 mm.
 
-    Raises ParameterError for a kind that is not in SEQUENCES.
+    Raises InputError for a kind that is not in SEQUENCES.
     """
     if kind not in SEQUENCES:
         msg = f"sequence: found {kind!r}, expected one of {', '.join(SEQUENCES)}"
-        raise ParameterError(msg)
+        raise InputError(msg)
     return SEQUENCES[kind](sensor, seed)
 
 

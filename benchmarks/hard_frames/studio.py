@@ -114,7 +114,7 @@ class PatternStudio:
         self._truths: list[tuple[SensorDescription, OpticalTruth]] = []
 
     def photograph(self, case: PatternCase) -> PatternFrame:
-        """The frame of a case.  Raises GeometryError for a sensor without a block."""
+        """The frame of a case.  Raises InputError for a sensor without a block."""
         surface = deform(case.sensor, case.deformation)
         rendered = self._renderer(case).render(surface)
         scenery_rng = random_stream(Purpose.SCENERY, case.seed)

@@ -98,7 +98,7 @@ LOST = 0.01
 class DotTracker:
     """Dots of one view: detected again in each frame, numbered as the subclass says.
 
-    Raises GeometryError for dots that are too small to be distinguished.
+    Raises InputError for dots that are too small to be distinguished.
     """
 
     def __init__(

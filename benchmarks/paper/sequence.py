@@ -117,7 +117,7 @@ class RenderedSequence:
 def measured(chain: Chain, exposure: Exposure) -> Iterator[Measurement]:
     """What a chain measures in each frame, beginning again at rest.
 
-    Raises ReferenceFramesError where it makes no reference of the frames at rest.
+    Raises CalibrationError where it makes no reference of the frames at rest.
     """
     chain.reset()
     chain.set_reference(exposure.rest)

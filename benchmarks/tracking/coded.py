@@ -22,7 +22,7 @@ from detectors import Ours, run_frames
 from numpy.typing import NDArray
 from tables import head, line
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.printing.pattern import checker_sides_px
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.dot_code import dot_map
@@ -157,7 +157,7 @@ def hard(studio: PatternStudio, tracker: Ours, sensor: SensorDescription) -> Non
         for case in cases_of(kind, sensor):
             try:
                 frame = studio.photograph(replace(case, sensor=coded(case.sensor)))
-            except GeometryError as error:
+            except InputError as error:
                 print(f"{case.name}: {error}")
                 continue
             scores.append(run_frames(tracker, [frame]).score)

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -289,9 +289,9 @@ def _inspected(detector: Detector, rest: PatternFrame, view: str) -> Iterator[No
 
 
 def view_image(frame: PatternFrame, view: str) -> Image:
-    """A view (H, W) of a frame.  Raises GeometryError where the truth does not say where it is."""
+    """A view (H, W) of a frame.  Raises InputError where the truth does not say where it is."""
     placement = frame.truth[view].placement
     if placement is None:
         msg = f"{frame.name}: the truth does not say where the {view} view lies"
-        raise GeometryError(msg)
+        raise InputError(msg)
     return split_frame(frame.image, placement)

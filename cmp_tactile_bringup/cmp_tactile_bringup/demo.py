@@ -198,10 +198,6 @@ def _latencies(
     return np.array(waits, np.float64) * 1e-9
 
 
-class ContainerError(CmpTactileError):
-    """The container ended early, or did not do what was waited for."""
-
-
 class ContainerProcess:
     """`standalone GRAPH NAME:=VALUE ...`; a context manager that ends it with SIGTERM.
 
@@ -233,18 +229,18 @@ class ContainerProcess:
     def wait_for(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """Wait until the condition holds.
 
-        Raises ContainerError when the process ends before, or after `timeout_s` seconds.
+        Raises CmpTactileError when the process ends before, or after `timeout_s` seconds.
         """
         deadline = time.monotonic() + timeout_s
         while not condition():
             if self._process.poll() is not None:
                 msg = f"the container ended with code {self._process.returncode}: {self._tail()}"
-                raise ContainerError(msg)
+                raise CmpTactileError(msg)
             if time.monotonic() > deadline:
                 msg = (
                     f"{what}: found nothing within {timeout_s:g} s; see {self._log}: {self._tail()}"
                 )
-                raise ContainerError(msg)
+                raise CmpTactileError(msg)
             time.sleep(POLL_S)
 
     def _tail(self) -> str:
@@ -277,7 +273,7 @@ def play(
 ) -> DemoResults:
     """Start the container, play the recording once, end the container.
 
-    Raises ContainerError where the container does not start, finish or end cleanly.
+    Raises CmpTactileError where the container does not start, finish or end cleanly.
     """
     with Collector(f"/{sensor.ros_name}") as collector:
         facts = run_replay(collector, recording, options, progress or PlayProgress())
@@ -289,7 +285,7 @@ def run_replay(
 ) -> ReplayFacts:
     """Play the recording once into the collector.
 
-    Raises ContainerError as `play` does.
+    Raises CmpTactileError as `play` does.
     """
     stamps = recording.truth.stamp_ns
     recorded_hz = 1e9 / float(np.median(np.diff(stamps)))
@@ -314,7 +310,7 @@ def run_replay(
         container.wait_for(ending, limit_s, "end of the replay")
     if container.exit_code != 0:
         msg = f"the container ended with code {container.exit_code}, expected 0; see {options.log}"
-        raise ContainerError(msg)
+        raise CmpTactileError(msg)
     return ReplayFacts(options.rate_hz, ready_s, remote.frames_sent)
 
 

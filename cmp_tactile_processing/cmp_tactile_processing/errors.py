@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from itertools import islice
+from math import inf
 from typing import Any
 
 
@@ -54,29 +55,40 @@ class CmpTactileError(Exception):
     trace = ""
 
 
-class CalibrationError(CmpTactileError):
-    """Images from which nothing can be calibrated: too few, wrong ones, of another rig."""
+class InputError(CmpTactileError):
+    """A file, parameter or argument that cannot be used: names where, what was found and expected.
 
-
-class DescriptionError(CmpTactileError):
-    """A sensor description that cannot be used: names file, key, found and expected."""
+    Also arrays whose shapes do not belong together, and a rig that lacks what is asked of it.
+    """
 
 
 class FrameError(CmpTactileError):
-    """A camera frame or view image of the wrong size or type."""
+    """A camera frame or view image of the wrong size or type, or which is damaged."""
 
 
-class GeometryError(CmpTactileError):
-    """Arrays whose shapes do not belong together, or a rig that lacks what is asked of it."""
+class CalibrationError(CmpTactileError):
+    """Frames from which nothing can be found: too few, of another rig, of a gel that moves."""
 
 
-class ParameterError(CmpTactileError):
-    """A parameter outside its range."""
+class FrameSourceError(CmpTactileError):
+    """A folder, video, bag or camera that gives no frames."""
 
 
-class ReferenceFramesError(CmpTactileError):
-    """Frames that cannot serve as a reference."""
+class SourceNotReadyError(FrameSourceError):
+    """What gives frames is not there, or not ready: it may be later, without anything changed."""
 
 
-class MessageDefinitionError(CmpTactileError):
-    """Definitions of the suite's messages that are not installed."""
+class OutputError(CmpTactileError):
+    """Results that cannot be written: their place, the disk, or what is there already."""
+
+
+class ContactError(CmpTactileError):
+    """A contact that cannot be: it starts inside the gel, leaves its patch, or asks too much."""
+
+
+class NotConvergedError(CmpTactileError):
+    """An equilibrium that was not found.  residual: m, infinite where the search was given up."""
+
+    def __init__(self, message: str = "found no equilibrium", residual: float = inf) -> None:
+        super().__init__(message)
+        self.residual = residual

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 
 NAN = float("nan")
 
@@ -201,7 +201,7 @@ class Grid:
     def _placement(self) -> ViewPlacement:
         if self.placement is None:
             msg = "this grid does not know where its view lies in the frame"
-            raise GeometryError(msg)
+            raise InputError(msg)
         return self.placement
 
 
@@ -347,12 +347,12 @@ class Surface(Markers3D):
 
         reference, position (rows, cols, 3) m, gel frame: at rest and now, NaN where not known; z is
         NaN where markers are known in the plane alone.  std: of each coordinate, m; 0 where it is
-        not known.  Raises GeometryError for arrays of other shapes.
+        not known.  Raises InputError for arrays of other shapes.
         """
         for name, points in (("reference", reference), ("position", position)):
             if points.shape != (*shape.corners, 3):
                 msg = f"{name}: found shape {points.shape}, expected {(*shape.corners, 3)}"
-                raise GeometryError(msg)
+                raise InputError(msg)
         displacement = position - reference
         known = np.isfinite(displacement[..., :2]).all(axis=-1)
         covariance = np.broadcast_to(std**2 * np.eye(3), (*shape.corners, 3, 3))

@@ -64,7 +64,7 @@ class Pipeline:
     ) -> None:
         """auto_reference: when a reference is taken by itself: never, when_still, at_start.
 
-        As the parameter of the node, whose default is when_still; ParameterError for another.
+        As the parameter of the node, whose default is when_still; InputError for another.
         encoded: the frames were a video of H.264 or the like.
         """
         self._camera = MarkerCamera(sensor)
@@ -95,7 +95,7 @@ class Pipeline:
         """Measure displacements against the mean of these frames of the gel at rest from now on.
 
         stamp_ns: of the last of them, kept as the time of the reference.
-        The print is inspected first, see `inspect_print`.  Raises ReferenceFramesError where they
+        The print is inspected first, see `inspect_print`.  Raises CalibrationError where they
         cannot serve, FrameError for a wrong frame; the reference then stays as it was.
         """
         frames = list(frames)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing import GridTracker
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.split import LUMINANCE, to_grey
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.parameters import TrackingParameters
@@ -58,9 +58,9 @@ def test_every_projection_uses_the_whole_range_and_no_more(weights):
 
 @pytest.mark.parametrize("weights", [(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0), (math.inf, 0.0, 0.0)])
 def test_weights_that_tell_nothing_apart_are_named(weights):
-    with pytest.raises(ParameterError, match=r"tracking\.red, tracking\.green, tracking\.blue: "):
+    with pytest.raises(InputError, match=r"tracking\.red, tracking\.green, tracking\.blue: "):
         to_grey(np.zeros((4, 4, 3), np.uint8), weights)
-    with pytest.raises(ParameterError, match=r"tracking\.red.*: found .*, expected "):
+    with pytest.raises(InputError, match=r"tracking\.red.*: found .*, expected "):
         TrackingParameters(red=weights[0], green=weights[1], blue=weights[2])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing import ForceModel, GridTracker, Pipeline, StereoRig
-from cmp_tactile_processing.errors import FrameError, ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, FrameError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import ForceFlag, GridFault
 from cmp_tactile_processing.surface.displacement import Reference
@@ -104,9 +104,9 @@ def test_a_surface_gives_the_force_of_its_frame_and_may_be_a_reference(sensor, s
 
 
 def test_a_bad_reference_leaves_the_old_one(pipeline, stills):
-    with pytest.raises(ReferenceFramesError, match="moving"):
+    with pytest.raises(CalibrationError, match="moving"):
         pipeline.set_reference([stills["rest"].frame, stills["slide"].frame])
-    with pytest.raises(ReferenceFramesError, match="found 0% of the markers"):
+    with pytest.raises(CalibrationError, match="found 0% of the markers"):
         pipeline.set_reference([np.zeros((768, 1024), np.uint8)])
     assert pipeline.process(stills["rest"].frame).surface.reference_id == 0
 

@@ -28,10 +28,10 @@ from cmp_tactile_processing.elastic.mesh import (
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
 from cmp_tactile_processing.elastic.relaxation import step_weights
+from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
-from cmp_tactile_simulation.errors import SimulationError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -55,12 +55,12 @@ def contact_nodes(sensor: SensorDescription, nodes: int) -> SurfaceGrid:
 
     nodes: along the longer side; the distance between neighbours is the same along the other.
     The outermost nodes keep one such distance from the block's side.
-    Raises SimulationError for a number of nodes out of range.
+    Raises ContactError for a number of nodes out of range.
     """
     least, most = NODES_RANGE
     if not least <= nodes <= most:
         msg = f"{sensor.name}: contact nodes: found {nodes}, expected {least} to {most}"
-        raise SimulationError(msg)
+        raise ContactError(msg)
     pattern = sensor.pattern
     size = sensor.elastomer.size[:2]
     wanted = [
@@ -83,7 +83,7 @@ def contact_nodes(sensor: SensorDescription, nodes: int) -> SurfaceGrid:
             f"{min(rows, cols)} along the shorter side, expected at least {LEAST_ALONG_SHORTER} "
             "along the shorter side"
         )
-        raise SimulationError(msg)
+        raise ContactError(msg)
     return SurfaceGrid(rows, cols, ((cols - 1) * spacing, (rows - 1) * spacing))
 
 
@@ -119,7 +119,7 @@ class ContactProblem(ElasticProblem):
     def with_nodes(cls, sensor: SensorDescription, nodes: int) -> ContactProblem:
         """The problem that a sensor poses with so many contact nodes along the longer side.
 
-        Raises GeometryError where its block cannot be meshed, SimulationError for a number of
+        Raises InputError where its block cannot be meshed, ContactError for a number of
         nodes out of range.
         """
         elastomer, grid = sensor.elastomer, contact_nodes(sensor, nodes)
@@ -168,8 +168,8 @@ class LinearElastomer:
     nodes: contact nodes along the longer side of the contact patch, 5 to 64.
     cache_dir: folder of the cache; default $XDG_CACHE_HOME/cmp_tactile or ~/.cache/cmp_tactile.
     progress: called with a text and the fraction done, 0 to 1, while the compliance is built.
-    Raises GeometryError where the surface of the sensor's block reaches its base, and
-    SimulationError for a number of nodes out of range.
+    Raises InputError where the surface of the sensor's block reaches its base, and
+    ContactError for a number of nodes out of range.
     """
 
     # Whether its shape depends on how long its forces have been there, see `advance`.
@@ -400,14 +400,14 @@ class RelaxingElastomer:
     def displacement(self, force: Array) -> Array:
         """Displacement of the contact nodes (N, 3) m under nodal forces (N, 3) N.
 
-        Raises MaterialError where the material cannot follow.
+        Raises ContactError where the material cannot follow.
         """
         return self.elastic.displacement(self._elastic_force(force))
 
     def marker_displacement(self, force: Array) -> Array:
         """Displacement of the marker surface at the observers, (rows, cols, 3) m.
 
-        Raises MaterialError where the material cannot follow.
+        Raises ContactError where the material cannot follow.
         """
         return self.elastic.marker_displacement(self._elastic_force(force))
 

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_simulation.indenters import check_radius
 
 Array = NDArray[np.float64]
@@ -237,7 +237,7 @@ class SphereGroup:
                 f"sphere_group.centres: found an array of shape {centres.shape}, expected 1 to "
                 f"{MAX_SPHERES} points of 3 numbers"
             )
-            raise IndenterError(msg)
+            raise InputError(msg)
 
     @property
     def feature(self) -> float:

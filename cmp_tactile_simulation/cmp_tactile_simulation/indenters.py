@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_processing.errors import InputError
 
 Array = NDArray[np.float64]
 MAX_FACES = 2_000_000
@@ -76,10 +76,10 @@ class Indenter(Protocol):
 
 
 def check_radius(owner: str, value: float, high: float) -> None:
-    """Raise IndenterError for a radius outside MIN_SIZE..high, m; `owner` names shape and key."""
+    """Raise InputError for a radius outside MIN_SIZE..high, m; `owner` names shape and key."""
     if not MIN_SIZE <= value <= high:
         msg = f"{owner}: found {value!r} m, expected {MIN_SIZE:g} to {high:.6g} m"
-        raise IndenterError(msg)
+        raise InputError(msg)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class MeshIndenter:
         scale: from the file's unit to m, 0.001 for a file in mm.  edge_radius: m; default two
         points of the heights, of which there are 800 along the longer side.
         rotation (3, 3): of the indenter in the gel frame at the start; default unturned.
-        Raises IndenterError with file, found and expected: for a file that cannot be read, a mesh
+        Raises InputError with file, found and expected: for a file that cannot be read, a mesh
         with more than MAX_FACES faces, not watertight or without volume, and for a size out of
         range.
         """
@@ -151,12 +151,12 @@ def _read(path: Path) -> Any:
         mesh = trimesh.load_mesh(path, process=False)
     except LOAD_ERRORS as error:
         msg = f"{path}: mesh file: cannot be read ({error}), expected STL, OBJ, PLY, OFF or glTF"
-        raise IndenterError(msg) from None
+        raise InputError(msg) from None
     faces = len(getattr(mesh, "faces", ()))
     if not 0 < faces <= MAX_FACES:
         kind = "too fine" if faces else "no mesh"
         msg = f"{path}: {kind}: found {faces} faces, expected 1 to {MAX_FACES}"
-        raise IndenterError(msg)
+        raise InputError(msg)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     _check_closed(path, mesh)
     return mesh
@@ -170,12 +170,12 @@ def _check_closed(path: Path, mesh: Any) -> None:
             f"{path}: found {int((counts != 2).sum())} edges that do not join two faces, expected "
             "a closed (watertight) surface"
         )
-        raise IndenterError(msg)
+        raise InputError(msg)
     with np.errstate(invalid="ignore", divide="ignore"):
         volume = float(mesh.volume)
     if not abs(volume) > 1e-9 * float(np.prod(mesh.extents)):
         msg = f"{path}: found a volume of {volume:.3g}, expected a solid body"
-        raise IndenterError(msg)
+        raise InputError(msg)
 
 
 def _check_size(path: Path, extent: Array, scale: float) -> None:
@@ -186,7 +186,7 @@ def _check_size(path: Path, extent: Array, scale: float) -> None:
         f"{path}: size: found {longest:.3g} m along the longest side with scale {scale:g}, "
         f"expected {MIN_EXTENT:g} to {MAX_EXTENT:g} m; for a file in mm use scale 0.001"
     )
-    raise IndenterError(msg)
+    raise InputError(msg)
 
 
 def _fineness(path: Path, extent: Array, edge_radius: float | None) -> tuple[float, float]:
@@ -198,7 +198,7 @@ def _fineness(path: Path, extent: Array, edge_radius: float | None) -> tuple[flo
             f"{path}: edge_radius: found {edge_radius!r} m, expected 0 to {narrowest / 2:.3g} m, "
             "half of the shorter side as seen from above"
         )
-        raise IndenterError(msg)
+        raise InputError(msg)
     finest = max(float(extent.max()) / DEFAULT_POINTS, FINEST_DEFAULT)
     resolution = max(finest, (edge_radius or 0.0) / MAX_BALL_CELLS)
     if resolution > narrowest / 2:
@@ -206,7 +206,7 @@ def _fineness(path: Path, extent: Array, edge_radius: float | None) -> tuple[flo
             f"{path}: size: found {narrowest:.3g} m along the shorter side as seen from above, "
             f"expected at least {2 * resolution:.3g} m"
         )
-        raise IndenterError(msg)
+        raise InputError(msg)
     return resolution, min(2 * resolution, narrowest / 4) if edge_radius is None else edge_radius
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium, NoEquilibriumError
+from cmp_tactile_processing.elastic.equilibrium import NewtonEquilibrium
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,
     BlockMesh,
@@ -20,9 +20,9 @@ from cmp_tactile_processing.elastic.mesh import (
 )
 from cmp_tactile_processing.elastic.model import Progress, mesh_under
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
+from cmp_tactile_processing.errors import ContactError, NotConvergedError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.errors import MaterialError
 from cmp_tactile_simulation.gel import LinearElastomer, RelaxingElastomer
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class NeoHookeanElastomer(LinearElastomer):
     is sought from the latest one on; it depends on the way there by 1e-7 of itself.
 
     A dead pressure of some two shear moduli makes a soft surface fold. A sphere of 5 mm is
-    followed 1.4 mm deep into 6 mm of gel, the corner of a cube 0.7 mm; beyond, MaterialError.
+    followed 1.4 mm deep into 6 mm of gel, the corner of a cube 0.7 mm; beyond, ContactError.
 
     nodes, cache_dir, progress: as LinearElastomer takes them, and with its errors.
     mesh: the coarse mesh.
@@ -111,7 +111,7 @@ class NeoHookeanElastomer(LinearElastomer):
     def displacement(self, force: Array) -> Array:
         """Displacement of the contact nodes (N, 3) m under nodal forces (N, 3) N.
 
-        Raises MaterialError where the material cannot follow.
+        Raises ContactError where the material cannot follow.
         """
         linear = super().displacement(force)
         top = self._beyond_linear(force)[:, :, -1]
@@ -122,7 +122,7 @@ class NeoHookeanElastomer(LinearElastomer):
     def marker_displacement(self, force: Array) -> Array:
         """Displacement of the marker surface at the observers, (rows, cols, 3) m.
 
-        Raises MaterialError where the material cannot follow.
+        Raises ContactError where the material cannot follow.
         """
         linear = super().marker_displacement(force)
         level = self._beyond_linear(force)[:, :, self.mesh.marker_level]
@@ -139,8 +139,8 @@ class NeoHookeanElastomer(LinearElastomer):
         with one_thread():
             try:
                 moved = self._block.move_to(load.reshape(-1, 3))
-            except NoEquilibriumError as error:
-                raise MaterialError(str(error)) from None
+            except NotConvergedError as error:
+                raise ContactError(str(error)) from None
             linear = self._block.factor_at_rest.solve(load.ravel())
         return np.asarray((moved - linear.reshape(-1, 3)).reshape(load.shape))
 

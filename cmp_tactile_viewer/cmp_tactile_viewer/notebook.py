@@ -18,7 +18,7 @@ class NotebookViewer:
     """A page on this machine; `update` shows a result, `url` is where."""
 
     def __init__(self, sensor: SensorDescription, access: Access) -> None:
-        """Raises ViewerError where the address cannot be listened on."""
+        """Raises CmpTactileError where the address cannot be listened on."""
         self._name = sensor.ros_name
         self._page = Page(PassiveSource((ShownSensor(self._name, sensor),)), access)
         self.url = self._page.url
@@ -54,7 +54,7 @@ def show(
 
     host: address to listen on; by default only this machine can connect.  port: None for the first
     that is free from 8080 on.  token: that the address must then have.
-    Raises ViewerError where the address cannot be listened on.
+    Raises CmpTactileError where the address cannot be listened on.
 
     >>> viewer = show(sensor)
     >>> for frame in frames:

@@ -24,7 +24,6 @@ from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import (
     Audience,
     HealthLine,
@@ -117,7 +116,7 @@ class ProcessedFrames:
         self._recording = open_recording_of(sensor, path, topic=topic)
         if next(self._frames(0.0), None) is None:
             msg = f"{path}: found no frame of {sensor.name}, expected at least one"
-            raise ViewerError(msg)
+            raise CmpTactileError(msg)
         self.problem = self._recording.gaps
         self.length_s = self._recording.duration
         self._sensor = sensor
@@ -155,7 +154,7 @@ class StoredResults:
     ) -> None:
         """storage: the bag, where it is open already.
 
-        Raises BagError for what is no bag, ViewerError for one of several sensors.
+        Raises FrameSourceError for what is no bag, CmpTactileError for one of several sensors.
         """
         self._storage = storage or BagStorage(path)
         self._topics = _result_topics(path, self._storage.topics)
@@ -212,7 +211,7 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
         several = [topic for topic, other in found.items() if other == field]
         if len(several) > 1:
             msg = f"{path}: found results of several sensors: {', '.join(several)}; expected one"
-            raise ViewerError(msg)
+            raise CmpTactileError(msg)
     return found
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_viewer.recording import open_source
 from cmp_tactile_viewer.snapshot import Action, PassiveSource, Pose, Setting, ShownSensor, Touch
 
@@ -60,7 +60,7 @@ class Controlled(PassiveSource):
 
     def _fail(self):
         msg = "the service is not there"
-        raise ViewerError(msg)
+        raise CmpTactileError(msg)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from waiting import wait_until
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import BagWriter
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.definitions import (
     simulation_definition,
     simulation_typestore,

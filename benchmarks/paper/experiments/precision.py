@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_simulation.scenes.description import Scene
 from paper.chain import (
     CMP,
@@ -139,7 +139,7 @@ def measure(
     errors = np.full((draws, *scene.sensor.pattern.shape.corners, 3), np.nan)
     counts = np.zeros((draws, 3), np.intp)
     for draw in range(draws):
-        with suppress(ReferenceFramesError):
+        with suppress(CalibrationError):
             last = list(measured(chain, sequence.exposed(draw)))[-1]
             errors[draw] = last.surface.displacement - truth.surface.displacement
             score = score_markers(last.grids, truth.grids)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
@@ -209,7 +209,7 @@ def _measured(
     chain, referenced = Chain(shots.gel.sensor, method), True
     try:
         chain.set_reference(images[:REST_FRAMES])
-    except ReferenceFramesError:
+    except CalibrationError:
         # What is found in the frames is counted all the same.
         referenced = False
     scores = [

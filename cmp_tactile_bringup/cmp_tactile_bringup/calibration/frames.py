@@ -22,10 +22,10 @@ from cmp_tactile_bringup.recordings.library import (
 )
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.geometry.split import to_grey
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -65,8 +65,7 @@ def read_frames(
 
     topic: as of `open_recording_of`.  count: at most so many frames, None for all.  start_s: leave
     out what is earlier.
-    Raises RecordingError where there is no such source, FrameSourceError where no frame of it can
-    be used.
+    Raises FrameSourceError where there is no such source, or no frame of it can be used.
     """
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source)

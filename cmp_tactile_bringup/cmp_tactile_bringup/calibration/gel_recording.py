@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.recordings.library import RecordingError, check_source, recorded_source
+from cmp_tactile_bringup.recordings.library import check_source, recorded_source
 from cmp_tactile_bringup.terminal import OnStage
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, FrameSourceError
 from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.pipeline import MarkerCamera
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -114,7 +114,7 @@ def read_motion(
     one, the only surface topic.  rest_s: seconds from the first frame in which nothing touches the
     gel; by default all frames from the first on until the gel moves.  report: called with
     what is done and its share.
-    Raises RecordingError or FrameSourceError where nothing of it can be used.
+    Raises FrameSourceError where nothing of it can be used.
     """
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source, report)
@@ -160,15 +160,15 @@ def displaced(
 ) -> GelMotion:
     """Displacements of frames, by stamps in ns and markers, against those at rest among them.
 
-    Raises RecordingError where the frames at rest cannot serve as a reference.
+    Raises FrameSourceError where the frames at rest cannot serve as a reference.
     """
     stamps, markers = frames
     which = f"{source}: frames {rest.start} to {rest.stop - 1}"
     try:
         reference = Reference.average(markers[rest.start : rest.stop], 1)
-    except ReferenceFramesError as error:
+    except CalibrationError as error:
         msg = f"{which}: {error}"
-        raise RecordingError(msg) from None
+        raise FrameSourceError(msg) from None
     shape = rest_shape(sensor.pattern.corners(), reference.position)
     touched = why_touched(shape, RestParameters())
     if touched:
@@ -209,5 +209,5 @@ def _rest_frames(
             f"{source}: rest: found no frame from {rest_s[0]:g} to {rest_s[1]:g} s, expected "
             f"times from 0 to {time_s[-1]:.2f} s"
         )
-        raise RecordingError(msg)
+        raise FrameSourceError(msg)
     return range(int(chosen[0]), int(chosen[-1]) + 1)

@@ -14,9 +14,8 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CompressedImage, Image
 
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import size_text
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.process import Listener

@@ -18,12 +18,12 @@ from cmp_tactile_bringup.calibration.gel_recording import (
     GelMotion,
     steady_stretches,
 )
-from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BAD_MESSAGE
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import timeline
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
@@ -61,14 +61,14 @@ class WrenchSeries:
     def from_rows(
         cls, source: str, rows: Mapping[int, Sequence[float]], frame_id: str = ""
     ) -> WrenchSeries:
-        """From forces by stamp, ns; RecordingError unless two or more of them are not NaN."""
+        """From forces by stamp, ns; FrameSourceError unless two or more of them are not NaN."""
         stamps = sorted(rows)
         force = np.array([rows[stamp] for stamp in stamps]).reshape(-1, 3)
         known = int(np.isfinite(force).all(axis=1).sum())
         if known < 2:
             nan = f" and {len(rows) - known} with NaN" if known < len(rows) else ""
             msg = f"{source}: found {known} messages{nan}, expected two or more"
-            raise RecordingError(msg)
+            raise FrameSourceError(msg)
         return cls(source, np.array(stamps, np.int64), force, frame_id)
 
 
@@ -77,8 +77,8 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
 
     Times run on where a clock was set back, as those of camera frames do.
 
-    Raises BagError for a bag that cannot be read, RecordingError where it has no such topic or
-    fewer than two messages of it with a force that is not NaN.
+    Raises FrameSourceError for a bag that cannot be read, and where it has no such topic or fewer
+    than two messages of it with a force that is not NaN.
     """
     storage, topic = BagStorage(bag), f"/{topic.strip('/')}"
     if storage.topics.get(topic) != WRENCH_STAMPED:
@@ -87,7 +87,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
             f"{bag}: found no {WRENCH_STAMPED} on {topic!r}, "
             f"expected one of: {', '.join(there) or 'there is none'}"
         )
-        raise RecordingError(msg)
+        raise FrameSourceError(msg)
     store = get_typestore(Stores.ROS2_JAZZY)
     rows: dict[int, list[float]] = {}
     frame_id = ""
@@ -99,7 +99,7 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
             message: Any = store.deserialize_cdr(stored.data, WRENCH_STAMPED)
         except BAD_MESSAGE as error:
             msg = f"{bag}: {topic} at {stored.time_ns} ns: not a {WRENCH_STAMPED}: {error}"
-            raise RecordingError(msg) from None
+            raise FrameSourceError(msg) from None
         frame_id = frame_id or message.header.frame_id.lstrip("/")
         vector = message.wrench.force
         rows[stamps[stored.file, stored.where]] = [vector.x, vector.y, vector.z]
@@ -111,7 +111,7 @@ def at_frames(
 ) -> NDArray[np.float64]:
     """The force at camera frames (n,), (n, 3), interpolated linearly; NaN before and after it.
 
-    ahead_s: what the reference sensor's clock is ahead of the camera's.  Raises RecordingError
+    ahead_s: what the reference sensor's clock is ahead of the camera's.  Raises FrameSourceError
     where no frame lies within its time.
     """
     force = interpolated(series, stamp_ns, ahead_s)
@@ -122,7 +122,7 @@ def at_frames(
             f"{series.stamp_ns[-1] / NS_PER_S:.3f} s, expected some within those of the camera "
             f"frames, {frames}; if the clocks differ, give --time-offset"
         )
-        raise RecordingError(msg)
+        raise FrameSourceError(msg)
     return force
 
 
@@ -143,7 +143,7 @@ def interpolated(
 def fixed_rotation(bag: Path, to: str, from_: str) -> Rotation | None:
     """From the axes of one frame to those of another; None where the bag has no transforms of it.
 
-    Raises BagError for a bag that cannot be read.
+    Raises FrameSourceError for a bag that cannot be read.
     """
     edges = _fixed_rotations(bag)
     found = {to: Rotation.identity()}
@@ -215,7 +215,7 @@ def weight_on_gel(
 def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, float] | None]:
     """The loads of a YAML file, and when nothing touches the gel (None where it does not say).
 
-    Raises DescriptionError naming file, key, what was found and what is expected.
+    Raises InputError naming file, key, what was found and what is expected.
     """
     path = expanded_path(path)
     section = read_yaml(path)
@@ -322,8 +322,8 @@ def samples_of_weights(
     """A sample for each load; motions: by recording.
 
     A load without a time is the longest still press of its recording; of several such loads of
-    one recording, each is the next still press.  Raises RecordingError where a load's time holds no
-    frame, or where the presses are none or not as many as the loads.
+    one recording, each is the next still press.  Raises FrameSourceError where a load's time holds
+    no frame, or where the presses are none or not as many as the loads.
     """
     untimed: dict[Path | None, list[KnownLoad]] = {}
     for load in loads:
@@ -350,7 +350,7 @@ def _timed(load: KnownLoad, motion: GelMotion) -> Sequence[int]:
             f"{motion.source}: {load.name}: time: found no frame from {begin:g} to {end:g} s, "
             f"expected times from 0 to {motion.time_s[-1]:.2f} s"
         )
-        raise RecordingError(msg)
+        raise FrameSourceError(msg)
     return [int(item) for item in chosen]
 
 
@@ -370,7 +370,7 @@ def _presses(motion: GelMotion, loads: Sequence[KnownLoad], least_frames: int) -
         f"is pressed and still for {least_frames} frames or more, expected {len(loads)}; give "
         "`time` for each load"
     )
-    raise RecordingError(msg)
+    raise FrameSourceError(msg)
 
 
 def loaded_stretches(motion: GelMotion, stretches: Sequence[range]) -> list[range]:

@@ -21,15 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.errors import CalibrationError, DescriptionError
+from cmp_tactile_processing.errors import CalibrationError, ContactError, InputError, OutputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
-from cmp_tactile_simulation.errors import SimulationError
 from cmp_tactile_simulation.recording.truth import RecordingWriter
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
@@ -77,7 +75,7 @@ def changed_rig(
     of the gel along any direction and of each mirror along its normal.  focal: relative, of fx and
     fy alike.  Of a two_view sensor, each view's pose and camera.  The whole pattern at rest stays
     in all views.
-    Raises SimulationError where no direction leaves it there.
+    Raises ContactError where no direction leaves it there.
     """
     rng = random_stream(Purpose.CHANGED_RIG, seed)
     rig = RigParameters(sensor, RigPrior(turn, shift, focal, principal_point=0.0))
@@ -89,7 +87,7 @@ def changed_rig(
         f"{sensor.name}: found no change by {math.degrees(turn):g} degrees, {shift * 1e3:g} mm and "
         f"{focal:.3g} in focal length that leaves the pattern in all views"
     )
-    raise SimulationError(msg)
+    raise ContactError(msg)
 
 
 def _directions(names: Sequence[str], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -103,7 +101,7 @@ def _directions(names: Sequence[str], rng: np.random.Generator) -> NDArray[np.fl
 def _shows_all(sensor: SensorDescription) -> bool:
     try:
         views = build_views(sensor).values()
-    except DescriptionError:
+    except InputError:
         return False
     for view in views:
         q = view.project(sensor.pattern.corners())
@@ -240,7 +238,7 @@ def make_practice_set(
     """Write the whole set into the folder.  progress: called with what is done and its share.
 
     Raises OutputError where the folder holds something, unless it is an earlier set that may be
-    replaced; SimulationError for a sensor that cannot be simulated, CalibrationError for one whose
+    replaced; ContactError for a sensor that cannot be simulated, CalibrationError for one whose
     views do not show a board.
     """
     _make_room(folder, overwrite=overwrite)

@@ -18,8 +18,8 @@ from cmp_tactile_bringup.calibration.loads import (
     interpolated,
     loaded_stretches,
 )
-from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_processing.calibration.material.loads import LoadSample
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
 
 # The force is looked for so much earlier or later than the gel's motion, in such steps.
@@ -149,7 +149,7 @@ def samples_of_sensor(
 ) -> list[LoadSample]:
     """Samples beside a reference sensor's force on the gel at the frames.
 
-    Frames without a force are left out.  Raises RecordingError where no frame is left.
+    Frames without a force are left out.  Raises FrameSourceError where no frame is left.
     """
     force = zero.force
     known = np.asarray(np.isfinite(force).all(axis=1))
@@ -165,7 +165,7 @@ def samples_of_sensor(
             f"{motion.source}: found no {what} in which the gel is pressed and the force known, "
             f"expected some{'; --every-frame takes frames in motion' if sampling.steady else ''}"
         )
-        raise RecordingError(msg)
+        raise FrameSourceError(msg)
     every = max(1, -(-len(loaded) // sampling.most))
     return [_sensor_sample(motion, zero, item, sampling) for item in loaded[::every]]
 

@@ -120,7 +120,7 @@ class Looking(Command):
         """
         from cmp_tactile_bringup.recordings.library import is_packaged
         from cmp_tactile_driver.bags.recording import open_recording
-        from cmp_tactile_driver.errors import FrameSourceError
+        from cmp_tactile_processing.errors import FrameSourceError
         from cmp_tactile_processing.geometry.split import to_grey
 
         if name.startswith(DEVICES):
@@ -140,10 +140,10 @@ class Looking(Command):
                 yield image if image is None else to_grey(image)
 
     def _of_camera(self, name: str) -> Images:
-        from cmp_tactile_driver.errors import FrameSourceError
         from cmp_tactile_driver.sources.frames import VIEWS, SourceOptions
         from cmp_tactile_driver.sources.parameters import CameraParameters
         from cmp_tactile_driver.v4l2.pair import open_cameras
+        from cmp_tactile_processing.errors import FrameSourceError
         from cmp_tactile_processing.sensor import parts
         from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -339,8 +339,8 @@ class Init(Looking):
 
     def run(self) -> int:
         """Propose, ask, write, and say what the picture is worth."""
-        from cmp_tactile_bringup.errors import OutputError
         from cmp_tactile_processing.cache.files import write_whole
+        from cmp_tactile_processing.errors import OutputError
         from cmp_tactile_processing.sensor.description import sensor_description_of
         from cmp_tactile_processing.sensor.yaml_section import parse_yaml
 
@@ -362,7 +362,7 @@ class Init(Looking):
 
     def _taken(self, name: str) -> NDArray[np.uint8]:
         """The picture, or one from the camera once its exposure has settled, grey."""
-        from cmp_tactile_driver.errors import FrameSourceError
+        from cmp_tactile_processing.errors import FrameSourceError
 
         count = FRAMES_TO_SETTLE if name.startswith(DEVICES) else 1
         with closing(self.frames(name)) as frames:

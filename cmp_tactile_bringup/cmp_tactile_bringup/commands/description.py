@@ -240,7 +240,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     """The sensor with the pattern that is asked for, checked as if it were read."""
     from dataclasses import replace
 
-    from cmp_tactile_processing.errors import DescriptionError
+    from cmp_tactile_processing.errors import InputError
     from cmp_tactile_processing.printing.pattern import why_no_dots
     from cmp_tactile_processing.sensor.description import (
         SensorDescription,
@@ -266,10 +266,10 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
         sensor = replace(sensor, pattern=replace(sensor.pattern, code="dots"))
     try:
         return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
-    except DescriptionError as error:
+    except InputError as error:
         given = [f"--{key.replace('_', '-')} {value}" for key, value in asked.items()]
         words = ["--advised", *given] if arguments.advised else given
-        raise DescriptionError(f"{error} (with {' '.join(words)})") from None
+        raise InputError(f"{error} (with {' '.join(words)})") from None
 
 
 def _advised(sensor: SensorDescription) -> dict[str, Any]:

@@ -129,11 +129,8 @@ class Replay(_Graph):
 
     def run(self) -> int:
         """Run the graph "replay" in this process."""
-        from cmp_tactile_bringup.recordings.library import (
-            RecordingError,
-            check_source,
-            required_sensor,
-        )
+        from cmp_tactile_bringup.recordings.library import check_source, required_sensor
+        from cmp_tactile_processing.errors import FrameSourceError
 
         if self.show_args:
             return self._start("replay")
@@ -147,5 +144,5 @@ class Replay(_Graph):
         inputs = os.pathsep.join(map(str, paths))
         if split_paths(inputs) != paths:
             msg = f"{inputs}: found {os.pathsep!r} in a path, expected paths without it"
-            raise RecordingError(msg)
+            raise FrameSourceError(msg)
         return self._start("replay", f"input:={inputs}", f"sensor:={sensor}", "--watch")

@@ -33,10 +33,6 @@ SAME_NAMES = ("output", "compression", "jpeg_quality")
 _setting = partial(parameter_option, RecorderParameters)
 
 
-class RunningSensorError(CmpTactileError):
-    """No sensor runs, or several do where one is meant."""
-
-
 @dataclass(frozen=True)
 class RunningSensor:
     """A sensor's namespace, and the parameters of its nodes; empty where they do not answer."""
@@ -50,7 +46,7 @@ def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
     """The sensor of a namespace, or of one of its topics, or the only one that runs.
 
     node: with which it is looked for; it is spun by another thread.  Waits some seconds.  Raises
-    RunningSensorError where there is none, or several.
+    CmpTactileError where there is none, or several.
     """
     from cmp_tactile_processing.ros.services import settled
 
@@ -59,10 +55,10 @@ def find_sensor(node: Node, namespace: str = "") -> RunningSensor:
     if not spaces:
         there = ", ".join(_namespaces(node, "")) or "one; is ROS_DOMAIN_ID the same?"
         msg = f"found no running sensor{f' in {wanted}' if wanted else ''}, expected {there}"
-        raise RunningSensorError(msg)
+        raise CmpTactileError(msg)
     if len(spaces) > 1:
         msg = f"found several sensors, expected the namespace of one of: {', '.join(spaces)}"
-        raise RunningSensorError(msg)
+        raise CmpTactileError(msg)
     return _described(node, spaces[0])
 
 
@@ -78,13 +74,14 @@ def _namespaces(node: Node, wanted: str) -> list[str]:
 def _described(node: Node, namespace: str) -> RunningSensor:
     from rcl_interfaces.srv import GetParameters
 
-    from cmp_tactile_processing.ros.services import ServiceError, answer_of
+    from cmp_tactile_processing.errors import CmpTactileError
+    from cmp_tactile_processing.ros.services import answer_of
 
     request = GetParameters.Request(names=["sensor_description", "sensor_name"])
     service = f"{namespace.rstrip('/')}/{SPLITTER}/get_parameters"
     try:
         answer = answer_of(node, GetParameters, service, request, service_s=SEARCH_TIME_S)
-    except ServiceError:
+    except CmpTactileError:
         return RunningSensor(namespace)
     return RunningSensor(namespace, *(value.string_value for value in answer.values))
 
@@ -120,7 +117,7 @@ class Zero(Command):
             load = "" if self.loaded else _load(asking.node, space)
             if load:
                 msg = f"{space}: found {load}, expected nothing to touch the gel"
-                raise RunningSensorError(f"{msg}; use --loaded to zero under this load")
+                raise CmpTactileError(f"{msg}; use --loaded to zero under this load")
             service = f"{space.rstrip('/')}/{ZERO}"
             answer = answer_of(asking.node, Trigger, service, Trigger.Request(), service_s=SEARCH_S)
         return _say(space, answer)
@@ -164,15 +161,16 @@ class Topics(Command):
     """List the topics of all running nodes, with their types. docs/nodes.md describes them."""
 
     def run(self) -> int:
-        """Print one topic in each line; ServiceError where no node runs."""
+        """Print one topic in each line; CmpTactileError where no node runs."""
+        from cmp_tactile_processing.errors import CmpTactileError
         from cmp_tactile_processing.ros.process import Listener
-        from cmp_tactile_processing.ros.services import RUNNING_NODES, ServiceError, settled
+        from cmp_tactile_processing.ros.services import RUNNING_NODES, settled
 
         with Listener("topics") as asking:
             topics = settled(lambda: _topics(asking.node), settled_s=ALL_TOPICS_S)
         if not topics:
             msg = f"found no topics, expected {RUNNING_NODES}"
-            raise ServiceError(msg)
+            raise CmpTactileError(msg)
         width = max(map(len, topics))
         print("\n".join(f"{name:<{width}}  {topics[name]}" for name in sorted(topics)))
         return 0
@@ -192,7 +190,7 @@ class Echo(Command):
     once: Annotated[bool, option("end after one message")] = False
 
     def run(self) -> int:
-        """Print; ServiceError for none or several topics of that name, or an unknown type."""
+        """Print; CmpTactileError for none or several topics of that name, or an unknown type."""
         from contextlib import suppress
         from queue import Empty, SimpleQueue
 
@@ -235,14 +233,13 @@ def _load(node: Any, namespace: str) -> str:
 
 def _say(asked: str, answer: Any) -> int:
     """Print what was answered; the exit code."""
-    from cmp_tactile_processing.errors import printable
-    from cmp_tactile_processing.ros.services import ServiceError
+    from cmp_tactile_processing.errors import CmpTactileError, printable
 
     fields = {name: getattr(answer, name) for name in answer.get_fields_and_field_types()}
     text = fields.pop("message", "") or fields.pop("reason", "")
     if not fields.pop("successful", fields.pop("success", True)):
         msg = f"{asked}: refused: {text or 'without a reason'}"
-        raise ServiceError(msg)
+        raise CmpTactileError(msg)
     rest = [f"{name}: {value}" for name, value in fields.items() if value != ""]
     print(printable(f"{asked}: {', '.join(filter(None, [text, *rest])) or 'done'}"))
     return 0
@@ -259,12 +256,8 @@ def _topics(node: Any, end: str = "") -> dict[str, str]:
 
 def _topic(node: Any, name: str) -> tuple[str, str]:
     """Full name and type of the topic whose name ends so, with the fewest names before it."""
-    from cmp_tactile_processing.ros.services import (
-        RUNNING_NODES,
-        ServiceError,
-        did_you_mean_end,
-        settled,
-    )
+    from cmp_tactile_processing.errors import CmpTactileError
+    from cmp_tactile_processing.ros.services import RUNNING_NODES, did_you_mean_end, settled
 
     end = f"/{name.strip('/')}"
 
@@ -279,10 +272,10 @@ def _topic(node: Any, name: str) -> tuple[str, str]:
         there = _topics(node)
         wanted = "one that `cmp_tactile topics` lists" if there else RUNNING_NODES
         msg = f"{name}: found no such topic, expected {wanted}"
-        raise ServiceError(msg + did_you_mean_end(end, there))
+        raise CmpTactileError(msg + did_you_mean_end(end, there))
     if len(nearest) > 1:
         msg = f"{name}: found several, expected the name of one of: {', '.join(nearest)}"
-        raise ServiceError(msg)
+        raise CmpTactileError(msg)
     return nearest[0], found[nearest[0]]
 
 
@@ -396,7 +389,7 @@ def _recorder(arguments: Record, context: Any) -> Any:
     description = arguments.sensor or sensor.description
     if not description:
         msg = f"{sensor.namespace}: found no description reported by the nodes, expected --sensor"
-        raise RunningSensorError(msg)
+        raise CmpTactileError(msg)
     values = {
         **{name: getattr(arguments, name) for name in SAME_NAMES},
         "topics": " ".join(arguments.topics or [RecorderParameters.topics]),

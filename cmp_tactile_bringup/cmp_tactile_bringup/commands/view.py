@@ -100,7 +100,7 @@ class View(Command):
 
 
 def serve(source: Source, access: Access, *, open_browser: bool = False) -> int:
-    """Serve a page until SIGINT or SIGTERM, and say where; raises ViewerError."""
+    """Serve a page until SIGINT or SIGTERM, and say where; raises CmpTactileError."""
     from cmp_tactile_processing.processes import StopSignal
     from cmp_tactile_viewer.page.page import Page
 

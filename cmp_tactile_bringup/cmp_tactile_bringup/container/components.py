@@ -29,7 +29,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.utilities import get_default_context
 
-from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.process import CallbackErrors, spare_the_collector
@@ -41,7 +40,7 @@ ComponentClass = type[Node]
 """Built as cls(cli_args=..., use_global_arguments=False, parameter_overrides=...)."""
 
 ComponentLookup = Callable[[str, str], ComponentClass]
-"""From package and plugin name to the class; raises ComponentLoadError where there is none."""
+"""From package and plugin name to the class; raises CmpTactileError where there is none."""
 
 STOP_TIMEOUT = 4.0
 """How long a running callback may take to end, s; launch kills a process after 5 s."""
@@ -52,25 +51,25 @@ FREEING_TRIES, FREEING_S = 5, 0.05
 def find_component(package: str, plugin: str) -> ComponentClass:
     """The class that `package` registers as `plugin` in the group cmp_tactile_components.
 
-    Raises ComponentLoadError, which lists the known plugins, or names why the import failed.
+    Raises CmpTactileError, which lists the known plugins, or names why the import failed.
     """
     if plugin.partition("::")[0] != package:
         msg = f"found package {package!r}, expected the package in the plugin's name {plugin!r}"
-        raise ComponentLoadError(msg)
+        raise CmpTactileError(msg)
     known = entry_points(group=ENTRY_POINT_GROUP)
     matches = [point for point in known if point.name == plugin]
     if not matches:
         names = ", ".join(sorted({point.name for point in known})) or "none"
         msg = f"found no installed component {plugin!r}, expected one of: {names}"
-        raise ComponentLoadError(msg)
+        raise CmpTactileError(msg)
     try:
         found: Any = matches[0].load()
     except (Exception, SystemExit) as error:
         msg = f"{matches[0].value} cannot be imported: {type(error).__name__}: {error}"
-        raise ComponentLoadError(msg) from error
+        raise CmpTactileError(msg) from error
     if not (isinstance(found, type) and issubclass(found, Node)):
         msg = f"{matches[0].value} is {found!r}, expected a class derived from rclpy's Node"
-        raise ComponentLoadError(msg)
+        raise CmpTactileError(msg)
     return found
 
 
@@ -119,20 +118,20 @@ class ComponentContainer:
     def load(self, component: Component) -> int:
         """Build a component and run it; returns its id once it runs.
 
-        Raises ComponentLoadError with the reason, also where another component has the name.
+        Raises CmpTactileError with the reason, also where another component has the name.
         """
         with self._lock:
             try:
                 return self._load(component)
-            except ComponentLoadError as error:
-                raise ComponentLoadError(f"{component.label}: {error}") from None
+            except CmpTactileError as error:
+                raise CmpTactileError(f"{component.label}: {error}") from None
 
     def _load(self, component: Component) -> int:
         try:
             log_level = LoggingSeverity(component.log_level)
         except ValueError as error:
             msg = f"log level: {error}"
-            raise ComponentLoadError(msg) from None
+            raise CmpTactileError(msg) from None
         found = self._lookup(component.package, component.plugin)
         arguments = node_arguments(component)
         if self.context is not get_default_context():
@@ -145,7 +144,7 @@ class ComponentContainer:
             # ROS would let them share a name, and what is built now would hold up the end.
             self._check_name(loaded.full_name)
             self._check_open()
-        except ComponentLoadError:
+        except CmpTactileError:
             self._stop(loaded, STOP_TIMEOUT)
             raise
         self._last_id += 1
@@ -159,7 +158,7 @@ class ComponentContainer:
     def unload(self, unique_id: int, timeout: float = STOP_TIMEOUT) -> None:
         """Stop and destroy a component.
 
-        Raises ComponentError for an unknown id, and where its running callback does not end
+        Raises CmpTactileError for an unknown id, and where its running callback does not end
         within `timeout` s; the component is then gone as soon as that callback ends.
         """
         with self._lock:
@@ -167,10 +166,10 @@ class ComponentContainer:
             if loaded is None:
                 known = ", ".join(map(str, self._components)) or "none"
                 msg = f"no component has the id {unique_id}; loaded ids: {known}"
-                raise ComponentError(msg)
+                raise CmpTactileError(msg)
             if not self._stop(loaded, timeout):
                 msg = f"{loaded.full_name}: found a callback that still runs after {timeout} s"
-                raise ComponentError(msg)
+                raise CmpTactileError(msg)
 
     def list(self) -> dict[int, LoadedComponent]:
         """The running components by id, in the order in which they were loaded."""
@@ -232,13 +231,13 @@ class ComponentContainer:
     def _check_open(self) -> None:
         if self._closed:
             msg = "the container is shutting down"
-            raise ComponentLoadError(msg)
+            raise CmpTactileError(msg)
 
     def _check_name(self, name: str) -> None:
         for unique_id, other in self._components.items():
             if other.full_name == name:
                 msg = f"found the name {name}, which id {unique_id} has already"
-                raise ComponentLoadError(f"{msg}; expected a different name")
+                raise CmpTactileError(f"{msg}; expected a different name")
 
 
 def _free_memory(is_there: Callable[[], Node | None]) -> None:
@@ -301,20 +300,20 @@ class Spinner:
     ) -> None:
         """Build the node of a component on the thread that calls.
 
-        Raises ComponentLoadError where the constructor fails; no node is left behind then.
+        Raises CmpTactileError where the constructor fails; no node is left behind then.
         """
         node: Node = component.__new__(component)  # type: ignore[call-overload]
         try:
             with joining(self._wiring):
                 node.__init__(**arguments)
-        except BaseException as error:  # noqa: BLE001  sys.exit must not end the container
+        except BaseException as error:
             _destroy(node)
             if isinstance(error, CmpTactileError):
-                raise ComponentLoadError(str(error)) from None
+                raise
             get_logger("component_container").error(traceback.format_exc())
             # What rclpy says of a wrong name has several lines.
             msg = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            raise ComponentLoadError(msg) from None
+            raise CmpTactileError(msg) from None
         loaded.node, loaded.full_name = node, node.get_fully_qualified_name()
 
     def do(self, job: Callable[[], None]) -> Future[None]:

@@ -26,7 +26,8 @@ def component_container() -> int:
     stop = StopSignal()
     _prepare_for_threads()
     from cmp_tactile_bringup.container.services import running_container
-    from cmp_tactile_processing.ros.process import JoinError, leave_process, report_error
+    from cmp_tactile_processing.errors import CmpTactileError
+    from cmp_tactile_processing.ros.process import leave_process, report_error
 
     if stop.by_signal:
         return 0
@@ -35,7 +36,7 @@ def component_container() -> int:
             # A component may end the ROS context, without which nothing runs.
             container.context.on_shutdown(stop.set)
             stop.wait()
-    except JoinError as error:
+    except CmpTactileError as error:
         return report_error(error)
     return leave_process(0)
 

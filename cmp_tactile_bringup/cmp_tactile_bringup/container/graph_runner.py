@@ -18,7 +18,6 @@ from rclpy.logging import get_logger
 
 from cmp_tactile_bringup.container.components import ComponentContainer
 from cmp_tactile_bringup.container.services import running_container
-from cmp_tactile_bringup.errors import ArgumentError, GraphError
 from cmp_tactile_bringup.graphs.description import (
     CONTAINER,
     Graph,
@@ -30,7 +29,7 @@ from cmp_tactile_bringup.graphs.packaged import find_graph
 from cmp_tactile_bringup.graphs.running import RunningLine, pressed_keys
 from cmp_tactile_bringup.terminal import shown_stages
 from cmp_tactile_processing.cache.files import default_cache_dir, digest, locked
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, InputError
 from cmp_tactile_processing.processes import StopSignal, python_command
 from cmp_tactile_processing.ros.process import leave_process, report_error, split_ros_args
 
@@ -78,7 +77,7 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
         ):
             code = _run(container, first, stop, processes, watch=options.watch)
     except CmpTactileError as error:
-        return WRONG_ARGUMENT if report_error(error) and isinstance(error, ArgumentError) else 1
+        return WRONG_ARGUMENT if report_error(error) and isinstance(error, InputError) else 1
     return leave_process(code)
 
 
@@ -100,7 +99,7 @@ def _load(options: argparse.Namespace) -> Graph:
         name, separator, value = assignment.partition(":=")
         if not separator:
             msg = f"found {assignment!r}, expected NAME:=VALUE"
-            raise ArgumentError(msg)
+            raise InputError(msg)
         values[name] = value
     return function.load(values)
 
@@ -118,7 +117,7 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
 
 @contextmanager
 def _only_one_in(namespace: str) -> Iterator[None]:
-    """Raise GraphError where a process of this machine runs a graph in the same namespace.
+    """Raise InputError where a process of this machine runs a graph in the same namespace.
 
     Their forces and records would be mixed.
     """
@@ -133,7 +132,7 @@ def _only_one_in(namespace: str) -> Iterator[None]:
                 f"{namespace}: found a sensor of this name that runs already, expected another "
                 "name (name:=NAME)"
             )
-            raise GraphError(msg) from None
+            raise InputError(msg) from None
         except OSError:
             pass  # nothing can be kept: it runs all the same
         yield

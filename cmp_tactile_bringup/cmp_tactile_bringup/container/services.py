@@ -20,8 +20,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from cmp_tactile_bringup.container.components import ComponentContainer, LoadedComponent
-from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
 from cmp_tactile_processing.ros.diagnostics import ERROR, OK, status_message, status_name
 from cmp_tactile_processing.ros.process import LastingExecutor, joining_ros
@@ -43,7 +43,8 @@ def running_container(
 
     args: the process's arguments, whose ROS arguments may rename the container's node.
     At the end all components and the container's node are destroyed, then the context ends.
-    Raises JoinError for wrong ROS arguments, and where ROS cannot be joined as securely as asked.
+    Raises CmpTactileError for wrong ROS arguments, and where ROS cannot be joined as securely as
+    asked.
     """
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL)
@@ -112,7 +113,7 @@ class ContainerServices:
         def work(request: Any, response: Any, done: Future[None]) -> None:
             try:
                 callback(request, response)
-            except ComponentError as error:
+            except CmpTactileError as error:
                 response.error_message = str(error)
                 self.node.get_logger().error(str(error))
             except Exception as error:  # noqa: BLE001  whoever asks gets an answer
@@ -173,7 +174,7 @@ def _component(request: Any) -> Component:
         old, sign, new = rule.partition(":=")
         if not sign:
             msg = f"{request.plugin_name}: remap rule: found {rule!r}, expected FROM:=TO"
-            raise ComponentLoadError(msg)
+            raise CmpTactileError(msg)
         # As in ROS, the first rule of a name counts.
         remappings.setdefault(old, new)
     extra = {item.name: item.value.bool_value for item in request.extra_arguments}

@@ -15,12 +15,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.errors import ArgumentError, ComponentLoadError, GraphError
 from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
 from cmp_tactile_driver.bags.recording import open_recording_of
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.cache.files import expanded_path, split_paths
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, InputError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import yaml_value
@@ -60,13 +58,13 @@ class Argument:
     def convert(self, given: Value) -> Any:
         """The value, of the argument's type also where it is given as a text.
 
-        Raises GraphError for any other value.
+        Raises InputError for any other value.
         """
         kind, value = type(self.default), given
         # Names of files may be in another encoding, which messages of ROS cannot contain.
         if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
             msg = f"argument {self.name}: found {given!r}, expected text in UTF-8"
-            raise ArgumentError(msg)
+            raise InputError(msg)
         if isinstance(value, str) and kind is not str:
             value = _value_of(value)
         if kind is float and type(value) is int:
@@ -75,27 +73,27 @@ class Argument:
             return value
         expected = f"one of {', '.join(self.choices)}" if self.choices else f"a {TYPES[kind]}"
         msg = f"argument {self.name}: found {given!r}, expected {expected}"
-        raise ArgumentError(msg)
+        raise InputError(msg)
 
 
 def _value_of(text: str) -> Any:
     try:
         return yaml_value(text)
-    except DescriptionError:
+    except InputError:
         return None
 
 
 def argument_values(declared: Sequence[Argument], given: Mapping[str, Value]) -> dict[str, Any]:
     """The value of each declared argument.
 
-    Raises GraphError for a wrong value, or a name that is not declared.
+    Raises InputError for a wrong value, or a name that is not declared.
     """
     names = [argument.name for argument in declared]
     for name in given:
         if name not in names:
             allowed, near = ", ".join(names), did_you_mean(name, names)
             msg = f"found argument {name!r}, expected one of: {allowed}{near}"
-            raise ArgumentError(msg)
+            raise InputError(msg)
     return {item.name: item.convert(given.get(item.name, item.default)) for item in declared}
 
 
@@ -141,12 +139,9 @@ def parameters_of_nodes(path: Path, full_names: Sequence[str]) -> dict[str, dict
 
     `/**` stands for any parts of a name, `*` for one; what stands further down takes precedence.
 
-    Raises GraphError for a file that cannot be used, and for an entry that fits none of the nodes.
+    Raises InputError for a file that cannot be used, and for an entry that fits none of the nodes.
     """
-    try:
-        entries = list(_entries(read_yaml(path), ""))
-    except DescriptionError as error:
-        raise GraphError(str(error)) from None
+    entries = list(_entries(read_yaml(path), ""))
     found: dict[str, dict[str, Value]] = {}
     for pattern, parameters in entries:
         text = re.escape(pattern)
@@ -155,7 +150,7 @@ def parameters_of_nodes(path: Path, full_names: Sequence[str]) -> dict[str, dict
         if not nodes:
             names = ", ".join(full_names)
             msg = f"{path}: found parameters of {pattern}, expected a node of {names}"
-            raise GraphError(msg)
+            raise InputError(msg)
         for name in nodes:
             found.setdefault(name, {}).update(parameters)
     return found
@@ -287,13 +282,13 @@ class GraphFunction:
         """The graph with these arguments.
 
         given: values by name; texts, as a command line gives them, are converted to the argument's
-        type.  Raises GraphError for arguments, names and parameter file that cannot be used.
+        type.  Raises InputError for arguments, names and parameter file that cannot be used.
         """
         try:
             return self._load(argument_values(self.arguments, given or {}))
-        except GraphError as error:
+        except InputError as error:
             msg = f"{self.label}{error}"
-            raise type(error)(msg) from None
+            raise InputError(msg) from None
 
     def _load(self, values: Mapping[str, Any]) -> Graph:
         own = {item.name: values[item.name] for item in self.own_arguments}
@@ -303,7 +298,7 @@ class GraphFunction:
         if twice or not names:
             wrong = f"{twice[0]!r} twice" if twice else "no component"
             msg = f"found {wrong}, expected components with different names"
-            raise GraphError(msg)
+            raise InputError(msg)
         if values["params_file"]:
             file = expanded_path(values["params_file"])
             found = found.with_parameters(parameters_of_nodes(file, names))
@@ -345,20 +340,20 @@ def graph(
 def load_graph_file(path: Path) -> GraphFunction:
     """The graph that a Python file defines.
 
-    Raises GraphError for a file that cannot be run or does not define just one.
+    Raises InputError for a file that cannot be run or does not define just one.
     """
     name = f"cmp_tactile_graph_{path.stem}"
     try:
         defined = runpy.run_path(str(path), run_name=name) if path.suffix == ".py" else {}
     except Exception as error:
         msg = f"{path}: cannot be run: {type(error).__name__}: {error}"
-        raise GraphError(msg) from error
+        raise InputError(msg) from error
     graphs = (item for item in defined.values() if isinstance(item, GraphFunction))
     found = [item for item in graphs if item.function.__module__ == name]
     if len(found) != 1:
         expected = "one: a Python file with one function that `graph` decorates (docs/launch.md)"
         msg = f"{path}: found {len(found) or 'no'} graphs, expected {expected}"
-        raise GraphError(msg)
+        raise InputError(msg)
     return replace(found[0], label=f"{path}: ")
 
 
@@ -396,20 +391,20 @@ def _recorded(scene: Path, progress: MakingProgress) -> str:
 def check_recordings(graph: Graph) -> None:
     """Open each recording that is to be replayed, before anything that takes long is built.
 
-    Raises ComponentLoadError for the first that cannot be opened, or is to be made and is there.
+    Raises CmpTactileError for the first that cannot be opened, or is to be made and is there.
     """
     for component in graph.components:
         output = component.parameters.get("output") if component.plugin == RECORDER else None
         if output and expanded_path(str(output)).exists():
             msg = f"{component.full_name} ({RECORDER}): {output}: found an existing folder or file"
-            raise ComponentLoadError(f"{msg}, expected a new name")
+            raise CmpTactileError(f"{msg}, expected a new name")
         try:
             for path in _inputs(component):
                 sensor = load_sensor(str(component.parameters["sensor_description"]))
                 topic = str(component.parameters.get("topic", ""))
                 open_recording_of(sensor, path, topic=topic, any_size=True)
         except FrameSourceError as error:
-            raise ComponentLoadError(f"{component.label}: {error}") from None
+            raise CmpTactileError(f"{component.label}: {error}") from None
 
 
 def _inputs(component: Component) -> list[Path]:

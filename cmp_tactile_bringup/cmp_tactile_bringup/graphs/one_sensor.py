@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any
 
-from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import (
     Argument,
     Component,
@@ -30,7 +29,7 @@ from cmp_tactile_driver.sources.parameters import (
     ReplayParameters,
 )
 from cmp_tactile_processing.cache.files import expanded_path, split_paths
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.sensor.description import (
     find_sensor_description,
     load_sensor,
@@ -188,7 +187,7 @@ def sensor_components(
     given: values of arguments; those of the sensor begin with the prefix.  below: the namespace
     that the sensor's is relative to.  look: parameters of its markers.  fixed: arguments of the
     sensor that the graph sets itself.
-    Raises GraphError for settings that cannot be used.
+    Raises InputError for settings that cannot be used.
     """
     own = {name: given[prefix + name] for name in DEFAULTS if prefix + name in given}
     settings: dict[str, Any] = {**DEFAULTS, **own, **fixed}
@@ -198,13 +197,13 @@ def sensor_components(
             found = f"found {as_text(own[item.name])}, which has no effect with {prefix}source"
             expected = f"expected {prefix}source:={' or '.join(item.sources)}"
             msg = f"argument {prefix}{item.name}: {found}:={source}, {expected}"
-            raise GraphError(msg)
+            raise InputError(msg)
     try:
         settings["mount"] = pose(settings["mount"])
         sensor = _find_sensor(settings, below)
-    except (GraphError, DescriptionError, library.RecordingError) as error:
+    except (InputError, FrameSourceError) as error:
         msg = f"argument {prefix}{error}"
-        raise GraphError(msg) from None
+        raise InputError(msg) from None
     nodes = [*_processing(sensor, settings, look or {}), _recorder(sensor, settings)]
     return nodes, list(_source(sensor, settings))
 
@@ -218,7 +217,7 @@ def pose(text: str) -> list[float]:
     if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
         expected = "six numbers, x y z in m and roll pitch yaw in rad"
         msg = f"mount: found {text!r}, expected {expected}"
-        raise GraphError(msg)
+        raise InputError(msg)
     return numbers
 
 
@@ -230,14 +229,14 @@ def _find_sensor(settings: Mapping[str, Any], below: str) -> GraphSensor:
         found = settings[name]
         if found and not re.fullmatch(expression, found, re.ASCII):
             msg = f"{name}: found {found!r}, expected {expected}"
-            raise GraphError(msg)
+            raise InputError(msg)
     given = settings["sensor"] or _sensor_of_source(settings)
     try:
         path = find_sensor_description(given).resolve()
         description = load_sensor(str(path))
-    except DescriptionError as error:
+    except InputError as error:
         msg = f"sensor: {error}"
-        raise GraphError(msg) from None
+        raise InputError(msg) from None
     name = settings["name"] or description.ros_name
     namespace = absolute_name(settings["namespace"] or name, below)
     views = tuple(view for view in ("left", "right") if view in description.views)
@@ -253,13 +252,13 @@ def _sensor_of_source(settings: Mapping[str, Any]) -> str:
         for item in inputs:
             library.check_source(item)
         sensor = library.sensor_of_recordings(inputs)
-    except library.RecordingError as error:
+    except FrameSourceError as error:
         msg = f"input: {error}"
-        raise GraphError(msg) from None
+        raise InputError(msg) from None
     if not sensor:
         expected = f"the file of a description, or one of {', '.join(packaged_sensors())}"
         msg = f"sensor: found nothing, expected {expected}"
-        raise GraphError(msg)
+        raise InputError(msg)
     return sensor
 
 

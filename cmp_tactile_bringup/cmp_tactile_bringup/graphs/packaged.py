@@ -7,7 +7,6 @@ from math import cos, sin
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import (
     Argument,
     Component,
@@ -28,6 +27,7 @@ from cmp_tactile_bringup.graphs.one_sensor import (
     sensor_components,
 )
 from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.errors import InputError
 
 # Height of the letters at two fingers, which are seen from farther away than one sensor, m.
 FINGER_TEXT_M = 0.0009
@@ -126,7 +126,7 @@ GRAPHS = {item.function.__name__: item for item in (sensor, simulate, replay, gr
 def find_graph(name_or_path: str) -> GraphFunction:
     """A packaged graph by name, or that of a Python file by path.
 
-    Raises GraphError where there is neither, or the file cannot be used.
+    Raises InputError where there is neither, or the file cannot be used.
     """
     if name_or_path in GRAPHS:
         return GRAPHS[name_or_path]
@@ -134,10 +134,10 @@ def find_graph(name_or_path: str) -> GraphFunction:
     if not path.is_file():
         names = ", ".join(sorted(GRAPHS))
         msg = f"{name_or_path}: found no such file, expected a path or one of {names}"
-        raise GraphError(msg)
+        raise InputError(msg)
     return load_graph_file(path)
 
 
 def load_graph(name_or_path: str, given: Mapping[str, Value] | None = None) -> Graph:
-    """That graph with these arguments; raises GraphError as `find_graph` and its `load` do."""
+    """That graph with these arguments; raises InputError as `find_graph` and its `load` do."""
     return find_graph(name_or_path).load(given)

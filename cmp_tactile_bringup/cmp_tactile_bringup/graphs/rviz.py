@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 
-from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import Graph
 from cmp_tactile_processing.cache.files import atomic_path, config_dir, folder_without_home
+from cmp_tactile_processing.errors import InputError
 
 PACKAGE = "cmp_tactile_bringup"
 
@@ -34,12 +34,12 @@ def share_folder() -> Path:
 def rviz_settings(graph: Graph) -> str:
     """The text of a settings file with the namespaces and frames of the graph's sensors.
 
-    Raises GraphError where there are none for so many sensors.
+    Raises InputError where there are none for so many sensors.
     """
     number = len(graph.sensors)
     if number not in RVIZ_SETTINGS:
         msg = f"rviz: found {number} sensors, expected 1 or 2"
-        raise GraphError(msg)
+        raise InputError(msg)
     file, names = RVIZ_SETTINGS[number]
     text = (share_folder() / "rviz" / file).read_text(encoding="utf-8")
     places = {}
@@ -62,7 +62,7 @@ def rviz_settings_file(graph: Graph) -> Path:
     """The file with these settings, one for the graph's sensors, in the user's configuration.
 
     RViz asks to save into it what was changed, a view that was turned included, and what was saved
-    is kept.  Raises GraphError where there are no settings, or no place for them.
+    is kept.  Raises InputError where there are no settings, or no place for them.
     """
     text = rviz_settings(graph)
     words = [item.namespace.strip("/") for item in graph.sensors]
@@ -82,7 +82,7 @@ def rviz_settings_file(graph: Graph) -> Path:
         else:
             return path
     msg = f"rviz: the settings cannot be written: {failed}"
-    raise GraphError(msg)
+    raise InputError(msg)
 
 
 def is_saved_by_rviz(path: Path) -> bool:

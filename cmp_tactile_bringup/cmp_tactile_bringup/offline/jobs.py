@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
@@ -129,8 +129,8 @@ def plan_jobs(
 def sensor_of(job: Job, given: str | None) -> str:
     """File of the sensor description that was given, or of the recording's own.
 
-    Raises RecordingError without such a recording or where nothing names its sensor, and
-    DescriptionError without such a description.
+    Raises FrameSourceError without such a recording or where nothing names its sensor, and
+    InputError without such a description.
     """
     check_source(Path(job.source))
     return str(find_sensor_description(required_sensor(Path(job.source), given)).absolute())

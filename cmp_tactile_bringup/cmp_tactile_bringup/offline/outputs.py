@@ -24,7 +24,6 @@ from rosbags.interfaces import (
     QosTime,
 )
 
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
@@ -33,6 +32,7 @@ from cmp_tactile_driver.bags.reader import Recorded
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import locked
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making

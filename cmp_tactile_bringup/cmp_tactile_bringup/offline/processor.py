@@ -28,7 +28,6 @@ import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.errors import ClusterError, OutputError
 from cmp_tactile_bringup.offline.jobs import Job, Outcome
 from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
 from cmp_tactile_bringup.recordings import results
@@ -37,11 +36,10 @@ from cmp_tactile_bringup.terminal import OnStage, error_line, processor_name
 from cmp_tactile_driver.bags.reader import Recorded, RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.processes import python_command
@@ -74,7 +72,7 @@ class Processor:
     """Processes one recording, from its first frame and with nothing known of another one."""
 
     def __init__(self, job: Job) -> None:
-        """Raises DescriptionError for the sensor, FrameSourceError and FrameError for the rest."""
+        """Raises InputError for the sensor, FrameSourceError and FrameError for the rest."""
         self._job, self._options = job, job.options
         self._sensor = SensorDescription.load(Path(job.sensor))
         self._recording: Recording = open_recording_of(
@@ -90,7 +88,7 @@ class Processor:
         """Process every frame and write the files into a folder.
 
         on_share: called now and then with the share of the time that is done, and at the end.
-        Raises FrameSourceError where no frame can be used, ReferenceFramesError where the frames
+        Raises FrameSourceError where no frame can be used, CalibrationError where the frames
         that should give the reference cannot.
         """
         encoded = bool(self._recording.codec)
@@ -396,7 +394,7 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Result, None,
     description and the folder of the results.  joblib's own backend for dask waits without end for
     a job whose worker dies, so the jobs are given to dask itself.  Those that have begun go on
     to their end after an interrupt.
-    Raises ClusterError without a scheduler or worker.
+    Raises CmpTactileError without a scheduler or worker.
     """
     with _connected(address) as client:
         from distributed import as_completed
@@ -420,16 +418,16 @@ def _connected(address: str) -> Any:
         client = Client(address, timeout=SECONDS_TO_CONNECT)
     except ImportError as error:
         msg = f"--scheduler: found no dask ({error}), expected the package: pip install distributed"
-        raise ClusterError(msg) from None
+        raise CmpTactileError(msg) from None
     except (OSError, ValueError) as error:
         msg = f"{address}: found no dask scheduler, expected one such as tcp://host:8786: {error}"
-        raise ClusterError(msg) from None
+        raise CmpTactileError(msg) from None
     try:
         client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
     except TimeoutError:
         client.close()
         msg = f"{address}: found no worker within {SECONDS_FOR_WORKERS} s, expected at least one"
-        raise ClusterError(msg) from None
+        raise CmpTactileError(msg) from None
     return client
 
 

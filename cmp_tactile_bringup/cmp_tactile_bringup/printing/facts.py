@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.printing.pattern import (
     CHORD_TOLERANCE,
     PatternAdvice,
@@ -60,7 +60,7 @@ def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str
     distance = "Checker side" if pattern_type == "cmp" else "Distance of dots"
     try:
         sides = checker_sides_px(sensor)
-    except DescriptionError as error:
+    except InputError as error:
         return {distance: _not_known(sensor, error)}
     facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
     facts["Advised"] = _advised(sensor)
@@ -70,17 +70,17 @@ def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str
 
 
 def advice_of(sensor: SensorDescription) -> PatternAdvice:
-    """As advise has it; DescriptionError where a view does not show the whole print."""
+    """As advise has it; InputError where a view does not show the whole print."""
     for view, sides in checker_sides_px(sensor).items():
         if not np.isfinite(sides).all():
-            raise DescriptionError(
+            raise InputError(
                 f"{sensor.origin}: views.{view}: found corners of the pattern outside the lens's "
                 "field, expected none; there is no advice for a print of this size"
             )
     return advise(sensor)
 
 
-def _not_known(sensor: SensorDescription, error: DescriptionError) -> str:
+def _not_known(sensor: SensorDescription, error: InputError) -> str:
     """Without the file, which stands above."""
     return f"not known: {str(error).removeprefix(f'{sensor.origin}: ')}"
 
@@ -88,7 +88,7 @@ def _not_known(sensor: SensorDescription, error: DescriptionError) -> str:
 def _advised(sensor: SensorDescription) -> str:
     try:
         advice = advice_of(sensor)
-    except DescriptionError as error:
+    except InputError as error:
         return _not_known(sensor, error)
     return (
         f"{advice.rows} x {advice.cols} corners, pitch {advice.pitch * 1e3:.6g} mm, "

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_processing.cache.files import expanded_path, write_whole
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.printing.sheet import LAYERS, LINE_WIDTH, Label, Line, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 

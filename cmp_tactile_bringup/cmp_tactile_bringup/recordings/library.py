@@ -11,7 +11,7 @@ from pathlib import Path
 from cmp_tactile_driver.bags.recording import check_folder
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest, expanded_path
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
@@ -23,10 +23,6 @@ SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
 
 MakingProgress = Callable[[str, float], None]
 """Called with what is done and its share, 0 to 1, while a recording is made."""
-
-
-class RecordingError(CmpTactileError):
-    """A recording that cannot be read."""
 
 
 def is_packaged(source: Path) -> bool:
@@ -49,7 +45,7 @@ def recorded_source(source: Path, progress: MakingProgress | None = None) -> Pat
 
 
 def check_source(source: Path, kinds: str = SOURCES) -> None:
-    """Raise RecordingError without such a path or scene; kinds: what may be there."""
+    """Raise FrameSourceError without such a path or scene; kinds: what may be there."""
     if not expanded_path(source).exists() and not is_packaged(source):
         from cmp_tactile_simulation.scenes.file import packaged_scenes
 
@@ -58,14 +54,14 @@ def check_source(source: Path, kinds: str = SOURCES) -> None:
             f"{source}: found no such file or folder, expected {kinds}, "
             f"or the name of a scene: {scenes}"
         )
-        raise RecordingError(msg + did_you_mean(str(source), packaged_scenes()))
+        raise FrameSourceError(msg + did_you_mean(str(source), packaged_scenes()))
 
 
 def required_sensor(source: Path, given: str | None, *more: Path) -> str:
     """The sensor that was given, or the recordings' own.
 
-    Raises RecordingError where there is neither, and where theirs differ; FrameSourceError for a
-    folder without a recording.
+    Raises FrameSourceError where there is neither, where theirs differ, and for a folder without
+    a recording.
     """
     sensor = given or sensor_of_recordings([source, *more])
     if sensor:
@@ -73,13 +69,13 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
     check_folder(expanded_path(source))
     packaged = ", ".join(packaged_sensors())
     msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
-    raise RecordingError(msg)
+    raise FrameSourceError(msg)
 
 
 def sensor_of_recordings(sources: Sequence[Path]) -> str:
     """The file of the description that lies beside the first that has one; empty for none.
 
-    Raises RecordingError where another has another description.
+    Raises FrameSourceError where another has another description.
     """
     found = {str(source): sensor_of_recording(str(source)) for source in sources}
     found = {source: sensor for source, sensor in found.items() if sensor}
@@ -88,7 +84,7 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
         if dict(read_yaml(Path(sensor)).items()) != dict(read_yaml(Path(found[first])).items()):
             expected = f"that of {first}; give one description for all (--sensor or sensor:=)"
             msg = f"{source}: found another sensor description, expected {expected}"
-            raise RecordingError(msg)
+            raise FrameSourceError(msg)
     return found.get(first, "")
 
 
@@ -109,7 +105,7 @@ def sensor_of_recording(source: str) -> str:
 
 
 def sensor_of_scene(name_or_path: str) -> str:
-    """A file with the sensor description of a scene; SceneError where the scene cannot be used."""
+    """A file with the sensor description of a scene; InputError where the scene cannot be used."""
     from cmp_tactile_simulation.scenes.file import load_scene
 
     mapping = dict(load_scene(name_or_path).sensor_mapping)

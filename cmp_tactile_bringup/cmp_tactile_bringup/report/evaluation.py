@@ -14,10 +14,10 @@ from cmp_tactile_bringup.recordings import library
 from cmp_tactile_bringup.report.results import DemoResults, TableRow
 from cmp_tactile_processing.calibration.check import CheckedRecording, CheckParameters
 from cmp_tactile_processing.calibration.outcome import length_text
+from cmp_tactile_processing.errors import FrameSourceError, OutputError
 from cmp_tactile_processing.force.advice import ADVICE, flag_names, single_flags
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth
 
 NAMED_FRAMES = 5
@@ -341,18 +341,18 @@ def truth_errors(
 ) -> TruthErrors:
     """Errors of a sensor's description on frames of which the truth is known.
 
-    grids: of the frames with these stamps, by view.  Raises RecordingError where the truth is of
+    grids: of the frames with these stamps, by view.  Raises FrameSourceError where the truth is of
     another pattern or of other frames, or no marker is seen.
     """
     numbers = {int(stamp): k for k, stamp in enumerate(truth.stamp_ns)}
     shape = sensor.pattern.shape.corners
     if truth.corners_m.shape[1:3] != shape:
         msg = f"truth: found {truth.corners_m.shape[1:3]} corners, expected {shape}"
-        raise library.RecordingError(msg)
+        raise FrameSourceError(msg)
     unknown = [stamp for stamp in stamps_ns if stamp not in numbers]
     if unknown:
         msg = f"truth: found no frame with the stamp {unknown[0]} ns, expected one"
-        raise library.RecordingError(msg)
+        raise FrameSourceError(msg)
     found = CheckedRecording(sensor, grids, CheckParameters()).positions
     true = truth.corners_m[[numbers[stamp] for stamp in stamps_ns]]
     return _compared(found, true, sensor.pattern.corners())
@@ -364,7 +364,7 @@ def _compared(
     off = np.linalg.norm(found - true, axis=-1)
     if not np.isfinite(off).any():
         msg = "truth: found no marker in 3-D, expected the pattern of this sensor"
-        raise library.RecordingError(msg)
+        raise FrameSourceError(msg)
     moved = np.linalg.norm(true - nominal, axis=-1)
     still = np.nanmax(moved.reshape(len(moved), -1), axis=1) < AT_REST
     displacement = np.full_like(off, np.nan)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings import library
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth
@@ -42,14 +43,14 @@ def find_recording(
 ) -> Recording:
     """The recording of a packaged scene, or the one in the folder that is given, with its truth.
 
-    Raises RecordingError where it is not a simulated recording, CmpTactileError where a file of it
-    cannot be used.
+    Raises FrameSourceError where it is not a simulated recording, another error where a file of
+    it cannot be used.
     """
     bag = library.recorded_source(Path(name_or_path), progress)
     for name in ("metadata.yaml", SCENE_FILE, SENSOR_FILE):
         if not (bag / name).is_file():
             msg = f"{bag}: found no {name}, expected a recording from `cmp_tactile simulate`"
-            raise library.RecordingError(msg)
+            raise FrameSourceError(msg)
     scene = read_scene(bag / SCENE_FILE)
     return Recording(
         bag=bag,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.report.calibration import estimate_rows
 from cmp_tactile_processing.calibration.outcome import Estimate
+from cmp_tactile_processing.errors import OutputError
 
 VIEWS = ("left", "right")
 

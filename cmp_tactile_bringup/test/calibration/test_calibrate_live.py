@@ -18,7 +18,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Header
 
 from cmp_tactile_bringup.calibration.live import LiveFrames
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import ImageSize

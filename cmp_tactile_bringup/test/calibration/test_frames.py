@@ -7,8 +7,8 @@ import pytest
 
 from cmp_tactile_bringup.calibration.frames import BoardCapture, BoardView, Choice
 from cmp_tactile_driver.bags.pairs import pairs_by_number
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
+from cmp_tactile_processing.errors import FrameSourceError
 
 TARGET = BoardTarget("chessboard", 9, 6, 0.01)
 SIZE = (640, 480)

@@ -29,10 +29,8 @@ from cmp_tactile_bringup.calibration.reference_sensor import (
     zeroed,
 )
 from cmp_tactile_bringup.commands.calibrate.sources import WrenchSensor, force_at_frames
-from cmp_tactile_bringup.recordings.library import RecordingError
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.errors import BagError
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.recording.truth import read_truth
 
@@ -134,7 +132,7 @@ def test_known_loads_are_read_with_their_direction_and_doubt(tmp_path):
 )
 def test_a_wrong_file_of_loads_names_key_found_and_expected(text, complaint, tmp_path):
     path = written(tmp_path / "weights.yaml", text)
-    with pytest.raises(DescriptionError, match=complaint) as raised:
+    with pytest.raises(InputError, match=complaint) as raised:
         read_known_loads(path)
     assert str(path) in str(raised.value)
 
@@ -152,7 +150,7 @@ def loads_of(tmp_path, text):
 )
 def test_a_load_that_no_frame_shows_is_reported(text, complaint, tmp_path):
     (load,) = loads_of(tmp_path, f"loads:\n  - {text}")
-    with pytest.raises(RecordingError, match=complaint):
+    with pytest.raises(FrameSourceError, match=complaint):
         samples_of_weights([load], {None: pressed_motion(DEPTH)}, 12)
 
 
@@ -163,7 +161,7 @@ def test_weights_without_times_are_the_still_presses_one_after_another(tmp_path)
     samples = samples_of_weights(loads, {None: motion}, 6)
     deepest = [np.nanmin(sample.displacement[..., 2]) for sample in samples]
     np.testing.assert_allclose(deepest, [-2e-4, -4e-4], atol=1e-5)
-    with pytest.raises(RecordingError, match=r"2 times \(0\.43 to 0\.73 s, .*expected 3"):
+    with pytest.raises(FrameSourceError, match=r"2 times \(0\.43 to 0\.73 s, .*expected 3"):
         samples_of_weights([*loads, loads[0]], {None: motion}, 6)
 
 
@@ -218,10 +216,10 @@ def test_a_clock_that_is_set_back_exchanges_neither_frames_nor_forces(weigh_bag,
 
 def test_a_wrench_topic_of_too_few_numbers_is_refused(tmp_path):
     bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
-    with pytest.raises(RecordingError, match="/ft/wrench: found 1 messages, expected two"):
+    with pytest.raises(FrameSourceError, match="/ft/wrench: found 1 messages, expected two"):
         read_wrench(bag, "/ft/wrench")
     bag = write_wrench_bag(tmp_path / "nan", [(k, k, np.full(6, np.nan)) for k in range(1, 4)])
-    with pytest.raises(RecordingError, match=r"found 0 messages and 3 .*NaN, expected"):
+    with pytest.raises(FrameSourceError, match=r"found 0 messages and 3 .*NaN, expected"):
         read_wrench(bag, "/ft/wrench")
 
 
@@ -278,7 +276,7 @@ def test_samples_of_a_sensor_are_its_still_loads_counted_from_its_reading_at_res
     # Of the 8 frames of the press, the first two are within the noise.
     assert len(every) == 6 + 9
     assert len(samples_of_sensor(motion, force, SensorSampling(steady=False, most=5))) <= 5
-    with pytest.raises(RecordingError, match="found no 12 still frames in a row"):
+    with pytest.raises(FrameSourceError, match="found no 12 still frames in a row"):
         samples_of_sensor(motion, force, SensorSampling(least_frames=12))
 
 
@@ -333,12 +331,14 @@ def test_frames_and_surfaces_of_a_bag_tell_the_same_motion(weigh_bag):
 
 def test_a_recording_that_cannot_serve_is_reported(weigh_bag, tmp_path):
     sensor = load_sensor("sample_rig")
-    with pytest.raises(RecordingError, match=r"rest: found no frame from 50 to 60 s"):
+    with pytest.raises(FrameSourceError, match=r"rest: found no frame from 50 to 60 s"):
         read_motion(weigh_bag, sensor, rest_s=(50, 60))
     bag = write_wrench_bag(tmp_path / "bag", [(1, 1, np.zeros(6))])
-    with pytest.raises(BagError, match=r"found the topics /ft/wrench .*; expected images or"):
+    with pytest.raises(
+        FrameSourceError, match=r"found the topics /ft/wrench .*; expected images or"
+    ):
         read_motion(bag, sensor)
     pattern = dataclasses.replace(sensor.pattern, rows=10)
     other = dataclasses.replace(sensor, pattern=pattern)
-    with pytest.raises(BagError, match=r"no frame can be used: .*found 20, 20, "):
+    with pytest.raises(FrameSourceError, match=r"no frame can be used: .*found 20, 20, "):
         read_motion(weigh_bag, other, "/sample_rig/truth/surface")

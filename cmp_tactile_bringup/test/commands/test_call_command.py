@@ -18,14 +18,14 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_bringup.commands import parse, running
-from cmp_tactile_bringup.commands.running import RunningSensorError
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.nodes.replay import Replay
 from cmp_tactile_msgs.msg import Contact, ForceField
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros import process, services
-from cmp_tactile_processing.ros.services import ServiceError, settled
+from cmp_tactile_processing.ros.services import settled
 
 
 @pytest.fixture
@@ -89,9 +89,7 @@ def test_a_zero_under_load_is_refused_with_the_load(ros, run, capsys):
     ros.start(ViewSplitter)
     zeroed = Zeroed(ros, success=True, message="reference 2")
     pressed(ros, contacts=2)
-    with pytest.raises(
-        RunningSensorError, match=r"found a load of 5\.00 N \(2 contacts\).*--loaded"
-    ):
+    with pytest.raises(CmpTactileError, match=r"found a load of 5\.00 N \(2 contacts\).*--loaded"):
         run("zero")
     assert zeroed.count == 0
     assert run("zero", "--loaded") == 0
@@ -103,7 +101,7 @@ def test_a_sensor_without_frames_refuses(ros, run):
     """The node itself, and what it answers."""
     ros.start(ViewSplitter)
     ros.start(StereoTriangulator, reference_timeout=0.2)
-    with pytest.raises(ServiceError, match=r"refused: found 0 frames .*left/grid .*expected 10"):
+    with pytest.raises(CmpTactileError, match=r"refused: found 0 frames .*left/grid .*expected 10"):
         run("zero")
 
 
@@ -114,7 +112,7 @@ def test_of_several_sensors_one_is_to_be_named(ros, run):
     )
     zeroed = Zeroed(ros, success=True, message="")
     both = f"expected the namespace of one of: {ros.namespace}, {ros.namespace}/below"
-    with pytest.raises(RunningSensorError, match=both):
+    with pytest.raises(CmpTactileError, match=both):
         run("zero")
     assert run("zero", ros.namespace) == 0
     assert zeroed.count == 1
@@ -124,12 +122,12 @@ def test_of_several_sensors_one_is_to_be_named(ros, run):
 def test_no_sensor_and_one_of_another_name(ros, run, monkeypatch):
     monkeypatch.setattr(running, "SEARCH_TIME_S", 0.3)
     with pytest.raises(
-        RunningSensorError, match="found no running sensor, expected one; is ROS_DOMAIN"
+        CmpTactileError, match="found no running sensor, expected one; is ROS_DOMAIN"
     ):
         run("zero")
     monkeypatch.setattr(running, "SEARCH_TIME_S", 3.0)
     ros.start(ViewSplitter)
-    with pytest.raises(RunningSensorError, match=f"in /thumb, expected {ros.namespace}"):
+    with pytest.raises(CmpTactileError, match=f"in /thumb, expected {ros.namespace}"):
         run("zero", "thumb")
 
 
@@ -153,7 +151,7 @@ def test_a_replay_is_stepped_moved_and_resumed(ros, run, grasp_bag, capsys):
     assert stamps_of(images)[-1] - stamps[0] == pytest.approx(0.4e9, abs=0.04e9)
     assert run("call", "replay/pause", "data:=false") == 0
     assert capsys.readouterr().out.splitlines()[-1] == f"{ros.namespace}/replay/pause: playing"
-    with pytest.raises(ServiceError, match=r"refused: .*playing, expected paused"):
+    with pytest.raises(CmpTactileError, match=r"refused: .*playing, expected paused"):
         run("call", "replay/step")
 
 
@@ -190,7 +188,7 @@ def test_a_wrong_name_or_value_is_one_line_with_what_there_is(
     # All is found: what is not there need not be looked for.
     monkeypatch.setattr(services, "settled", lambda ask, *_: settled(ask, 0.2, 0.1))
     for words, error in WRONG_CALLS.items():
-        with pytest.raises(ServiceError, match=error) as refused:
+        with pytest.raises(CmpTactileError, match=error) as refused:
             run(*words.split())
         assert "\n" not in str(refused.value)
 
@@ -199,7 +197,7 @@ def test_a_wrong_name_or_value_is_one_line_with_what_there_is(
 def test_no_parameter_is_set_where_one_is_refused(ros, run, grasp_bag):
     """Reports: ros2/rclcpp 1952, ros2/ros2cli 721; tried: those before it were set."""
     replay = ros.start(Replay, input=str(grasp_bag), paused=True)
-    with pytest.raises(ServiceError, match=r"refused: .*start"):
+    with pytest.raises(CmpTactileError, match=r"refused: .*start"):
         run("call", "replay", "rate:=4", "start:=-1")
     assert replay.get_parameter("rate").value == 1.0
 
@@ -219,7 +217,7 @@ def test_a_name_that_several_have_is_asked_about_and_one_that_comes_late_is_foun
 
     assert run("call", "go", meanwhile=start) == 0
     ros.node.create_service(Trigger, "b/go", answer)
-    with pytest.raises(ServiceError, match=f"several, .*: {ros.namespace}/a/go, .*/b/go"):
+    with pytest.raises(CmpTactileError, match=f"several, .*: {ros.namespace}/a/go, .*/b/go"):
         run("call", "go")
     assert run("call", "b/go") == 0
 

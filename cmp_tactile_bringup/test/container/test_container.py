@@ -13,8 +13,8 @@ pytest.importorskip("rclpy")
 
 from rclpy.logging import LoggingSeverity, get_logger_effective_level
 
-from cmp_tactile_bringup.errors import ComponentError, ComponentLoadError
 from cmp_tactile_bringup.graphs.description import Component
+from cmp_tactile_processing.errors import CmpTactileError
 
 SAMPLES = Path(__file__).parents[1] / "sample_components"
 TIMEOUT_S = 60.0
@@ -38,7 +38,7 @@ def rig(make_box: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 )
 def test_failing_component_is_reported_and_leaves_no_node(rig, plugin, message):
     rig.load("Echo")
-    with pytest.raises(ComponentLoadError, match=message):
+    with pytest.raises(CmpTactileError, match=message):
         rig.load(plugin, name="x")
     assert [item.full_name for item in rig.container.list().values()] == [f"{rig.namespace}/echo"]
     rig.wait(lambda: rig.names() == ["echo"], "the failed node to be gone")
@@ -47,7 +47,7 @@ def test_failing_component_is_reported_and_leaves_no_node(rig, plugin, message):
 def test_a_second_component_of_one_name_is_refused(rig):
     rig.load("Echo", name="twin")
     with pytest.raises(
-        ComponentLoadError, match=rf"found the name {rig.namespace}/twin, which id 1 has"
+        CmpTactileError, match=rf"found the name {rig.namespace}/twin, which id 1 has"
     ):
         rig.load("Ticker", name="twin")
     assert list(rig.container.list()) == [1]
@@ -57,9 +57,9 @@ def test_a_second_component_of_one_name_is_refused(rig):
 
 
 def test_wrong_names_are_one_line(rig):
-    with pytest.raises(ComponentLoadError, match=r"a b \(sample_components::Echo\): [^\n]*a b"):
+    with pytest.raises(CmpTactileError, match=r"a b \(sample_components::Echo\): [^\n]*a b"):
         rig.load("Echo", name="a b")
-    with pytest.raises(ComponentLoadError, match="found package 'other'"):
+    with pytest.raises(CmpTactileError, match="found package 'other'"):
         rig.container.load(Component("other", "sample_components::Echo"))
 
 
@@ -67,7 +67,7 @@ def test_busy_component_is_reported_and_goes_once_it_can(rig):
     sticks = rig.load("Sticks", parameters={"seconds": 1.0})
     assert sys.modules["sample_components"].Sticks.began.wait(TIMEOUT_S)
     with pytest.raises(
-        ComponentError, match=r"sticks: found a callback that still runs after 0.05 s"
+        CmpTactileError, match=r"sticks: found a callback that still runs after 0.05 s"
     ):
         rig.container.unload(sticks, timeout=0.05)
     assert rig.container.list() == {}
@@ -80,7 +80,7 @@ def test_shutdown_ends_everything(rig):
     def load_slow() -> None:
         try:
             rig.load("Slow", parameters={"seconds": 1.0})
-        except ComponentLoadError as error:
+        except CmpTactileError as error:
             waiting.append(str(error))
 
     for number in range(3):
@@ -93,7 +93,7 @@ def test_shutdown_ends_everything(rig):
     assert "the container is shutting down" in waiting[0]
     assert rig.container.list() == {}
     rig.wait(lambda: rig.names() == [], "all nodes to be gone")
-    with pytest.raises(ComponentLoadError, match="the container is shutting down"):
+    with pytest.raises(CmpTactileError, match="the container is shutting down"):
         rig.load("Echo")
 
 
@@ -101,5 +101,5 @@ def test_log_level(rig):
     rig.load("Echo", name="quiet", log_level=int(LoggingSeverity.ERROR))
     logger = f"{rig.namespace[1:]}.quiet"
     assert get_logger_effective_level(logger) is LoggingSeverity.ERROR
-    with pytest.raises(ComponentLoadError, match="log level: 7 is not a valid"):
+    with pytest.raises(CmpTactileError, match="log level: 7 is not a valid"):
         rig.load("Echo", log_level=7)

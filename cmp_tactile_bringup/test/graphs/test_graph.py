@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from cmp_tactile_bringup.errors import GraphError
 from cmp_tactile_bringup.graphs.description import parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import load_graph
+from cmp_tactile_processing.errors import InputError
 
 GRAPH = '''
 from cmp_tactile_bringup.graphs.description import Argument, Component, graph
@@ -62,7 +62,7 @@ def test_arguments_and_their_types(path):
     ],
 )
 def test_wrong_arguments_are_reported(path, arguments, message):
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(InputError, match=message):
         load_graph(str(path), arguments)
 
 
@@ -79,19 +79,19 @@ def test_wrong_files_are_reported(path, old, new, message):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(InputError, match=message):
         load_graph(str(path))
 
 
 def test_a_file_defines_one_graph(path, tmp_path):
     path.write_text("from cmp_tactile_bringup.graphs.packaged import gripper")
-    with pytest.raises(GraphError, match="found no graphs, expected one: a Python file with one f"):
+    with pytest.raises(InputError, match="found no graphs, expected one: a Python file with one f"):
         load_graph(str(path))
     path.write_text(GRAPH + GRAPH.replace("def mine", "def another"))
-    with pytest.raises(GraphError, match=r"my_graph\.py: found 2 graphs"):
+    with pytest.raises(InputError, match=r"my_graph\.py: found 2 graphs"):
         load_graph(str(path))
     (tmp_path / "graph.yaml").write_text("version: 1")
-    with pytest.raises(GraphError, match=r"graph\.yaml: found no graphs, expected one: a Python"):
+    with pytest.raises(InputError, match=r"graph\.yaml: found no graphs, expected one: a Python"):
         load_graph(str(tmp_path / "graph.yaml"))
 
 
@@ -142,5 +142,5 @@ hand: {right: {force: {ros__parameters: {gain: 2.0, sizes: [1, 2]}}}}
 )
 def test_mistakes_in_parameter_files_are_reported(file, text, message):
     file.write_text(text)
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(InputError, match=message):
         parameters_of_nodes(file, NODES)

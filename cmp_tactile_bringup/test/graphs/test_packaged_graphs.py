@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from cmp_tactile_bringup.errors import ComponentLoadError, GraphError
 from cmp_tactile_bringup.graphs.description import (
     LAUNCH_ARGUMENTS,
     check_recordings,
@@ -16,6 +15,7 @@ from cmp_tactile_bringup.graphs.description import (
 )
 from cmp_tactile_bringup.graphs.packaged import GRAPHS, load_graph
 from cmp_tactile_bringup.graphs.rviz import rviz_settings, rviz_settings_file
+from cmp_tactile_processing.errors import CmpTactileError, InputError
 
 ROOT = Path(__file__).resolve().parents[3]
 DOCUMENT = ROOT / "docs" / "launch.md"
@@ -95,7 +95,7 @@ def test_a_sensor_has_the_namespace_and_the_name_that_it_is_given():
     absolute = _load("replay", namespace="/hand/left")
     assert {component.namespace for component in absolute.components} == {"/hand/left"}
     for name, value in (("name", "a b"), ("namespace", "a-b"), ("namespace", "a__b")):
-        with pytest.raises(GraphError, match=f"argument {name}: found '{value}', expected "):
+        with pytest.raises(InputError, match=f"argument {name}: found '{value}', expected "):
             _load("replay", **{name: value})
 
 
@@ -103,11 +103,11 @@ def test_a_recording_brings_the_sensor_beside_it(grasp_bag, tmp_path):
     graph = _load("replay", input=str(grasp_bag))
     assert graph.sensors[0].description == (grasp_bag / "sensor.yaml").resolve()
     assert graph.components[-1].parameters["input"] == str(grasp_bag.resolve())
-    with pytest.raises(GraphError, match="argument sensor: found nothing, expected the file of a"):
+    with pytest.raises(InputError, match="argument sensor: found nothing, expected the file of a"):
         _load("replay", input=str(tmp_path))
     # What is not there is named before its sensor.
     message = "argument left_input: /nowhere: found no such file or folder, expected a ROS 2 bag"
-    with pytest.raises(GraphError, match=message):
+    with pytest.raises(InputError, match=message):
         _load("gripper", left_source="replay", left_input="/nowhere")
 
 
@@ -206,25 +206,25 @@ def test_only_what_is_live_and_not_recorded_passes_frames_over(name, given, live
 
 
 def test_a_camera_needs_a_description(tmp_path):
-    with pytest.raises(GraphError, match="argument sensor: found nothing, expected the file of"):
+    with pytest.raises(InputError, match="argument sensor: found nothing, expected the file of"):
         _load("sensor")
-    with pytest.raises(GraphError, match="argument right_sensor: found nothing, expected the file"):
+    with pytest.raises(InputError, match="argument right_sensor: found nothing, expected the file"):
         _load("gripper", right_source="v4l2")
     with pytest.raises(
-        GraphError, match="right_device: found x, which has no effect with right_so"
+        InputError, match="right_device: found x, which has no effect with right_so"
     ):
         _load("gripper", right_device="x")
 
 
 @pytest.mark.parametrize("mount", ["0 0 0", "0 0 0 0 0 up", "nan 0 0 0 0 0"])
 def test_a_mount_is_six_numbers(mount):
-    with pytest.raises(GraphError, match=f"argument mount: found '{mount}', expected six numbers"):
+    with pytest.raises(InputError, match=f"argument mount: found '{mount}', expected six numbers"):
         _load("replay", mount=mount)
 
 
 def test_a_recording_is_not_written_over(tmp_path, grasp_bag):
     graph = _load("replay", input=str(grasp_bag), record=str(tmp_path))
-    with pytest.raises(ComponentLoadError, match=r"recorder .* found an existing"):
+    with pytest.raises(CmpTactileError, match=r"recorder .* found an existing"):
         check_recordings(graph)
 
 
@@ -331,5 +331,5 @@ def test_the_graph_of_the_document_can_be_loaded(tmp_path):
     *_, mine, camera = load_graph(str(file), {"scene": "slip", "gain": "0.5"}).components
     assert (mine.full_name, mine.parameters) == ("/prototype/filter", {"gain": 0.5})
     assert camera.parameters["input"] == "slip"
-    with pytest.raises(GraphError, match=r"argument device: found x, which has no effect with so"):
+    with pytest.raises(InputError, match=r"argument device: found x, which has no effect with so"):
         load_graph(str(file), {"device": "x"})

@@ -13,8 +13,8 @@ import pytest
 from command_output import run
 from waiting import wait_until
 
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.offline import processor
+from cmp_tactile_processing.errors import OutputError
 
 MADE = (".mcap", "_wrench.csv")
 

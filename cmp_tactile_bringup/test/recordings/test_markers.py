@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from command_output import one_line_error, printed, run
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.markers import read_markers
 from cmp_tactile_processing.elastic.model import ElasticModel
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import ForceFlag
 from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_processing.sensor.parts import PatternSurface

@@ -8,9 +8,9 @@ from command_output import printed, run
 from mcap.reader import make_reader
 
 from cmp_tactile_bringup.offline.imported import agreement
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.tac3d import read_tac3d, tac3d_folders
 from cmp_tactile_processing.elastic.model import ElasticModel
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

@@ -22,6 +22,8 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 from rosbags.rosbag2 import Reader
 
+from cmp_tactile_processing.errors import FrameSourceError
+
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 HEAD_BYTES = 12
 """Of a message: what names the encoding, and the stamp of a header that it begins with."""
@@ -31,10 +33,6 @@ KEPT_CHUNKS = 4
 
 Found = Iterator[tuple[str, int, Any, bytes]]
 """Topic, time of receipt, place in the file and bytes of messages."""
-
-
-class DamageError(Exception):
-    """Bytes that are no message, no file of its format, or are not there."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ class StoredMessage:
 
 
 def unpacked(data: bytes) -> bytes:
-    """A message that rosbag2 may have compressed by itself; DamageError where it cannot be."""
+    """A message that rosbag2 may have compressed by itself; FrameSourceError where it cannot be."""
     if not data.startswith(ZSTD_MAGIC):
         return data
     # Takes frames that do not state how long their content is, too.
@@ -70,9 +68,9 @@ def unpacked(data: bytes) -> bytes:
     try:
         content = unpacking.decompress(data)
     except zstandard.ZstdError as error:
-        raise DamageError(str(error)) from None
+        raise FrameSourceError(str(error)) from None
     if not unpacking.eof:
-        raise DamageError("a compressed message is incomplete")
+        raise FrameSourceError("a compressed message is incomplete")
     return content
 
 
@@ -101,12 +99,12 @@ class BagFile(ABC):
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises DamageError where nothing of it can be read."""
+        """Raises FrameSourceError where nothing of it can be read."""
         self.path = path
         self.topics: dict[str, str] = {}
         self.damage = ""
         if not path.stat().st_size:
-            raise DamageError("the file is empty")
+            raise FrameSourceError("the file is empty")
 
     def index(self, topics: Collection[str]) -> list[StoredMessage]:
         """The messages of some topics without their bytes, in the order of the file.
@@ -118,7 +116,7 @@ class BagFile(ABC):
         for topic, received_ns, where, data in self._messages(topics):
             try:
                 stamp_ns = head_stamp_ns(data)
-            except DamageError as error:
+            except FrameSourceError as error:
                 self.damage = str(error)
                 continue
             found.append(StoredMessage(topic, self.topics[topic], received_ns, stamp_ns, where))
@@ -146,12 +144,12 @@ class McapBagFile(BagFile):
         self._channels: dict[int, Channel] = {}
         with path.open("rb") as file:
             if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                raise DamageError("found no MCAP in it")
+                raise FrameSourceError("found no MCAP in it")
             self._take_summary(file)
         if not self.topics:
             self.index(())
         if self.damage and not self.topics:
-            raise DamageError(self.damage)
+            raise FrameSourceError(self.damage)
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[tuple[int, int]], bytes]]:
@@ -256,7 +254,7 @@ class SqliteBagFile(BagFile):
                     encoding = getattr(item.ext, "serialization_format", "cdr")
                     self.topics[item.topic] = full_kind(item.msgtype, encoding)
         except Exception as error:  # noqa: BLE001  damaged bytes raise anything
-            raise DamageError("; ".join(filter(None, (str(error), self._lost)))) from None
+            raise FrameSourceError("; ".join(filter(None, (str(error), self._lost)))) from None
 
     @contextmanager
     def opened(self) -> Iterator[Callable[[tuple[frozenset[int], int, int]], bytes]]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import VIEWS, SourceHealth, join_views
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from typing import TypeVar, cast
 from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer, Worker
 from cmp_tactile_driver.sources.parameters import ReplayParameters
+from cmp_tactile_processing.errors import FrameSourceError
 
 T = TypeVar("T")
 

@@ -23,10 +23,9 @@ from rosbags.typesys import Stores, get_typestore
 from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
-from cmp_tactile_driver.errors import BagError, WrongSizeError
 from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
-from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError, InputError
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.measured import GridShape, Surface
@@ -115,8 +114,8 @@ class BagReader:
         """topic: empty for the only image topic.  expected_size: absent for the first frame's.
 
         shape: of surfaces, which are read where the bag has no images, or topic names them; absent
-        where only frames are of use.  Raises BagError for a bag that cannot be read or has no such
-        topic.
+        where only frames are of use.
+        Raises FrameSourceError for a bag that cannot be read or has no such topic.
         """
         self._path, self.name = path, str(path)
         self._storage = BagStorage(path)
@@ -128,7 +127,7 @@ class BagReader:
         self._info_topic = _info_topic(self._storage.topics, self.image_topic)
         self._depth = BitDepth(f"{path}: {self.image_topic}", look_ahead=self._used_bits)
         self._given_size = expected_size
-        self._expected_size = expected_size
+        self._expected_size, self._wrong_sizes = expected_size, 0
         self._health = SourceHealth()
 
     @property
@@ -158,7 +157,7 @@ class BagReader:
 
     @cached_property
     def frame_rate(self) -> float:
-        """Of its first frames, Hz; BagError where none is good."""
+        """Of its first frames, Hz; FrameSourceError where none is good."""
         times_s = [frame.time_s for frame in islice(self.frames(), FRAMES_FOR_RATE)]
         interval_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
         return min(1 / interval_s, 1000.0) if interval_s > 0 else DEFAULT_FRAME_RATE
@@ -197,11 +196,11 @@ class BagReader:
 
         A frame of an encoding, size, stamp or content that cannot be used is skipped and counted, a
         camera info that cannot be read is skipped.
-        Raises BagError where there is no good frame, unless the span has none at all.
+        Raises FrameSourceError where there is no good frame, unless the span has none at all.
         """
         self._health = SourceHealth()
         self._expected_size = self._given_size
-        count = wrong_sizes = 0
+        count = self._wrong_sizes = 0
         for stored in self._storage.read(self._timeline.part(span)):
             if stored.topic == self._info_topic:
                 if self._is_camera_info(stored):
@@ -209,11 +208,10 @@ class BagReader:
                 continue
             try:
                 frame = self._read_frame(stored)
-            except (FrameError, GeometryError) as error:
+            except (FrameError, InputError) as error:
                 where = f"{self._path}: {self.image_topic} at {stored.time_ns} ns"
                 self._health = self._health.with_bad_frame(f"{where}: {error}")
-                wrong_sizes += isinstance(error, WrongSizeError)
-                if wrong_sizes == MOST_WRONG_SIZES and not count:
+                if self._wrong_sizes == MOST_WRONG_SIZES and not count:
                     break
                 continue
             count += 1
@@ -221,7 +219,7 @@ class BagReader:
         if not count and (span == WHOLE or self._health.bad_frames):
             reason = self.health.problem.replace(f"{self._path}: ", "") or "the topic is empty"
             msg = f"{self._path}: {self.image_topic}: no frame can be used: {reason}"
-            raise BagError(msg)
+            raise FrameSourceError(msg)
 
     def _is_camera_info(self, stored: StoredMessage) -> bool:
         """Whether others will be able to read it, as they get the bytes that are there."""
@@ -271,8 +269,9 @@ class BagReader:
 
     def _check_size(self, size: ImageSize) -> None:
         if self._expected_size not in (None, size):
+            self._wrong_sizes += 1
             msg = f"found {size_text(size)}, expected {size_text(self._expected_size)}"
-            raise WrongSizeError(msg)
+            raise FrameError(msg)
 
 
 def _topics_with_frames(storage: BagStorage, wanted: str) -> dict[str, str]:
@@ -308,10 +307,10 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: 
         if found_on := [name for name in (wanted, base, base + COMPRESSED) if name in images]:
             return found_on[0]
         msg = f"{path}: found no images on {wanted!r}; topics: {found}"
-        raise BagError(msg)
+        raise FrameSourceError(msg)
     if not images:
         msg = f"{path}: found no topic of type {IMAGE} or {COMPRESSED_IMAGE}; topics: {found}"
-        raise BagError(msg)
+        raise FrameSourceError(msg)
     if len(images) == 1:
         return images[0]
     bases = {name: name.removesuffix(COMPRESSED) for name in images}
@@ -322,7 +321,7 @@ def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: 
     if len({bases[name] for name in outermost}) == 1:
         return outermost[0]
     msg = f"{path}: found several image topics, expected the name of one of: {', '.join(images)}"
-    raise BagError(msg)
+    raise FrameSourceError(msg)
 
 
 def _surface_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
@@ -334,7 +333,7 @@ def _surface_topic(path: Path, topics: dict[str, str], wanted: str) -> str:
     found = f"the topics {_listed(topics)}" if topics else "no topics"
     one = f"one of: {', '.join(names)}" if names else f"images or {SURFACE}"
     msg = f"{path}: found {found}; expected {wanted or one}"
-    raise BagError(msg)
+    raise FrameSourceError(msg)
 
 
 def _listed(topics: dict[str, str]) -> str:

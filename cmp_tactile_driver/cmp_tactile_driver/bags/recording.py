@@ -15,9 +15,9 @@ from cmp_tactile_driver.bags.storage import (
     is_bag_file,
 )
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import files, frames
 from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.sensor.description import SensorDescription

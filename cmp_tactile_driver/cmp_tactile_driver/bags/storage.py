@@ -19,15 +19,14 @@ import zstandard
 
 from cmp_tactile_driver.bags.files import (
     BagFile,
-    DamageError,
     McapBagFile,
     SqliteBagFile,
     StoredMessage,
     unpacked,
 )
 from cmp_tactile_driver.bags.timeline import run_on
-from cmp_tactile_driver.errors import BagError
 from cmp_tactile_driver.sources.files import foreign_content
+from cmp_tactile_processing.errors import FrameSourceError
 
 FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
 STORAGE_SUFFIXES = tuple(FORMATS)
@@ -44,15 +43,16 @@ class BagStorage:
     def __init__(self, path: Path) -> None:
         """path: a folder, or one .mcap or .db3 file.
 
-        Raises BagError for a path that is absent or no bag, and for a bag of which nothing is left.
+        Raises FrameSourceError for a path that is absent or no bag, and for a bag of which nothing
+        is left.
         """
         if not path.exists():
             msg = f"{path}: found no such file or folder, expected a ROS 2 bag"
-            raise BagError(msg)
+            raise FrameSourceError(msg)
         if path.is_file() and not is_bag_file(path):
             kinds = f"a folder, {' or '.join(STORAGE_SUFFIXES)}"
             msg = f"{path}: found a {path.suffix or 'nameless'} file, expected {kinds}"
-            raise BagError(msg)
+            raise FrameSourceError(msg)
         self._path = path
         self._listed, self._counts = _read_metadata(path)
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
@@ -60,7 +60,7 @@ class BagStorage:
         self._faults: list[str] = []
         self._files = list(self._opened_files())
         if not self._files:
-            raise BagError("; ".join(self._faults))
+            raise FrameSourceError("; ".join(self._faults))
         self.topics: dict[str, str] = {}
         for file in self._files:
             self.topics = {**file.topics, **self.topics}
@@ -124,11 +124,11 @@ class BagStorage:
                 continue
             try:
                 yield self._open_file(path)
-            except DamageError as error:
+            except FrameSourceError as error:
                 self._faults.append(f"{path}: damaged, no message can be read: {error}")
 
     def _listed_files(self) -> list[Path]:
-        """The files of the bag that are there; BagError for none."""
+        """The files of the bag that are there; FrameSourceError for none."""
         if self._path.is_file():
             return [self._path]
         listed = [self._path / name for name in self._listed]
@@ -142,7 +142,7 @@ class BagStorage:
         if not found:
             kinds = " or ".join(STORAGE_SUFFIXES)
             msg = f"{self._path}: not a readable ROS 2 bag: found no {kinds} file"
-            raise BagError(msg)
+            raise FrameSourceError(msg)
         return found
 
     def _open_file(self, path: Path) -> BagFile:
@@ -157,7 +157,7 @@ class BagStorage:
             try:
                 zstandard.ZstdDecompressor().copy_stream(source, out)
             except zstandard.ZstdError as error:
-                raise DamageError(str(error)) from None
+                raise FrameSourceError(str(error)) from None
         return target
 
 

@@ -20,8 +20,7 @@ from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from cmp_tactile_driver.errors import BagWriteError
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, OutputError
 from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
 from cmp_tactile_processing.sensor.description import find_sensor_description
 from cmp_tactile_processing.sensor.yaml_section import read_yaml
@@ -37,7 +36,7 @@ MESSAGE_LIMIT = 20_000
 def put_sensor_beside(bag: Path, sensor_description: str, sensor_name: str = "") -> None:
     """Copy a description, file or packaged name, into a bag; sensor_name: instead of its name.
 
-    Raises DescriptionError where there is none, BagWriteError where it cannot be written.
+    Raises InputError where there is none, OutputError where it cannot be written.
     """
     source = find_sensor_description(sensor_description)
     text = source.read_text(encoding="utf-8")
@@ -48,13 +47,13 @@ def put_sensor_beside(bag: Path, sensor_description: str, sensor_name: str = "")
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         msg = f"{path}: cannot be written: {error.strerror}"
-        raise BagWriteError(msg) from None
+        raise OutputError(msg) from None
 
 
 class BagWriter:
     """One bag; a context manager, not for several threads at once.
 
-    The same messages give the same bytes.  Whatever cannot be written raises BagWriteError, after
+    The same messages give the same bytes.  Whatever cannot be written raises OutputError, after
     which the bag may only be closed: what was written before stays, without an index.
 
     folder: the bag.  path: its MCAP file.
@@ -73,7 +72,7 @@ class BagWriter:
         self._has_failed, self._size = False, 0
         if folder.exists():
             msg = f"{folder}: exists already, expected a new name for the bag"
-            raise BagWriteError(msg)
+            raise OutputError(msg)
         self._writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         for name, value in (facts or {}).items():
             self._writer.set_custom_data(name, value)
@@ -108,7 +107,7 @@ class BagWriter:
         """Name a topic before its first message; again is no fault.
 
         kind: such as "sensor_msgs/msg/Image".  qos: profiles of its publishers, for a replay.
-        definition: absent for the installed one; raises MessageDefinitionError where there is none.
+        definition: absent for the installed one; raises CmpTactileError where there is none.
         """
         if name not in self._topics:
             definition = definition or message_definition(kind)
@@ -153,7 +152,7 @@ class BagWriter:
             with suppress(OSError):
                 self._writer.abort()
             msg = f"{place}: cannot be written: {getattr(error, 'strerror', error)}"
-            raise BagWriteError(msg) from None
+            raise OutputError(msg) from None
 
 
 class RecorderState(Enum):

@@ -14,7 +14,7 @@ from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
 
 from cmp_tactile_driver.bags.reader import calibration_mismatch
-from cmp_tactile_processing.errors import CmpTactileError, DescriptionError, ParameterError
+from cmp_tactile_processing.errors import CmpTactileError, InputError
 from cmp_tactile_processing.geometry.rectification import (
     ViewCameraInfo,
     read_camera_info,
@@ -52,7 +52,7 @@ def camera_info_of(sensor: SensorDescription, header: Header) -> CameraInfo:
 def camera_info_path(url: str, camera_name: str) -> Path | None:
     """The path; None for an empty URL.  ${NAME} is the camera's, ${ROS_HOME} as ROS has it.
 
-    Raises ParameterError for another kind of URL and for a package that is not there.
+    Raises InputError for another kind of URL and for a package that is not there.
     """
     if not url:
         return None
@@ -71,9 +71,9 @@ def camera_info_path(url: str, camera_name: str) -> Path | None:
                 f"camera_driver.camera_info_url: found no package {package!r} for {url!r}, "
                 "expected an installed one"
             )
-            raise ParameterError(msg) from None
+            raise InputError(msg) from None
     msg = f"camera_driver.camera_info_url: found {url!r}, expected {EXPECTED}"
-    raise ParameterError(msg)
+    raise InputError(msg)
 
 
 class CameraCalibration:
@@ -113,7 +113,7 @@ class CameraCalibration:
         self._info = camera_info_to_msg(info, Header())
 
     def _checked(self, origin: str, info: ViewCameraInfo) -> str:
-        """In what it differs from the description; DescriptionError for another size."""
+        """In what it differs from the description; InputError for another size."""
         image = self._sensor.image
         for field in ("width", "height"):
             found, expected = getattr(info, field), getattr(image, field)
@@ -122,7 +122,7 @@ class CameraCalibration:
                     f"{origin}: image_{field}: found {found}, expected {expected} as in the "
                     f"description of {self._sensor.name}"
                 )
-                raise DescriptionError(msg)
+                raise InputError(msg)
         return self._difference(origin, info)
 
     def _difference(self, origin: str, info: ViewCameraInfo) -> str:
@@ -147,7 +147,7 @@ class CameraCalibration:
         if self._path is None:
             what = "a place to store the calibration"
             msg = f"camera_driver.camera_info_url: found nothing, expected {what}: {EXPECTED}"
-            raise DescriptionError(msg)
+            raise InputError(msg)
         info = camera_info_from_msg(message)
         problem = self._checked(SERVICE, info)
         try:
@@ -155,6 +155,6 @@ class CameraCalibration:
             write_camera_info(self._path, self._sensor.ros_name, info)
         except OSError as error:
             msg = f"{self._path}: cannot be written: {error.strerror}"
-            raise DescriptionError(msg) from None
+            raise InputError(msg) from None
         self._info, self.problem = camera_info_to_msg(info, Header()), problem
         return f"stored in {self._path}" + (f"; {problem}" if problem else "")

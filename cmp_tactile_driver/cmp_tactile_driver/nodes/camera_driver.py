@@ -13,13 +13,12 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, Image
 
-from cmp_tactile_driver.errors import SourceNotReadyError
 from cmp_tactile_driver.nodes.camera_calibration import CameraCalibration, image_qos
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import Capture, CaptureState, on_clock
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
-from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.errors import CmpTactileError, InputError, SourceNotReadyError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
@@ -102,7 +101,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
             msg = (
                 f"{name}: parameter input: found nothing, expected a folder, file or scene to open"
             )
-            raise ParameterError(msg)
+            raise InputError(msg)
         self._open = frames.find_source(self._settings.source)
         self._sensor = load_sensor(own.sensor_description, own.sensor_name)
         self._frame_id = camera_frame(self._sensor)

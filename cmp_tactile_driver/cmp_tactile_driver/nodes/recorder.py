@@ -35,11 +35,10 @@ from cmp_tactile_driver.bags.writer import (
     Tap,
     put_sensor_beside,
 )
-from cmp_tactile_driver.errors import BagError, BagWriteError
 from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.cache.files import expanded_path
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, InputWatch, SentFrames
@@ -266,7 +265,7 @@ class Recorder(ReportingNode):
         topics = self._settings.topics.replace(",", " ").split()
         if not topics:
             msg = f"{self.get_name()}: parameter topics: found none, expected at least one"
-            raise BagWriteError(msg)
+            raise OutputError(msg)
         self._watch = TopicWatch(self, topics)
         # Of the recording.
         self.bag: Path | None = None
@@ -294,7 +293,7 @@ class Recorder(ReportingNode):
         writer = BagWriter(folder, compressed=settings.compression == "zstd")
         try:
             put_sensor_beside(folder, settings.sensor_description, settings.sensor_name)
-        except BagWriteError:
+        except OutputError:
             writer.close()
             raise
         self.bag = folder
@@ -390,7 +389,7 @@ class Recorder(ReportingNode):
                 self._start()
             elif not request.data:
                 self.stop()
-        except (BagError, BagWriteError) as error:
+        except (FrameSourceError, OutputError) as error:
             response.success = False
             response.message = str(error)
             return response

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.tac3d import RunningTac3d
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.messages import conversions

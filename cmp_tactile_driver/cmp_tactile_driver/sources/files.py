@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError, WrongSizeError
 from cmp_tactile_driver.sources import frames
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError
 from cmp_tactile_processing.image.encodings import BitDepth, decode_image, not_turned
 
 WEBP_HEAD_BYTES = 21
@@ -121,7 +120,7 @@ class _Images:
     def __init__(self, path: Path, expected_size: frames.ImageSize | None) -> None:
         """expected_size: where absent, the size of the first image that is compared."""
         self._path, self.name = path, str(path)
-        self._expected_size = expected_size
+        self._expected_size, self._wrong_sizes = expected_size, 0
         self.health = frames.SourceHealth()
 
     def _wrong_size(self, image: NDArray[np.uint8]) -> str:
@@ -130,6 +129,7 @@ class _Images:
         self._expected_size = self._expected_size or size
         if size == self._expected_size:
             return ""
+        self._wrong_sizes += 1
         return f"found {frames.size_text(size)}, expected {frames.size_text(self._expected_size)}"
 
 
@@ -191,14 +191,13 @@ class ImageFolder(_Images):
         Raises FrameSourceError where none of them is good.
         """
         self.health = frames.SourceHealth()
-        good = wrong_sizes = 0
+        good = self._wrong_sizes = 0
         for number, path in enumerate(self._files):
             try:
                 image = self._load(path)
             except FrameError as error:
                 self.health = self.health.with_bad_frame(str(error))
-                wrong_sizes += isinstance(error, WrongSizeError)
-                if wrong_sizes == frames.MOST_WRONG_SIZES and not good:
+                if self._wrong_sizes == frames.MOST_WRONG_SIZES and not good:
                     raise self._none_good(number + 1) from None
                 continue
             good += 1
@@ -226,7 +225,7 @@ class ImageFolder(_Images):
         wrong = self._wrong_size(image)
         if wrong:
             msg = f"{path}: {wrong}"
-            raise WrongSizeError(msg)
+            raise FrameError(msg)
         return image
 
 

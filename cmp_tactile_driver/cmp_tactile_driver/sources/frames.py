@@ -14,9 +14,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.parameters import CameraParameters
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -221,7 +220,7 @@ def source_names() -> tuple[str, ...]:
 def find_source(name: str) -> SourceFactory:
     """What opens sources of that kind.
 
-    Raises ParameterError for a kind that is not installed, FrameSourceError for one that cannot
+    Raises InputError for a kind that is not installed, FrameSourceError for one that cannot
     be imported.
     """
     for point in entry_points(group=ENTRY_POINT_GROUP):
@@ -241,4 +240,4 @@ def find_source(name: str) -> SourceFactory:
             return factory
     known = ", ".join(source_names()) or "none that is installed"
     msg = f"camera_driver.source: found {name!r}, expected one of {known}"
-    raise ParameterError(msg)
+    raise InputError(msg)

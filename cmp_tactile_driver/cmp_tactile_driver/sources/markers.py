@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.parts import Pattern
 
 Array = NDArray[np.float64]

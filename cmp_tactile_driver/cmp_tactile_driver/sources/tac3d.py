@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.markers import LEAST_KNOWN, MarkerRecording, median_known
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 

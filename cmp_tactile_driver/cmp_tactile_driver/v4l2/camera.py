@@ -10,10 +10,10 @@ from typing import Any
 
 from linuxpy.video import device as v4l2
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_driver.v4l2.controls import CameraControls
 from cmp_tactile_driver.v4l2.devices import VideoDevice, device_error
+from cmp_tactile_processing.errors import FrameSourceError
 
 AUTO = "auto"
 PREFERENCE = ("GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 from rcl_interfaces.msg import IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_driver.v4l2.controls import Control, ControlKind, ControlValue
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.ros.parameters import declare_checked
 
 if TYPE_CHECKING:
@@ -25,7 +24,7 @@ class ControlParameters:
     """Parameters `controls.NAME` of a node, from when it is configured until it is cleaned up.
 
     Those that were given when the node was started are set, the others are as the camera has them.
-    A control that cannot be set is refused with the reason, also at start by ParameterError.  What
+    A control that cannot be set is refused with the reason, also at start by InputError.  What
     the camera makes of them when frames begin to come is shown too, with a warning where it
     keeps other values than were set.
     """
@@ -86,7 +85,7 @@ class ControlParameters:
                     f"{self._source.name}: parameter {PREFIX}{name}: found no such control, "
                     f"expected one of: {known}"
                 )
-                raise ParameterError(msg)
+                raise InputError(msg)
         return given
 
     def _declare(self) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 from linuxpy.ioctl import ioctl
 from linuxpy.video import device as v4l2
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.v4l2.devices import device_error
+from cmp_tactile_processing.errors import FrameSourceError
 
 ControlValue = int | bool | str
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from linuxpy.video.device import V4L2Error
 
-from cmp_tactile_driver.errors import FrameSourceError, SourceNotReadyError
 from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.errors import FrameSourceError, SourceNotReadyError
 
 GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 FORBIDDEN = (errno.EACCES, errno.EPERM)
@@ -21,10 +21,6 @@ DEVICE_ERRORS = (FrameSourceError, V4L2Error, OSError, ValueError)
 DEV = Path("/dev")
 SYS = Path("/sys/class/video4linux")
 LINKS = ("v4l/by-id", "v4l/by-path")
-
-
-class UnpluggedError(SourceNotReadyError):
-    """A camera that was there and is no more."""
 
 
 """What a camera on its way out or in may cause, those of linuxpy among them."""
@@ -41,7 +37,7 @@ def device_error(path: Path | str, action: str, error: OSError) -> FrameSourceEr
     """The error for a user: the device, what was tried, what was found and what is expected."""
     text = f"{path}: {action}: {_reason(path, error)}"
     if error.errno in GONE:
-        return UnpluggedError(text)
+        return SourceNotReadyError(text)
     # udev gives the permission a moment after the kernel has made the device.
     return SourceNotReadyError(text) if error.errno in FORBIDDEN else FrameSourceError(text)
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import (
     VIEWS,
     Frame,
@@ -19,6 +18,7 @@ from cmp_tactile_driver.sources.frames import (
 )
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
 from cmp_tactile_driver.v4l2.source import V4L2Source, next_frame
+from cmp_tactile_processing.errors import FrameSourceError
 
 SEPARATOR = ","
 

@@ -11,13 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import BackOff
 from cmp_tactile_driver.v4l2 import devices
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, V4L2Camera
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
-from cmp_tactile_processing.errors import FrameError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError, SourceNotReadyError
 from cmp_tactile_processing.image.encodings import decode_jpeg, decode_raw
 
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
@@ -153,7 +152,7 @@ class V4L2Source:
             if self._camera is not None:
                 try:
                     self._camera.start()
-                except devices.UnpluggedError as error:
+                except SourceNotReadyError as error:
                     self._lose(str(error))
                 else:
                     self._begin_settling()

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin
 from cmp_tactile_driver.bags.reader import BagReader, RecordedCameraInfo, calibration_mismatch
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
-from cmp_tactile_driver.errors import BagError, FrameSourceError
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -35,23 +35,27 @@ def test_pixels_and_stamps(tmp_path, frames, storage, kind):
 
 
 def test_wrong_paths(tmp_path):
-    with pytest.raises(BagError, match=r"none.mcap: found no such file or folder"):
+    with pytest.raises(FrameSourceError, match=r"none.mcap: found no such file or folder"):
         BagReader(tmp_path / "none.mcap")
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0")
-    with pytest.raises(BagError, match=r"found a .bag file, expected a folder, .mcap or .db3"):
+    with pytest.raises(
+        FrameSourceError, match=r"found a .bag file, expected a folder, .mcap or .db3"
+    ):
         BagReader(tmp_path / "old.bag")
     (tmp_path / "bad.mcap").write_bytes(b"nothing of the kind" * 10)
-    with pytest.raises(BagError, match=r"bad.mcap: damaged, no message can be read"):
+    with pytest.raises(FrameSourceError, match=r"bad.mcap: damaged, no message can be read"):
         BagReader(tmp_path / "bad.mcap")
     (tmp_path / "bad.db3").write_bytes(b"nothing of the kind" * 10)
-    with pytest.raises(BagError, match=r"bad.db3: damaged, no message can be read"):
+    with pytest.raises(FrameSourceError, match=r"bad.db3: damaged, no message can be read"):
         BagReader(tmp_path / "bad.db3")
 
 
 def test_topics_are_listed_where_none_fits(tmp_path, frames):
     info = made_bags.camera_info(frames[0], 0)
     path = made_bags.write(tmp_path / "bag", {"/rig/camera_info": [info]})
-    with pytest.raises(BagError, match=r"topics: /rig/camera_info \(sensor_msgs/msg/CameraInfo\)"):
+    with pytest.raises(
+        FrameSourceError, match=r"topics: /rig/camera_info \(sensor_msgs/msg/CameraInfo\)"
+    ):
         BagReader(path)
 
 
@@ -62,10 +66,10 @@ def test_choice_of_the_topic(tmp_path):
     path = made_bags.write(tmp_path / "sensor", recorded)
     assert BagReader(path).image_topic == "/rig/image_raw"
     assert BagReader(path, "/rig/left/image_raw").image_topic == "/rig/left/image_raw"
-    with pytest.raises(BagError, match="found no images on '/none'"):
+    with pytest.raises(FrameSourceError, match="found no images on '/none'"):
         BagReader(path, "/none")
     two = made_bags.write(tmp_path / "two", {"/a/image_raw": [image], "/b/image_raw": [image]})
-    with pytest.raises(BagError, match=r"several image topics, .*: /a/image_raw, /b"):
+    with pytest.raises(FrameSourceError, match=r"several image topics, .*: /a/image_raw, /b"):
         BagReader(two)
 
 
@@ -131,7 +135,9 @@ def test_two_frames_of_another_size_at_the_beginning_end_the_reading(tmp_path, f
     bag = made_bags.write(tmp_path / "bag", {"/image_raw": messages})
     assert len(list(BagReader(bag, expected_size=(64, 48)).frames())) == len(frames) - 1
     other = BagReader(bag, expected_size=(1024, 768))
-    with pytest.raises(BagError, match=r"no frame can be used.*found 64 x 48 px, expected 1024"):
+    with pytest.raises(
+        FrameSourceError, match=r"no frame can be used.*found 64 x 48 px, expected 1024"
+    ):
         next(other.frames())
     assert other.health.bad_frames == 2
 
@@ -195,7 +201,7 @@ def test_truncated_mcap_gives_what_is_left(large_bag, fraction, with_metadata):
 def test_an_empty_file_is_said_to_be_empty(tmp_path, suffix):
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / f"bag_0.{suffix}").write_bytes(b"")
-    with pytest.raises(BagError, match=rf"bag_0.{suffix}: .*the file is empty"):
+    with pytest.raises(FrameSourceError, match=rf"bag_0.{suffix}: .*the file is empty"):
         BagReader(tmp_path / "bag")
 
 
@@ -222,7 +228,7 @@ def test_truncated_sqlite_is_reported(tmp_path):
     path = made_bags.write(tmp_path / "bag", {"/image_raw": messages}, StoragePlugin.SQLITE3)
     file = next(path.glob("*.db3"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-    with pytest.raises(BagError, match=r"bag.db3: damaged, .*malformed"):
+    with pytest.raises(FrameSourceError, match=r"bag.db3: damaged, .*malformed"):
         BagReader(path)
 
 

@@ -19,8 +19,7 @@ from cmp_tactile_driver.bags.writer import (
     RecorderState,
     Tap,
 )
-from cmp_tactile_driver.errors import BagError
-from cmp_tactile_processing.errors import MessageDefinitionError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError
 from cmp_tactile_processing.ros.messages.definitions import message_definition
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -65,7 +64,7 @@ def test_two_other_libraries_read_every_byte(tmp_path, compressed):
 
 def test_an_unknown_type_is_named():
     with pytest.raises(
-        MessageDefinitionError, match=r"no_such_msgs/msg/Thing: found no Thing\.msg in the share"
+        CmpTactileError, match=r"no_such_msgs/msg/Thing: found no Thing\.msg in the share"
     ):
         message_definition("no_such_msgs/msg/Thing")
 
@@ -108,7 +107,7 @@ def test_whatever_a_message_does_to_its_encoder_the_recording_goes_on(tmp_path):
     def encode(message: bytes) -> EncodedMessage:
         if not message:
             msg = "found nothing"
-            raise BagError(msg)
+            raise FrameSourceError(msg)
         return EncodedMessage(TOPIC, IMAGE, message + b"")
 
     recorder = BagRecorder(BagWriter(tmp_path / "bag"), queue_bytes=1_000_000)

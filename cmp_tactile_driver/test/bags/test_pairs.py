@@ -9,7 +9,7 @@ import pytest
 
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.parts import Roi
 
 MS = 10**6

@@ -13,10 +13,10 @@ from cmp_tactile_driver.bags import player as player_module
 from cmp_tactile_driver.bags.player import PREFETCH_DEPTH, Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Pacer
 from cmp_tactile_driver.sources.frames import SourceHealth
 from cmp_tactile_driver.sources.parameters import ReplayParameters
+from cmp_tactile_processing.errors import FrameSourceError
 
 FRAME_NS = 10_000_000
 IMAGE = np.zeros((2, 2), np.uint8)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from cmp_tactile_driver.bags.recording import recorded_source
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions
+from cmp_tactile_processing.errors import FrameSourceError
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, camera_info_path
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
-from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rectification import (
     ViewCameraInfo,
     read_camera_info,
@@ -132,10 +132,10 @@ def test_without_a_place_to_keep_it_a_calibration_is_refused(ros, folder, descri
 def test_a_file_that_cannot_be_used_ends_the_start(ros, folder, described):
     path = folder / "camera.yaml"
     write_camera_info(path, "other", replace(_model(described), height=480))
-    with pytest.raises(DescriptionError, match="image_height: found 480, expected 768"):
+    with pytest.raises(InputError, match="image_height: found 480, expected 768"):
         _start(ros, folder, f"file://{path}")
     path.write_text("image_width: 3\n")
-    with pytest.raises(DescriptionError, match=r"camera\.yaml"):
+    with pytest.raises(InputError, match=r"camera\.yaml"):
         _start(ros, folder, f"file://{path}")
 
 
@@ -147,8 +147,8 @@ def test_urls(monkeypatch, tmp_path):
     assert camera_info_path("file:///a%20b.yaml", "rig").name == "a b.yaml"
     in_package = camera_info_path("package://cmp_tactile_driver/cameras/a.yaml", "rig")
     assert in_package.parts[-4:] == ("share", "cmp_tactile_driver", "cameras", "a.yaml")
-    with pytest.raises(ParameterError, match="found no package 'nowhere'"):
+    with pytest.raises(InputError, match="found no package 'nowhere'"):
         camera_info_path("package://nowhere/a.yaml", "rig")
     for url in ("/a.yaml", "file://a.yaml", "http://host/a.yaml", "package://cmp_tactile_driver"):
-        with pytest.raises(ParameterError, match=r"found '.*', expected file://PATH or package://"):
+        with pytest.raises(InputError, match=r"found '.*', expected file://PATH or package://"):
             camera_info_path(url, "rig")

@@ -19,7 +19,7 @@ from lifecycle_msgs.msg import Transition
 from sensor_msgs.msg import CameraInfo, Image
 
 from cmp_tactile_driver.nodes.camera_driver import CameraDriver
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 
 NODE = "camera_driver"
 
@@ -42,7 +42,7 @@ def _start(ros, folder, **parameters):
 def test_without_an_input_it_does_not_start(ros):
     """It could never be given one: such a node would stay and never publish."""
     message = r"camera_driver: parameter input: found nothing, expected"
-    with pytest.raises(ParameterError, match=message):
+    with pytest.raises(InputError, match=message):
         ros.start(CameraDriver, source="simulated")
 
 

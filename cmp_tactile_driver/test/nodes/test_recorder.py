@@ -32,9 +32,9 @@ from tf2_msgs.msg import TFMessage
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.storage import BagStorage
-from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_driver.nodes import recorder as recorder_module
 from cmp_tactile_driver.nodes.recorder import Recorder
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, image_to_msg
 from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
@@ -244,13 +244,13 @@ def test_log_times_are_those_of_a_simulated_clock(ros, output):
 
 def test_what_cannot_be_recorded_stops_the_constructor(ros, output, tmp_path):
     output.mkdir()
-    with pytest.raises(BagWriteError, match="bag: exists already"):
+    with pytest.raises(OutputError, match="bag: exists already"):
         ros.start(Recorder, output=str(output))
     file = tmp_path / "file"
     file.touch()
-    with pytest.raises(BagWriteError, match="file/bag: cannot be written: Not a directory"):
+    with pytest.raises(OutputError, match="file/bag: cannot be written: Not a directory"):
         ros.start(Recorder, output=str(file / "bag"))
-    with pytest.raises(BagWriteError, match="parameter topics: found none"):
+    with pytest.raises(OutputError, match="parameter topics: found none"):
         ros.start(Recorder, output=str(tmp_path / "other"), topics=" ")
 
 

@@ -21,10 +21,9 @@ from sensor_msgs.msg import CameraInfo, Image
 from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.writer import BagWriter
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.replay import Replay
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError
 from cmp_tactile_processing.measured import Surface
 from cmp_tactile_processing.ros.messages.definitions import (
     bag_messages,

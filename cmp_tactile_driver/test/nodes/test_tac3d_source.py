@@ -14,10 +14,9 @@ pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import WrenchStamped
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.nodes.tac3d_source import Tac3dSource
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.ros.messages.reading import surface_from_msg
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -104,7 +103,7 @@ def test_a_first_frame_that_lacks_markers_says_nothing_of_where_the_gel_is(ros, 
 
 
 def test_a_description_that_is_not_there_is_named(ros, client):
-    with pytest.raises(DescriptionError, match="nowhere"):
+    with pytest.raises(InputError, match="nowhere"):
         ros.start(Tac3dSource, sensor_description="/nowhere.yaml")
 
 

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.files import ImageFolder, VideoFile
+from cmp_tactile_processing.errors import FrameSourceError
 
 
 def _read_all(source):

@@ -7,9 +7,8 @@ import made_bags
 import numpy as np
 import pytest
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions, find_source, source_names
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.sensor.description import load_sensor
 
 
@@ -47,7 +46,7 @@ def test_a_library_that_is_not_installed_is_named(monkeypatch):
 
 
 def test_an_unknown_source_names_those_there_are():
-    with pytest.raises(ParameterError, match=r"source: found 'tape', expected one of .*images.*vi"):
+    with pytest.raises(InputError, match=r"source: found 'tape', expected one of .*images.*vi"):
         find_source("tape")
 
 

@@ -6,8 +6,8 @@ import pytest
 from linuxpy.video import device as v4l2
 from linuxpy.video import raw
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlKind
+from cmp_tactile_processing.errors import FrameSourceError
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame, SelfPacedSource, SourceOptions
 from cmp_tactile_driver.sources.parameters import CameraParameters
 from cmp_tactile_driver.v4l2.pair import CameraPair, open_cameras
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.sensor.parts import Roi
 
 MS = 10**6

@@ -10,8 +10,8 @@ from fake_v4l2 import webcam_controls
 from linuxpy.video import raw
 from waiting import wait_until
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.capture import Capture, CaptureState
+from cmp_tactile_processing.errors import FrameSourceError
 
 
 def _poll_until(source, condition):

@@ -12,9 +12,9 @@ import pytest
 import simplejpeg
 from linuxpy.video import raw
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SelfPacedSource
 from cmp_tactile_driver.v4l2.camera import PREFERENCE
+from cmp_tactile_processing.errors import FrameSourceError
 
 WIDTH, HEIGHT = 64, 48
 

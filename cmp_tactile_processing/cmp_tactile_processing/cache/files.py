@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 
 LOGGER = logging.getLogger(__name__)
 
@@ -53,14 +53,14 @@ def expanded_path(path: str | Path) -> Path:
     """A path with `~` and `~user` replaced by the home folder.
 
     Office programs name their lock files `~$NAME`: as in a shell, `~` stands for itself before what
-    is no user.  Raises DescriptionError for `~` alone where there is no home folder.
+    is no user.  Raises InputError for `~` alone where there is no home folder.
     """
     try:
         return Path(path).expanduser()
     except RuntimeError:
         if Path(path).parts[0] == "~":
             msg = f"{path}: found no home folder for ~, expected HOME to be set"
-            raise DescriptionError(msg) from None
+            raise InputError(msg) from None
         return Path(path)
 
 
@@ -124,7 +124,7 @@ def atomic_path(path: Path, mode: int | None = None) -> Iterator[Path]:
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file as `atomic_path` does; text is UTF-8.
 
-    Raises DescriptionError, and leaves what was there, where the file cannot be written.
+    Raises InputError, and leaves what was there, where the file cannot be written.
     """
     try:
         with atomic_path(path) as beside:
@@ -133,7 +133,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
         # Without the name of the file beside it.
         reason = (isinstance(error, OSError) and error.strerror) or error
         msg = f"{path}: cannot be written: {reason}"
-        raise DescriptionError(msg) from None
+        raise InputError(msg) from None
 
 
 @contextlib.contextmanager

@@ -35,7 +35,7 @@ JUDGED_PERCENT = 95.0
 class CheckParameters(Parameters, section="check"):
     """What a recording of a well calibrated sensor keeps to.
 
-    The limits of statistics hold for 95 % of the markers.  Raises ParameterError for a value
+    The limits of statistics hold for 95 % of the markers.  Raises InputError for a value
     outside its range.
     """
 

@@ -63,7 +63,7 @@ def track_frames(
     """Grids of all frames, (H, W) or (H, W, 3) uint8, by view.
 
     Raises CalibrationError without frames, FrameError that names a frame of another size,
-    DescriptionError for a sensor with its pattern in none of the views.
+    InputError for a sensor with its pattern in none of the views.
     """
     if not len(frames):
         msg = f"{sensor.name}: found no frames, expected at least one of the gel"

@@ -25,7 +25,7 @@ from cmp_tactile_processing.calibration.counting import (
     focal_px,
 )
 from cmp_tactile_processing.calibration.map_fit import map_fit
-from cmp_tactile_processing.errors import DescriptionError, FrameError
+from cmp_tactile_processing.errors import FrameError, InputError
 from cmp_tactile_processing.geometry.optics import FLIP_X, build_views, reflection
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid
@@ -122,7 +122,7 @@ def find_views(image: Image, layout: str = "") -> tuple[View, ...]:
                 second = View(rois[1], count_corners(np.ascontiguousarray(right), "right view"))
                 if layout or second.seen.ends[-2]:
                     return first, second
-        except (FrameError, DescriptionError):
+        except (FrameError, InputError):
             # Too few checkers, or a strip of the picture too narrow for any.
             if layout:
                 raise

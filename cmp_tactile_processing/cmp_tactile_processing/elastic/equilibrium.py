@@ -21,7 +21,7 @@ from cmp_tactile_processing.elastic.cholesky import (
 )
 from cmp_tactile_processing.elastic.mesh import BlockMesh
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import NotConvergedError
 
 Array = NDArray[np.float64]
 
@@ -46,10 +46,6 @@ SHARE = 5e-4
 MAX_QUICK_STEPS, MAX_QUICK_HALVINGS = 60, 6
 # Steps that are remembered; twice as many save a press of 1 mm little.
 MEMORY = 8
-
-
-class NoEquilibriumError(CmpTactileError):
-    """Forces under which a neo-Hookean gel finds no equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +127,7 @@ class NewtonEquilibrium(_Block):
     def move_to(self, load: Array) -> Array:
         """Displacement (nodes, 3) m under dead loads (nodes, 3) N.
 
-        The load is applied in as many steps as it takes. Raises NoEquilibriumError where the
+        The load is applied in as many steps as it takes. Raises NotConvergedError where the
         material cannot follow; the state is then that of the last step reached.
         """
         if not load.any():
@@ -145,7 +141,7 @@ class NewtonEquilibrium(_Block):
             elif step > SHORTEST_LOAD_STEP:
                 step /= 2
             else:
-                raise NoEquilibriumError(self._complaint(load))
+                raise NotConvergedError(self._complaint(load))
         return self.displacement
 
     @property

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -44,7 +44,7 @@ class BlockGeometry:
 
     @classmethod
     def from_sensor(cls, sensor: SensorDescription) -> BlockGeometry:
-        """The block of a sensor; GeometryError where its surface reaches the base."""
+        """The block of a sensor; InputError where its surface reaches the base."""
         elastomer = sensor.elastomer
         block = cls(elastomer.size, sensor.pattern.surface, elastomer.shading_layer.thickness)
         block.check(sensor.name)
@@ -69,7 +69,7 @@ class BlockGeometry:
         return np.sqrt(1 + slope2)
 
     def check(self, name: str) -> None:
-        """Raise GeometryError where the surface comes too near to the base to be a block."""
+        """Raise InputError where the surface comes too near to the base to be a block."""
         corner = np.array([self.size[0] / 2, self.size[1] / 2])
         lowest = float(self.surface.height(corner)) - self.base
         needed = MIN_THICKNESS_RATIO * self.size[2]
@@ -82,7 +82,7 @@ class BlockGeometry:
                 f"{name}: elastomer.size and pattern.surface: thickness under the marker surface "
                 f"at the block's corner: found {found}, expected at least {needed:.3g} m"
             )
-            raise GeometryError(msg)
+            raise InputError(msg)
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from cmp_tactile_processing.elastic.mirror_symmetry import (
     MirroredProduct,
     Parity,
 )
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -115,7 +115,7 @@ class ElasticProblem:
     def from_sensor(cls, sensor: SensorDescription) -> ElasticProblem:
         """The problem that a sensor poses.
 
-        Raises GeometryError where its block cannot be meshed, or has too many markers.
+        Raises InputError where its block cannot be meshed, or has too many markers.
         """
         pattern, elastomer = sensor.pattern, sensor.elastomer
         if pattern.rows * pattern.cols > MAX_MARKERS:
@@ -123,7 +123,7 @@ class ElasticProblem:
                 f"{sensor.origin}: pattern.rows, pattern.cols: found {pattern.rows} x "
                 f"{pattern.cols}, expected at most {MAX_MARKERS} corners for forces"
             )
-            raise GeometryError(msg)
+            raise InputError(msg)
         extent = (pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch
         geometry = BlockGeometry.from_sensor(sensor)
         rows, cols = _node_count(pattern.rows, extent[1]), _node_count(pattern.cols, extent[0])
@@ -261,7 +261,7 @@ class ElasticModel:
 
     cache_dir: folder of the cache; default $XDG_CACHE_HOME/cmp_tactile or ~/.cache/cmp_tactile.
     progress: called with a text and the fraction done, 0 to 1, while the model is built.
-    Raises GeometryError where the surface of the sensor's block reaches its base.
+    Raises InputError where the surface of the sensor's block reaches its base.
     """
 
     def __init__(
@@ -326,7 +326,7 @@ class ElasticModel:
         count = self.nodes.rows * self.nodes.cols
         if np.shape(force) != (count, 3):
             msg = f"force: found shape {np.shape(force)}, expected {(count, 3)}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         return np.asarray(force, dtype=np.float64)
 
 

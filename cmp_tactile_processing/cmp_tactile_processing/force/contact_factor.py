@@ -18,7 +18,7 @@ from scipy.linalg.blas import dtrsm
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.elastic.mirror_symmetry import MirroredProduct, product_of_parts
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.force.traction_spectrum import TractionSpectrum
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Factor(ABC):
 
 
 class DirectFactor(Factor):
-    """Inverse of a positive definite matrix (n, n).  Raises GeometryError for another one."""
+    """Inverse of a positive definite matrix (n, n).  Raises InputError for another one."""
 
     def __init__(self, matrix: Array) -> None:
         super().__init__()
@@ -247,13 +247,13 @@ def units_of(unknowns: Numbers, size: int) -> Array:
 def lower_factor(matrix: Array) -> Array:
     """L (n, n) with L L' = matrix, of which what is above the diagonal does not count in either.
 
-    It may take the matrix's place.  Raises GeometryError for one that is not positive definite.
+    It may take the matrix's place.  Raises InputError for one that is not positive definite.
     """
     if not len(matrix):
         return matrix
     lower, info = lapack.dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
     if info:
-        raise GeometryError("matrix: found one that is not definite")
+        raise InputError("matrix: found one that is not definite")
     return np.asarray(lower)
 
 
@@ -315,6 +315,6 @@ def _triangular(lower: Array, right: Array, transposed: int) -> Array:
 def _inverse(matrix: Array) -> Array:
     inverse, info = lapack.dpotri(lower_factor(matrix), lower=1)
     if info:
-        raise GeometryError("matrix: found one that is not definite")
+        raise InputError("matrix: found one that is not definite")
     lower = np.tril(inverse)
     return np.ascontiguousarray(lower + np.tril(inverse, -1).T)

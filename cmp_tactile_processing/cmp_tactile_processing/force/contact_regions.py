@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part, plain
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.force.outline import outline
 from cmp_tactile_processing.measured import Contact, SurfaceGrid
 
@@ -201,7 +201,7 @@ class ContactRegions:
     """Finds the separate contacts on a grid of force nodes.
 
     nodes: the grid.  node_area (M,) m^2: undeformed contact surface that belongs to each node.
-    border (M,): the outermost nodes.  Raises GeometryError where the two do not belong together.
+    border (M,): the outermost nodes.  Raises InputError where the two do not belong together.
     """
 
     def __init__(self, nodes: SurfaceGrid, node_area: NDArray[np.float64]) -> None:
@@ -209,7 +209,7 @@ class ContactRegions:
         self._area = np.asarray(node_area, dtype=np.float64)
         if self._area.shape != (rows * cols,):
             msg = f"node_area: found shape {self._area.shape}, expected {(rows * cols,)}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         border = np.ones(self._shape, dtype=bool)
         border[1:-1, 1:-1] = False
         self.border = border.ravel()

@@ -16,7 +16,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.force.contact_factor import (
     ComplementFactor,
     DirectFactor,
@@ -174,11 +174,11 @@ class ContactTraction:
     def solve(self, seen: SeenData, nodes: NDArray[np.intp], weights: Weights) -> TractionPosterior:
         """Posterior given what is seen.
 
-        nodes (k,): where there may be traction.  Raises GeometryError for no nodes.
+        nodes (k,): where there may be traction.  Raises InputError for no nodes.
         """
         if not len(nodes):
             msg = "nodes: found none, expected at least 1"
-            raise GeometryError(msg)
+            raise InputError(msg)
         key = weights, nodes.tobytes(), seen.missing
         factor = self._factors.get(key, lambda: self._new_factor(nodes, weights, seen))
         return self._posterior(seen, nodes, weights, factor)

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.cholesky import RestInverse
-from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError, QuickEquilibrium
+from cmp_tactile_processing.elastic.equilibrium import QuickEquilibrium
 from cmp_tactile_processing.elastic.mesh import MeshDensity, hat_loads, interpolation
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
 from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError, NotConvergedError
 
 LOGGER = logging.getLogger(__name__)
 
@@ -128,19 +128,19 @@ class LargePress:
 
         (rows, cols, 3) m, of second order in the force.  The equilibrium is sought from the last
         one on, until steps move the markers by less than `accuracy`, m (root mean square), or 5e-4
-        of their displacement.  Raises NoEquilibriumError where there is none within reach; the
-        next one is then sought from rest.  Raises GeometryError for an array of another shape.
+        of their displacement.  Raises NotConvergedError where there is none within reach; the
+        next one is then sought from rest.  Raises InputError for an array of another shape.
         """
         nodes = self._problem.nodes
         if np.shape(force) != (nodes.rows * nodes.cols, 3):
             expected = nodes.rows * nodes.cols, 3
             msg = f"force: found shape {np.shape(force)}, expected {expected}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         unit = np.asarray(force, dtype=np.float64) / self._young
         with one_thread():
             if not (np.isfinite(unit).all() and self._block.move_to(self._load(unit), accuracy)):
                 self.reset()
-                raise NoEquilibriumError(_complaint(force))
+                raise NotConvergedError(_complaint(force))
             seen = self._seen(self._at_markers, self._mesh.marker_level)
             self._latest = seen - self._linear(unit)
         return self._latest

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, plain
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import Status, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -91,7 +91,7 @@ class Whitening:
         for name, found, wanted in expected:
             if found.shape != wanted:
                 msg = f"{self._sensor.name}: {name}: found shape {found.shape}, expected {wanted}"
-                raise GeometryError(msg)
+                raise InputError(msg)
 
 
 @kernel

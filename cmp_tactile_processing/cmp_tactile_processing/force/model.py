@@ -15,8 +15,8 @@ from scipy.ndimage import binary_dilation, binary_propagation
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.elastic.equilibrium import NoEquilibriumError
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, Progress
+from cmp_tactile_processing.errors import NotConvergedError
 from cmp_tactile_processing.force.contact_regions import (
     ContactRegions,
     centre_of_forces,
@@ -315,7 +315,7 @@ class ForceModel:
 
     A first pass solves for a smooth traction on the whole surface, a second one for that on the
     nodes found in contact; noise, sizes and smoothness follow from each frame itself.
-    cache_dir, progress: see ElasticModel.  Raises GeometryError for a block without a base.
+    cache_dir, progress: see ElasticModel.  Raises InputError for a block without a base.
     """
 
     def __init__(
@@ -367,7 +367,7 @@ class ForceModel:
         what no gel can show.  contacts: without them the contacts, their area and flags, and the
         wrench's covariance stay unknown, and `contact` is every node that is pressed, by noise too;
         that saves a third of the time.  systematics: errors of all displacements beside those of
-        `covariance`.  Raises GeometryError for arrays of other shapes.
+        `covariance`.  Raises InputError for arrays of other shapes.
         """
         field = self.reconstruct_random(displacement, status, covariance, contacts=contacts)
         return self.with_systematic(field, systematics)
@@ -439,7 +439,7 @@ class ForceModel:
         noise = self._parameters.noise_in_plane * float(np.sqrt(linear.noise_squared))
         try:
             _, settled = settle(solve, large.excess, moved, large.latest, noise)
-        except NoEquilibriumError:
+        except NotConvergedError:
             field = self._linear_field(linear, measured, ForceFlag.NOT_CONVERGED)
             if ForceFlag.IMPLAUSIBLE not in field.flags:
                 self._out_of_reach = RETRY_SHARE * size

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.lens import Lens
 from cmp_tactile_processing.geometry.refraction import (
     RayBundle,
@@ -131,7 +131,7 @@ def view_geometry(
 def build_views(sensor: SensorDescription) -> dict[str, ViewGeometry]:
     """The views of a sensor by name, "left" and "right" (one of them for a monocular one).
 
-    Raises DescriptionError where the pattern at rest does not lie in a view's part of the frame,
+    Raises InputError where the pattern at rest does not lie in a view's part of the frame,
     where a refracting layer does not lie between a camera and the pattern, or where both views
     look from the same point.
     """
@@ -146,7 +146,7 @@ def build_views(sensor: SensorDescription) -> dict[str, ViewGeometry]:
                 f"{sensor.origin}: views: found camera centres {baseline:.2g} m apart, "
                 f"expected at least {SMALLEST_BASELINE_M:g} m"
             )
-            raise DescriptionError(msg)
+            raise InputError(msg)
     return views
 
 
@@ -170,20 +170,20 @@ def _build_view(sensor: SensorDescription, name: str, corners: NDArray[np.float6
         f"roi {[roi.x, roi.y, roi.width, roi.height]}, expected at least {LEAST_SHOWN:.0%}; check "
         "the camera, the pose and the mirror of this view"
     )
-    raise DescriptionError(msg)
+    raise InputError(msg)
 
 
 def described_view(sensor: SensorDescription, name: str) -> ViewGeometry:
     """A view as it is described, without the checks of `build_views`.
 
-    Raises DescriptionError for a view without a camera or a pose.
+    Raises InputError for a view without a camera or a pose.
     """
     view = sensor.views[name]
     T_view_gel = view.T_view_gel if view.T_view_gel is not None else sensor.optics.T_camera_gel
     camera = view.camera or sensor.camera
     if T_view_gel is None or camera is None:
         msg = f"{sensor.origin}: views.{name}: found no camera pose, expected T_view_gel"
-        raise DescriptionError(msg)
+        raise InputError(msg)
     if view.mirror is not None:
         T_view_gel = virtual_camera_pose(view.mirror, T_view_gel)
     roi, flipped = view.roi, view.mirror is not None
@@ -216,7 +216,7 @@ def _check_layers(sensor: SensorDescription, view: ViewGeometry, high: float) ->
                 f"{sensor.origin}: optics.layers[{number}].z: found {layer.z:g}, expected a plane "
                 f"between the {view.name} camera at z = {low:.4g} and the pattern, from {high:.4g}"
             )
-            raise DescriptionError(msg)
+            raise InputError(msg)
 
 
 def tilt_axes(mirror: Mirror) -> tuple[int, int]:

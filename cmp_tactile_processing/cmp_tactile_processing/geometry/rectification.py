@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.files import write_whole
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.lens import Lens, fit_stock_lens
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import check_image
@@ -96,7 +96,7 @@ def rectified_pair(
     x is along the baseline, z between the optical axes.  Both have one matrix: image_geometry's
     model in Python, and stereo_image_proc together with its model in C++, give wrong depths where
     the principal points differ.
-    Raises GeometryError where one camera is behind the other, so that no such pair sees the points.
+    Raises InputError where one camera is behind the other, so that no such pair sees the points.
     """
     left, right = views["left"], views["right"]
     centres = {name: _effective_centre(view, points) for name, view in views.items()}
@@ -109,7 +109,7 @@ def rectified_pair(
                 f"views: found the {name} camera beside or behind the pattern in the rectified "
                 "pair, expected both cameras in front of it: check their poses"
             )
-            raise GeometryError(msg)
+            raise InputError(msg)
         seen[name] = p[:, :2] / p[:, 2:]
     low = np.min([xy.min(axis=0) for xy in seen.values()], axis=0)
     high = np.max([xy.max(axis=0) for xy in seen.values()], axis=0)
@@ -244,7 +244,7 @@ class Rectification:
         self._maps: dict[str, tuple[NDArray[np.int16], NDArray[np.uint16]]] = {}
 
     def info(self, view: str) -> ViewCameraInfo:
-        """Camera model of a view; GeometryError where the sensor has none of that name."""
+        """Camera model of a view; InputError where the sensor has none of that name."""
         self._camera(view)
         return self._info[view]
 
@@ -285,7 +285,7 @@ class Rectification:
         """Points (..., 3), gel frame, m, by P alone, of pixels (..., 2) of the rectified images.
 
         The rows of both pixels are averaged.  NaN for NaN, and where the rays do not meet in
-        front of the cameras.  Raises GeometryError for a monocular sensor.
+        front of the cameras.  Raises InputError for a monocular sensor.
         """
         left, right = self._camera("left"), self._camera("right")
         ql, qr = np.asarray(q_left_rect), np.asarray(q_right_rect)
@@ -299,7 +299,7 @@ class Rectification:
     def _camera(self, view: str) -> RectifiedCamera:
         if view not in self._cameras:
             msg = f"found no view '{view}', expected one of {', '.join(self._cameras)}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         return self._cameras[view]
 
     def _camera_info(self, name: str, pattern: Pattern) -> ViewCameraInfo:
@@ -357,7 +357,7 @@ def _stock_lens(
 def write_camera_info(path: str | Path, name: str, info: ViewCameraInfo) -> None:
     """Write the camera model of the camera of that name; the file is there whole or not at all.
 
-    Raises DescriptionError, and leaves what was there, for a model that `read_camera_info` would
+    Raises InputError, and leaves what was there, for a model that `read_camera_info` would
     refuse and where the file cannot be written.
     """
     text = camera_info_text(name, info)
@@ -376,7 +376,7 @@ def read_camera_info(path: str | Path) -> tuple[str, ViewCameraInfo]:
     As camera_calibration_parsers does: a file without `camera_name` is of the camera "unknown",
     one without `distortion_model` is plumb_bob, of which k3 may be left out and zeros may follow,
     and keys that belong to other tools are let be.
-    Raises DescriptionError naming file, key, what was found and what is expected.
+    Raises InputError naming file, key, what was found and what is expected.
     """
     return _camera_info_of(read_yaml(Path(path)))
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.lens import Lens
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 
@@ -225,13 +225,13 @@ class RayModel:
     def bundle(self, q: NDArray[np.float64], out: RayBundle | None = None) -> RayBundle:
         """Rays of pixels (N, 2) of the view; out: of N rays, to be filled and returned.
 
-        Raises GeometryError for another number of rays: compiled loops check no bounds.
+        Raises InputError for another number of rays: compiled loops check no bounds.
         """
         q = np.ascontiguousarray(q, dtype=np.float64).reshape(-1, 2)
         out = RayBundle.empty(len(q)) if out is None else out
         if len(out.origin) != len(q):
             msg = f"rays: found an output for {len(out.origin)}, expected {len(q)}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         pose = (self._R_gel_view, self._centre)
         arrays = (out.origin, out.direction, out.origin_by_pixel, out.direction_by_pixel)
         if self._straight:

@@ -30,7 +30,7 @@ AXES = "xyz"
 class RigPrior(Parameters, section="rig"):
     """How far the optical values of a sensor may be from its description.
 
-    A deviation of 0 holds a value: it is not fitted at all.  Raises ParameterError for a value
+    A deviation of 0 holds a value: it is not fitted at all.  Raises InputError for a value
     outside its range.
     """
 

@@ -24,7 +24,7 @@ def to_grey(
     reaches from 0 to 255 over all colours that there are: (1, -1, 0) makes red white, green black
     and grey 127.  A grey image is returned as it is.
     dst (H, W) uint8: where the grey values of a colour image are put.
-    Raises FrameError for another type or shape, ParameterError for weights that leave all
+    Raises FrameError for another type or shape, InputError for weights that leave all
     colours alike.
     """
     image = np.asarray(image)

@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.drawing import draw_grid
-from cmp_tactile_processing.errors import ParameterError, ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.nodes.health import GridHealth
@@ -76,7 +76,7 @@ class GridlineTracker(StageNode):
                 f"{self.get_fully_qualified_name()}: parameter view: found {self._view!r}, "
                 f"expected one of {views}"
             )
-            raise ParameterError(msg)
+            raise InputError(msg)
         tracking = StageParameters(self, self.sensor.tracking, self._build_tracker)
         self._print: PrintDefects | None = None
         self._build_tracker(tracking.value)
@@ -163,7 +163,7 @@ class GridlineTracker(StageNode):
             self._print = self._tracker.inspect_print(frames)
             self.get_logger().info(self._print.report)
             finish(True, self._print.report)
-        except ReferenceFramesError as error:
+        except CalibrationError as error:
             self.get_logger().warning(f"print not inspected: {error}")
             finish(False, str(error))
         finally:

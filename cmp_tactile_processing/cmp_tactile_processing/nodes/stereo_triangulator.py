@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
 from cmp_tactile_processing.nodes.health import reference_figures
 from cmp_tactile_processing.ros.base_nodes import Answer, FrameService, StageNode
@@ -185,7 +185,7 @@ class StereoTriangulator(StageNode):
     def _take_reference(self, frames: list[Markers3D], finish: Answer, stamp: Any) -> None:
         try:
             explanation = self._keeper.take(frames, stamp_ns(stamp))
-        except ReferenceFramesError as error:
+        except CalibrationError as error:
             self.get_logger().warning(f"no new reference: {error}")
             finish(False, str(error))
             return

@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 from tf2_ros import StaticTransformBroadcaster
 
 from cmp_tactile_processing.cache.threads import ViewThreads
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.split import check_image, split_frame
@@ -56,7 +56,7 @@ class Mounting(Parameters):
 
     @classmethod
     def declare(cls, node: Node, sensor: SensorDescription) -> Mounting:
-        """From the parameters of the node.  Raises ParameterError where they cannot be meant."""
+        """From the parameters of the node.  Raises InputError where they cannot be meant."""
         mounting = declare_parameters(node, cls())
         parent, own = mounting.parent_frame, making.sensor_frames(sensor)
         if parent.startswith("/") or parent in own or parent != "".join(parent.split()):
@@ -65,7 +65,7 @@ class Mounting(Parameters):
                 "expected a name without blanks, not beginning with /, and none of "
                 f"{', '.join(own)}"
             )
-            raise ParameterError(msg)
+            raise InputError(msg)
         return mounting
 
     def transforms(self, sensor: SensorDescription) -> list[Any]:

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
@@ -274,8 +274,8 @@ def printed_pattern(
 ) -> PrintedPattern:
     """The ink of a sensor's pattern; of one that goes on beyond the view, on the whole skin.
 
-    Raises DescriptionError for a pattern that does not lie on its surface, ParameterError for an
-    option that does not go with it.
+    Raises InputError for a pattern that does not lie on its surface, and for an option that does
+    not go with it.
     """
     options = options or PrintOptions()
     sensor = replace(sensor, pattern=sensor.sheet)
@@ -324,17 +324,17 @@ def _outline(gel: Contour, pattern: Pattern, process: str) -> Contour | None:
 def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> None:
     pattern = sensor.pattern
     if process not in PROCESSES:
-        raise ParameterError(f"process: found {process!r}, expected one of {', '.join(PROCESSES)}")
+        raise InputError(f"process: found {process!r}, expected one of {', '.join(PROCESSES)}")
     if options.pattern_type not in PATTERN_TYPES:
         expected = f"expected one of {', '.join(PATTERN_TYPES)}"
-        raise ParameterError(f"type: found {options.pattern_type!r}, {expected}")
+        raise InputError(f"type: found {options.pattern_type!r}, {expected}")
     if not 0 < options.dot_diameter < 1:
         expected = "expected a share of the pitch, more than 0 and less than 1"
-        raise ParameterError(f"dot diameter: found {options.dot_diameter:g}, {expected}")
+        raise InputError(f"dot diameter: found {options.dot_diameter:g}, {expected}")
     for name in ("margin", "bleed"):
         if not getattr(options, name) >= 0:
             found = f"found {getattr(options, name) * 1e3:g} mm"
-            raise ParameterError(f"{name}: {found}, expected 0 mm or more")
+            raise InputError(f"{name}: {found}, expected 0 mm or more")
     _check_gain(pattern, options)
     _check_surface(sensor, options.margin + options.bleed)
 
@@ -347,13 +347,13 @@ def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
     most = share * pattern.pitch / 2
     if not 0 <= options.ink_gain < most:
         expected = f"expected 0 to less than {most * 1e6:.4g} um, at which nothing would be left"
-        raise ParameterError(f"ink gain: found {options.ink_gain * 1e6:g} um, {expected}")
+        raise InputError(f"ink gain: found {options.ink_gain * 1e6:g} um, {expected}")
     # Light ink outside the checkers is a frame of margin and bleed, narrowed from both sides.
     frame = options.margin + options.bleed
     if options.invert and options.pattern_type == "cmp" and 0 < options.ink_gain >= frame / 2:
         found = f"found {options.ink_gain * 1e6:g} um on inverted ink"
         expected = f"expected 0, or less than half of margin and bleed, {frame * 1e6 / 2:.4g} um"
-        raise ParameterError(f"ink gain: {found}, {expected}")
+        raise InputError(f"ink gain: {found}, {expected}")
 
 
 def _check_surface(sensor: SensorDescription, around: float) -> None:
@@ -367,7 +367,7 @@ def _check_surface(sensor: SensorDescription, around: float) -> None:
     else:
         needed = float(reach[1 if surface.axis == "x" else 0])
     if not needed < surface.radius:
-        raise DescriptionError(
+        raise InputError(
             f"{sensor.origin}: pattern.surface.radius: found {surface.radius * 1e3:.6g} mm, "
             f"expected more than {needed * 1e3:.6g} mm: the print, with margin and bleed, is "
             f"{size[0] * 1e3:.6g} x {size[1] * 1e3:.6g} mm"
@@ -392,7 +392,7 @@ class PatternAdvice:
 def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]]:
     """Sides (N,) px of all checkers between inner corners at rest, by view.
 
-    NaN where a view's lens has no pixel for a corner.  Raises DescriptionError where a view does
+    NaN where a view's lens has no pixel for a corner.  Raises InputError where a view does
     not show the pattern, and where there is none.
     """
     return _sides(sensor.pattern, _views_of(sensor))
@@ -401,14 +401,14 @@ def checker_sides_px(sensor: SensorDescription) -> dict[str, NDArray[np.float64]
 def _views_of(sensor: SensorDescription) -> dict[str, ViewGeometry]:
     if not sensor.views:
         msg = f"{sensor.origin}: views: found none, expected at least one that shows the pattern"
-        raise DescriptionError(msg)
+        raise InputError(msg)
     return build_views(sensor)
 
 
 def code_advice(sensor: SensorDescription) -> str:
     """What the dots of a code are like in this sensor's views, a sentence.
 
-    Raises DescriptionError where a view does not show the pattern.
+    Raises InputError where a view does not show the pattern.
     """
     side = _least(sensor.pattern, _views_of(sensor))
     checkers = f"in checkers of {side:.1f} px (the smallest) dots"
@@ -437,7 +437,7 @@ def why_no_dots(sensor: SensorDescription, ink_gain: float = 0.0) -> str:
         return "the ink would fill the dots"
     try:
         side = _least(pattern, _views_of(sensor))
-    except DescriptionError:
+    except InputError:
         side = float("nan")
     if np.isnan(side):
         return "how large the checkers are in the image is not known"
@@ -451,7 +451,7 @@ def advise(sensor: SensorDescription) -> PatternAdvice:
     """The pattern to print on this sensor's gel, as large as the present one with its margin.
 
     The sensor's camera, optics, skin and size of the print count, not its present rows, columns
-    and pitch.  Raises DescriptionError where a view does not show the present pattern.
+    and pitch.  Raises InputError where a view does not show the present pattern.
     """
     views = _views_of(sensor)
     least_pitch = LEAST_PITCH_OVER_SKIN * sensor.elastomer.shading_layer.thickness

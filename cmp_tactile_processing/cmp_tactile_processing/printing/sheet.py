@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.printing.pattern import PrintedPattern
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
@@ -271,10 +271,10 @@ class PrintSheet:
 def print_sheet(copy: PrintedCopy, paper: str = "A4", copies: int = 1) -> PrintSheet:
     """So many copies in rows and columns on a paper of PAPERS.
 
-    Raises ParameterError where they have no room.
+    Raises InputError where they have no room.
     """
     if paper not in PAPERS:
-        raise ParameterError(f"paper: found {paper!r}, expected one of {', '.join(PAPERS)}")
+        raise InputError(f"paper: found {paper!r}, expected one of {', '.join(PAPERS)}")
     tile = copy.high - copy.low + GAP
     first, columns = _grid(tile, paper, copies)
     rows = math.ceil(copies / columns)
@@ -301,7 +301,7 @@ def print_sheet(copy: PrintedCopy, paper: str = "A4", copies: int = 1) -> PrintS
 def _grid(tile: NDArray[np.float64], paper: str, copies: int) -> tuple[tuple[float, float], int]:
     """Top left corner of the first copy, and how many stand side by side."""
     if copies < 1:
-        raise ParameterError(f"copies: found {copies}, expected 1 or more")
+        raise InputError(f"copies: found {copies}, expected 1 or more")
     if paper == "fit":
         columns = math.ceil(math.sqrt(copies * tile[1] / tile[0]))
         return (EDGE_OF_FIT, EDGE_OF_FIT), min(columns, copies)
@@ -310,12 +310,12 @@ def _grid(tile: NDArray[np.float64], paper: str, copies: int) -> tuple[tuple[flo
     columns, rows = (int(count) for count in np.floor(room / tile))
     size = f"{tile[0]:.1f} x {tile[1]:.1f} mm"
     if columns * rows == 0:
-        raise ParameterError(
+        raise InputError(
             f"paper: found {paper} with room for {room[0]:.1f} x {room[1]:.1f} mm, expected room "
             f"for {size}; use paper fit"
         )
     if copies > columns * rows:
-        raise ParameterError(
+        raise InputError(
             f"copies: found {copies}, expected at most {columns * rows} of {size} on {paper}; "
             "paper fit takes any number"
         )

@@ -19,7 +19,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.errors import CmpTactileError, InputError
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, numbers_text, parameter
 from cmp_tactile_processing.sensor.yaml_section import did_you_mean
@@ -112,7 +112,7 @@ class StageParameters(Generic[T]):
 
     defaults: the dataclass instance to start from.  on_change is called with the new instance
     after a parameter was set.  A value that the dataclass does not take is refused with its reason,
-    at start by ParameterError.
+    at start by InputError.
     section: where a node has the parameters of two stages, what comes before the names of one of
     them, as in `slip.min_normal_force`.
     """
@@ -136,7 +136,7 @@ class StageParameters(Generic[T]):
     def _check(self, parameters: list[Parameter[Any]]) -> SetParametersResult:
         try:
             self._with(parameters)
-        except ParameterError as error:
+        except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
@@ -169,7 +169,7 @@ def declare_parameters(
 ) -> T:
     """The dataclass with the values that the node was started with.
 
-    All but `dynamic` are read-only.  section: what comes before the names.  Raises ParameterError
+    All but `dynamic` are read-only.  section: what comes before the names.  Raises InputError
     for a value that the class refuses.
     """
     values = {}
@@ -182,15 +182,15 @@ def declare_parameters(
         values[item.name] = _of_class(declared)
     try:
         return type(defaults)(**values)
-    except ParameterError as error:
+    except InputError as error:
         msg = f"{node.get_fully_qualified_name()}: {error}"
-        raise ParameterError(msg) from None
+        raise InputError(msg) from None
 
 
 def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
     """Declare a parameter and return its value.
 
-    Raises ParameterError for a value of the wrong type or outside its range.
+    Raises InputError for a value of the wrong type or outside its range.
     """
     try:
         return node.declare_parameter(name, default, descriptor).value
@@ -203,7 +203,7 @@ def declare_checked(node: Node, name: str, default: Any, descriptor: ParameterDe
             f"{node.get_fully_qualified_name()}: parameter {name}: "
             f"found {found!r}, expected {expected}"
         )
-        raise ParameterError(msg) from None
+        raise InputError(msg) from None
 
 
 @dataclass(frozen=True)

@@ -37,13 +37,9 @@ HIGHEST_DOMAIN = 232
 Self = TypeVar("Self", bound="Listener")
 
 
-class JoinError(CmpTactileError):
-    """ROS refuses this process, for its arguments, its domain or its security."""
-
-
 @contextmanager
 def joining_ros() -> Iterator[None]:
-    """Within it, JoinError says in one line why the ROS context or the first node cannot be made.
+    """Within it, an error says in one line why the ROS context or the first node cannot be made.
 
     What rcl says has several lines, and places in its source.
     """
@@ -58,32 +54,32 @@ def joining_ros() -> Iterator[None]:
     except RCLError as error:
         reason = " ".join(str(error).partition(", at ")[0].split())
         msg = f"found no way into ROS: {reason}"
-        raise JoinError(msg) from None
+        raise CmpTactileError(msg) from None
 
 
 def _check_domain() -> None:
-    """Raise JoinError: rcl takes -1 for 0 and 5.5 for 5; Fast DDS ends the process above 232."""
+    """Refuse what rcl reads otherwise: -1 as 0, 5.5 as 5; above 232 Fast DDS ends the process."""
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= HIGHEST_DOMAIN):
         msg = f"ROS_DOMAIN_ID: found {domain}, expected a whole number from 0 to {HIGHEST_DOMAIN}"
-        raise JoinError(msg)
+        raise CmpTactileError(msg)
 
 
 def _check_keystore() -> None:
-    """Raise JoinError where security is enforced without a keystore: rcl says "error not set"."""
+    """Refuse security that is enforced without a keystore: rcl says "error not set"."""
     enforced = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
     is_enforced = all(os.environ.get(name) == value for name, value in enforced.items())
     if is_enforced and not os.environ.get("ROS_SECURITY_KEYSTORE"):
         reason = " and ".join(f"{name}={value}" for name, value in enforced.items())
         msg = f"ROS_SECURITY_KEYSTORE: found nothing, expected a keystore because of {reason}"
-        raise JoinError(msg)
+        raise CmpTactileError(msg)
 
 
 def _provide_log_folder() -> None:
     """Log among temporary files where ~/.ros/log cannot be written; ROS itself would not start.
 
     As without HOME (a systemd service), or with HOME=/ (`docker run --user 2000`).
-    Raises JoinError for a folder that the user has set.
+    Raises CmpTactileError for a folder that the user has set.
     """
     for variable, inside in (("ROS_LOG_DIR", ""), ("ROS_HOME", "log")):
         if given := os.environ.get(variable):
@@ -91,7 +87,7 @@ def _provide_log_folder() -> None:
             if reason:
                 expected = "a folder for logs that can be written"
                 msg = f"{variable}: found {given} ({reason}), expected {expected}"
-                raise JoinError(msg)
+                raise CmpTactileError(msg)
             return
     home = os.environ.get("HOME")
     if not home or _why_not_writable(Path(home, ".ros", "log")):

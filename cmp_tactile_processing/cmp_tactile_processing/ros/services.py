@@ -37,29 +37,25 @@ RUNNING_NODES = "running nodes; is ROS_DOMAIN_ID the same?"
 T = TypeVar("T")
 
 
-class ServiceError(CmpTactileError):
-    """A service is not there, does not answer, or does not take what it was given."""
-
-
 def answer_of(
     node: Node, kind: Any, service: str, request: Any, *, service_s: float = SERVICE_S
 ) -> Any:
     """The answer of a service, for a thread that does not spin the node.
 
-    service_s: how long to wait for the service.  Raises ServiceError where it is not there, or does
-    not answer.
+    service_s: how long to wait for the service.
+    Raises CmpTactileError where it is not there, or does not answer.
     """
     client = node.create_client(kind, service)
     try:
         if not client.wait_for_service(service_s):
             msg = f"{service}: found no such service; is the sensor running?"
-            raise ServiceError(msg)
+            raise CmpTactileError(msg)
         future = client.call_async(request)
         end = time.monotonic() + ANSWER_S
         while not future.done():
             if time.monotonic() > end:
                 msg = f"{service}: no answer within {ANSWER_S:g} s"
-                raise ServiceError(msg)
+                raise CmpTactileError(msg)
             time.sleep(POLL_S)
         return future.result()
     finally:
@@ -81,8 +77,8 @@ def settled(ask: Callable[[], T], search_s: float = SEARCH_S, settled_s: float =
 def find_service(node: Node, name: str) -> tuple[str, str]:
     """Full name and type of the only service of that name, or whose name ends so.
 
-    That of a node stands for its parameters.  Raises ServiceError, with what there is, for none and
-    for several.
+    That of a node stands for its parameters.
+    Raises CmpTactileError, with what there is, for none and for several.
     """
     ends = f"/{name.strip('/')}"
 
@@ -101,12 +97,12 @@ def find_service(node: Node, name: str) -> tuple[str, str]:
     if len(found) > 1:
         named = ", ".join(full.removesuffix(SET_PARAMETERS) for full in sorted(found))
         msg = f"{name}: found several, expected the name of one of: {named}"
-        raise ServiceError(msg)
+        raise CmpTactileError(msg)
     if not found:
         there = sorted(k for k, kind in _offered(node).items() if not kind.startswith(OF_ROS))
         expected = f"one of {', '.join(there)}" if there else RUNNING_NODES
         msg = f"{name}: found no such service, expected {expected}{did_you_mean_end(ends, there)}"
-        raise ServiceError(msg)
+        raise CmpTactileError(msg)
     return next(iter(found.items()))
 
 
@@ -131,7 +127,7 @@ def _offered(node: Node) -> dict[str, str]:
 def call(node: Node, service: str, kind: str, words: Iterable[str]) -> Any:
     """The answer to fields, or to parameters of a node, that are typed as NAME:=VALUE.
 
-    service, kind: as `find_service` returns them.  Raises ServiceError where one does not fit.
+    service, kind: as `find_service` returns them.  Raises CmpTactileError where one does not fit.
     """
     owner = service.removesuffix(SET_PARAMETERS)
     if owner != service:
@@ -146,14 +142,14 @@ def call(node: Node, service: str, kind: str, words: Iterable[str]) -> Any:
 def interface_of(kind: str, user: str) -> Any:
     """The class of a message or service type, as std_msgs/msg/String.
 
-    user: service or topic that has it.  Raises ServiceError where the type is not installed.
+    user: service or topic that has it.  Raises CmpTactileError where the type is not installed.
     """
     package, _, name = kind.rpartition("/")
     try:
         return getattr(import_module(package.replace("/", ".")), name)
     except (ImportError, AttributeError):
         msg = f"{user}: found the type {kind}, which is not installed here"
-        raise ServiceError(msg) from None
+        raise CmpTactileError(msg) from None
 
 
 def _values(words: Iterable[str]) -> dict[str, str]:
@@ -162,7 +158,7 @@ def _values(words: Iterable[str]) -> dict[str, str]:
         name, separator, text = word.partition(":=")
         if not separator:
             msg = f"found {word!r}, expected NAME:=VALUE"
-            raise ServiceError(msg)
+            raise CmpTactileError(msg)
         values[name] = text
     return values
 
@@ -172,7 +168,7 @@ def _set_field(request: Any, field: str, text: str) -> None:
     if field not in kinds:
         there = ", ".join(f"{name} ({kind})" for name, kind in kinds.items()) or "no field"
         msg = f"found no field {field!r}, expected {there}{did_you_mean(field, kinds)}"
-        raise ServiceError(msg)
+        raise CmpTactileError(msg)
     try:
         value = text if kinds[field].startswith("string") else yaml.safe_load(text)
         if kinds[field] in ("float", "double"):
@@ -180,7 +176,7 @@ def _set_field(request: Any, field: str, text: str) -> None:
         setattr(request, field, value)
     except (AssertionError, TypeError, ValueError, yaml.YAMLError):
         msg = f"{field}: found {found_text(text)}, expected {kinds[field]}"
-        raise ServiceError(msg) from None
+        raise CmpTactileError(msg) from None
 
 
 def _set_parameters(node: Node, owner: str, values: Mapping[str, str]) -> Any:
@@ -191,7 +187,7 @@ def _set_parameters(node: Node, owner: str, values: Mapping[str, str]) -> Any:
     for name in values or ("",):
         if name not in listed.result.names:
             msg = f"{owner}: found no parameter {name!r}, expected one of {', '.join(known)}"
-            raise ServiceError(msg + did_you_mean(name, known))
+            raise CmpTactileError(msg + did_you_mean(name, known))
     request = GetParameterTypes.Request(names=list(values))
     kinds = answer_of(node, GetParameterTypes, f"{owner}/get_parameter_types", request).types
     given = [

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cmp_tactile_processing.cache.files import expanded_path, write_whole
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor import parameters, parts
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
@@ -114,10 +114,10 @@ class SensorDescription:
 
     @property
     def frame_size(self) -> tuple[int, int]:
-        """Width and height of the camera frame, px; DescriptionError where there is no camera."""
+        """Width and height of the camera frame, px; InputError where there is no camera."""
         if self.optics.type == parts.NO_OPTICS:
             msg = f"{self.origin}: optics.type: found none, expected a camera for the use of frames"
-            raise DescriptionError(msg)
+            raise InputError(msg)
         return self.image.width, self.image.height
 
     @property
@@ -153,7 +153,7 @@ class SensorDescription:
     def load(cls, path: str | Path) -> SensorDescription:
         """Read a sensor description (format version 1).
 
-        Raises DescriptionError naming file, key path, what was found and what is expected.
+        Raises InputError naming file, key path, what was found and what is expected.
         """
         return read_sensor_description(Path(path))
 
@@ -273,7 +273,7 @@ def _check_gel(top: YamlSection, pattern: parts.Pattern, elastomer: parts.Elasto
 def write_sensor_description(path: str | Path, sensor: SensorDescription) -> None:
     """Write the file; it is there whole or not at all.
 
-    Raises DescriptionError, and leaves what was there, for a description that its reader would
+    Raises InputError, and leaves what was there, for a description that its reader would
     refuse and where the file cannot be written.
     """
     text = sensor_description_text(sensor)
@@ -422,7 +422,7 @@ def packaged_sensors() -> dict[str, Path]:
 def find_sensor_description(name_or_path: str) -> Path:
     """The file of a packaged sensor ("sample_rig") or the path as given.
 
-    Raises DescriptionError where there is neither.
+    Raises InputError where there is neither.
     """
     packaged = packaged_sensors()
     if name_or_path in packaged:
@@ -431,11 +431,11 @@ def find_sensor_description(name_or_path: str) -> Path:
     if path.is_file():
         return path
     msg = f"{name_or_path}: found no such file, expected a path or one of {', '.join(packaged)}"
-    raise DescriptionError(msg)
+    raise InputError(msg)
 
 
 def load_sensor(name_or_path: str, sensor_name: str = "") -> SensorDescription:
-    """The sensor description of that name or path; DescriptionError where it cannot be used.
+    """The sensor description of that name or path; InputError where it cannot be used.
 
     sensor_name: of this one among several sensors of the same description, instead of its name.
     """

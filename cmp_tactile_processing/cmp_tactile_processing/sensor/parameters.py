@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from cmp_tactile_processing.errors import ParameterError, found_text
+from cmp_tactile_processing.errors import InputError, found_text
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant, read_by
 
 
@@ -41,7 +41,7 @@ def parameter(
 
 
 def check_parameters(parameters: Any, owner: str = "") -> None:
-    """Raise ParameterError for the first field of a dataclass instance outside its range.
+    """Raise InputError for the first field of a dataclass instance outside its range.
 
     owner: the section that the fields belong to; without one they are a node's parameters.
     """
@@ -66,11 +66,11 @@ def check_parameters(parameters: Any, owner: str = "") -> None:
             found = list(value) if isinstance(value, tuple) else value
             hint = meant([value], meta["unit"], *_limits(meta))
             msg = f"{where}: found {found_text(found)}, expected {expected.rstrip()}{hint}"
-            raise ParameterError(msg)
+            raise InputError(msg)
 
 
 class Parameters:
-    """Base of dataclasses that have fields of `parameter`; ParameterError for one out of range.
+    """Base of dataclasses that have fields of `parameter`; InputError for one out of range.
 
     section: of a file that the fields belong to; without one they are a node's parameters.
     """
@@ -90,7 +90,7 @@ def numbers_text(default: tuple[float, ...], meta: Mapping[str, Any]) -> str:
 
 
 def check_grey_weights(weights: tuple[float, float, float]) -> None:
-    """Raise ParameterError where weights of red, green and blue leave all colours alike."""
+    """Raise InputError where weights of red, green and blue leave all colours alike."""
     total = sum(abs(weight) for weight in weights)
     if not math.isfinite(total) or total == 0:
         found = ", ".join(f"{weight:g}" for weight in weights)
@@ -98,7 +98,7 @@ def check_grey_weights(weights: tuple[float, float, float]) -> None:
             f"tracking.red, tracking.green, tracking.blue: found {found}, expected numbers that "
             "are not all 0"
         )
-        raise ParameterError(msg)
+        raise InputError(msg)
 
 
 def _limits(meta: Mapping[str, Any]) -> tuple[float, float]:
@@ -223,7 +223,7 @@ class SlipParameters(Parameters, section="slip"):
                 f"slip.incipient_ratio: found {self.incipient_ratio!r}, expected at most "
                 f"slip.full_ratio, {self.full_ratio!r}"
             )
-            raise ParameterError(msg)
+            raise InputError(msg)
 
 
 @dataclass(frozen=True)

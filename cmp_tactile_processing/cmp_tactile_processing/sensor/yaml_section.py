@@ -10,13 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cmp_tactile_processing.errors import (
-    DescriptionError,
-    ParameterError,
-    found_text,
-    printable,
-    shortened,
-)
+from cmp_tactile_processing.errors import InputError, found_text, printable, shortened
 from cmp_tactile_processing.sensor.yaml_text import Comment, yaml_comments, yaml_content
 
 MAX_FILE_BYTES = 1_000_000
@@ -30,7 +24,7 @@ Part = TypeVar("Part")
 Metadata = Mapping[str, Any]
 
 
-class MissingKeysError(DescriptionError):
+class MissingKeysError(InputError):
     """A file lacks keys.
 
     keys: for each of them its path, and that nothing was found and what is expected.
@@ -44,33 +38,33 @@ class MissingKeysError(DescriptionError):
 def read_yaml(path: Path) -> YamlSection:
     """The top-level mapping of a YAML file.
 
-    Raises DescriptionError for a file that is absent, too large, not YAML or not a mapping.
+    Raises InputError for a file that is absent, too large, not YAML or not a mapping.
     """
     try:
         if path.exists() and not path.is_file():
             msg = f"{path}: found no regular file, expected a YAML file"
-            raise DescriptionError(msg)
+            raise InputError(msg)
         with path.open("rb") as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except OSError as error:
         msg = f"{path}: cannot be read: {error.strerror or error}"
-        raise DescriptionError(msg) from None
+        raise InputError(msg) from None
     if len(data) > MAX_FILE_BYTES:
         msg = f"{path}: found a larger file, expected at most {MAX_FILE_BYTES} bytes"
-        raise DescriptionError(msg)
+        raise InputError(msg)
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         msg = f"{path}: line {line}: found the byte {data[error.start]:#x}, expected UTF-8 text"
-        raise DescriptionError(msg) from None
+        raise InputError(msg) from None
     return parse_yaml(path, text)
 
 
 def parse_yaml(path: Path, text: str) -> YamlSection:
     """The top-level mapping of a text that is, or is to be, in the file.
 
-    Raises DescriptionError, naming the file, for what is not YAML or not a mapping.
+    Raises InputError, naming the file, for what is not YAML or not a mapping.
     """
     return YamlSection(path, "", yaml_content(path, text), text)
 
@@ -94,7 +88,7 @@ class YamlSection:
         """The file."""
         return self._path
 
-    def missing(self, key: str, expected: str) -> DescriptionError:
+    def missing(self, key: str, expected: str) -> InputError:
         """The error for a key of this section without a value."""
         return self.error(key, _MISSING, expected)
 
@@ -103,7 +97,7 @@ class YamlSection:
         """Comments of the file by key path; empty for a section that is no file."""
         return yaml_comments(self._path, self._text)
 
-    def error(self, key: str, found: object, expected: str) -> DescriptionError:
+    def error(self, key: str, found: object, expected: str) -> InputError:
         """The error for a key of this section."""
         where = ".".join(part for part in (self._key_path, key) if part) or "top level"
         if found is _MISSING:
@@ -111,11 +105,11 @@ class YamlSection:
                 self._path, [printable(f"{where}: found nothing, expected {expected}")]
             )
         msg = f"{self._path}: {where}: found {found_text(found)}, expected {expected}"
-        return DescriptionError(printable(msg))
+        return InputError(printable(msg))
 
-    def refused(self, problem: Exception) -> DescriptionError:
+    def refused(self, problem: Exception) -> InputError:
         """The error for values with a problem that names section and key itself."""
-        return DescriptionError(f"{self._path}: {problem}")
+        return InputError(f"{self._path}: {problem}")
 
     def __contains__(self, key: str) -> bool:
         self._asked.add(key)
@@ -130,11 +124,11 @@ class YamlSection:
                 raise self.error(key, self._content[key], expected)
 
     def check_version(self, version: int, kind: str) -> None:
-        """Raise DescriptionError for a file of another kind, or of another version of this one."""
+        """Raise InputError for a file of another kind, or of another version of this one."""
         if "version" not in self._content:
             keys = shortened(", ".join(map(str, self._content)) or "nothing")
             msg = f"{self._path}: found {keys}, expected {kind} with version: {version}"
-            raise DescriptionError(printable(msg))
+            raise InputError(printable(msg))
         self.integer("version", version, version)
 
     def raw(self, key: str, expected: str = "a value") -> Any:
@@ -307,7 +301,7 @@ def read_by(
     Parameters
     ----------
     read
-        Raises DescriptionError for what the key may not hold.
+        Raises InputError for what the key may not hold.
     key
         In the file, where it is not the field's name.
     required
@@ -372,14 +366,14 @@ def read_fields(section: YamlSection, kind: type[Part], **given: Any) -> Part:
     """The dataclass of all keys of a section.
 
     given: values of the fields that are not read here.
-    Raises DescriptionError for a key that is wrong, or none of the fields', and MissingKeysError,
+    Raises InputError for a key that is wrong, or none of the fields', and MissingKeysError,
     with all that are absent, here and below.
     """
     values = field_values(section, kind, **given)
     section.finish()
     try:
         return kind(**values)
-    except ParameterError as error:
+    except InputError as error:
         # It names the section and the key already.
         raise section.refused(error) from None
 

@@ -21,7 +21,7 @@ from yaml.reader import Reader, ReaderError
 from yaml.resolver import Resolver
 from yaml.scanner import Scanner
 
-from cmp_tactile_processing.errors import DescriptionError, found_text, printable, shortened
+from cmp_tactile_processing.errors import InputError, found_text, printable, shortened
 
 # Far more than a scene has; an alias counts as all that it stands for.
 MAX_NODES = 30_000
@@ -103,7 +103,7 @@ class _Loader(Composer, _Parser, Resolver):  # type: ignore[misc]
         self._sizes: dict[str, int] = {}
 
     def content(self) -> Any:
-        """The document; DescriptionError for what is refused, YAMLError for what is not YAML."""
+        """The document; InputError for what is refused, YAMLError for what is not YAML."""
         node = self.get_single_node()
         return None if node is None else self._value(node, "", 0)
 
@@ -184,10 +184,10 @@ class _Loader(Composer, _Parser, Resolver):  # type: ignore[misc]
         if depth > MAX_DEPTH:
             raise self._refused("more nested levels", f"at most {MAX_DEPTH} nested levels")
 
-    def _refused(self, found: str, expected: str) -> DescriptionError:
+    def _refused(self, found: str, expected: str) -> InputError:
         where = self.key_path or "top level"
         msg = f"{self._path}: {where}: found {found}, expected {expected}"
-        return DescriptionError(printable(msg))
+        return InputError(printable(msg))
 
 
 class _Dumper(yaml.SafeDumper):
@@ -201,14 +201,14 @@ class _Dumper(yaml.SafeDumper):
 
 
 def yaml_value(text: str) -> Any:
-    """A value as it would stand in a file; DescriptionError where it cannot."""
+    """A value as it would stand in a file; InputError where it cannot."""
     return yaml_content(Path("value"), text)
 
 
 def yaml_content(path: Path, text: str) -> Any:
     """The document in a text of the file, of plain mappings, lists, texts, numbers and None.
 
-    Raises DescriptionError, naming file and key path, for what is not YAML or beyond the bounds.
+    Raises InputError, naming file and key path, for what is not YAML or beyond the bounds.
     """
     loader = None
     try:
@@ -228,7 +228,7 @@ def yaml_content(path: Path, text: str) -> Any:
         where = (loader.key_path if loader else "") or "top level"
         problem = ": ".join(part for part in (error.context, error.problem) if part)
         msg = f"{path}: {printable(where)}: not a YAML file: {place}: {' '.join(problem.split())}"
-    raise DescriptionError(msg)
+    raise InputError(msg)
 
 
 def yaml_comments(path: Path, text: str) -> dict[str, Comment]:

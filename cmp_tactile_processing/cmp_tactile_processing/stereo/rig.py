@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, plain
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.refraction import RayBundle, RayModel
 from cmp_tactile_processing.measured import (
@@ -46,13 +46,13 @@ class StereoRig:
     """The two views of a sensor, or the one of a monocular sensor with its known surface.
 
     One frame at a time: calls from several threads must take turns.
-    Raises GeometryError for a sensor without views.
+    Raises InputError for a sensor without views.
     """
 
     def __init__(self, sensor: SensorDescription) -> None:
         if not sensor.views:
             msg = f"{sensor.origin}: views: found none, expected at least one that shows markers"
-            raise GeometryError(msg)
+            raise InputError(msg)
         self._sensor = sensor
         self._options = sensor.triangulation
         self._views = build_views(sensor)
@@ -103,7 +103,7 @@ class StereoRig:
         other is None) and gives the point of the known surface on the marker's ray, with z NaN.
         Virtual markers are placed along the gridlines as curves: see LineTriangulator; without
         `virtual_markers` all of them are missing, which takes less time.
-        Raises GeometryError for a grid of another shape, with arrays of another one, or a missing
+        Raises InputError for a grid of another shape, with arrays of another one, or a missing
         one.
         """
         grids = {"left": left, "right": right}
@@ -160,16 +160,16 @@ class StereoRig:
         shape = self._sensor.pattern.shape
         if grid is None:
             msg = f"{name} grid: found none, expected one of {shape.rows} x {shape.cols} corners"
-            raise GeometryError(msg)
+            raise InputError(msg)
         if grid.shape != shape:
             msg = f"{name} grid: found {grid.shape}, expected {shape}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         for field, size in self._sizes.items():
             # Compiled loops check no bounds.
             array = getattr(grid, field)
             if array is not None and array.shape != size:
                 msg = f"{name} grid: {field}: found {array.shape}, expected {size}"
-                raise GeometryError(msg)
+                raise InputError(msg)
         return grid
 
     def _corners(self, grids: dict[str, Grid]) -> Triangulated:

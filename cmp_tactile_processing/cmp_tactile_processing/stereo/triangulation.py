@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rectification import surface_intersection
 from cmp_tactile_processing.geometry.refraction import RayBundle
 from cmp_tactile_processing.measured import MarkerFault
@@ -80,13 +80,13 @@ def triangulate(
 
     std: standard deviation (N,) of the pixels of each view, px per coordinate.  weighted: the least
     reprojection error instead of the middle of the common normal.  max_gap: longest plausible
-    common normal, m.  Raises GeometryError unless all are as many.
+    common normal, m.  Raises InputError unless all are as many.
     """
     n = len(rays[0].origin)
     counts = [n, len(rays[1].origin), len(std[0]), len(std[1])]
     if counts != [n] * 4:
         msg = f"triangulation: found {counts} rays and deviations, expected as many of each"
-        raise GeometryError(msg)
+        raise InputError(msg)
     out = Triangulated(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(n), np.empty(n, np.uint8))
     _triangulate(
         _arrays(rays[0], std[0]),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import GridShape, Status, Surface, SurfaceGrid
 
 # A gridline goes on across so many pitches without a known marker: a lost corner's two segments.
@@ -76,7 +76,7 @@ class DenseSurface:
 def grid_over(shape: GridShape, pitch: float, spacing: float, margin: float = 0.0) -> SurfaceGrid:
     """Nodes so far apart over the pattern and a margin around it, m, one of them at x = y = 0.
 
-    Raises GeometryError for lengths that make no grid, or one of more than four million nodes.
+    Raises InputError for lengths that make no grid, or one of more than four million nodes.
     """
     sides = [(n - 1) * pitch + 2 * margin for n in (shape.cols, shape.rows)]
     if not (0 < spacing <= min(sides) / 2 and 0 <= margin < np.inf):
@@ -84,11 +84,11 @@ def grid_over(shape: GridShape, pitch: float, spacing: float, margin: float = 0.
             f"dense surface: found spacing {spacing:g} m and margin {margin:g} m, expected a "
             f"margin of at least 0 and a spacing above 0 and up to {min(sides) / 2:.3g} m"
         )
-        raise GeometryError(msg)
+        raise InputError(msg)
     cols, rows = (2 * int(side / 2 / spacing + ROUNDING) + 1 for side in sides)
     if cols * rows > MOST_NODES:
         msg = f"dense surface: found {rows} x {cols} nodes, expected at most {MOST_NODES}"
-        raise GeometryError(msg)
+        raise InputError(msg)
     return SurfaceGrid(rows, cols, ((cols - 1) * spacing, (rows - 1) * spacing))
 
 
@@ -96,7 +96,7 @@ def interpolate(surface: Surface, spacing: float, margin: float = 0.0) -> DenseS
     """The dense surface with nodes so far apart, m; extrapolated by no more than the margin, m.
 
     For many surfaces of one sensor a SurfaceInterpolator does the same in less time.  Raises
-    GeometryError where the lengths make no grid or the reference shows no pitch.
+    InputError where the lengths make no grid or the reference shows no pitch.
     """
     pitch = _pitch_of(surface.reference)
     grid = grid_over(surface.shape, pitch, spacing, margin)
@@ -133,10 +133,10 @@ class SurfaceInterpolator:
         self._reference: NDArray[np.float64] | None = None
 
     def interpolate(self, surface: Surface) -> DenseSurface:
-        """The dense surface of a frame; GeometryError for another shape than was announced."""
+        """The dense surface of a frame; InputError for another shape than was announced."""
         if surface.shape != self._shape:
             msg = f"surface: found {surface.shape}, expected {self._shape}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         self._refer_to(surface.reference)
         moved, col_position = surface.displacement, surface.col_position.swapaxes(0, 1)
         rows = self._lines(moved, surface.row_position, self._rows_at_rest)
@@ -397,7 +397,7 @@ def _pitch_of(reference: NDArray[np.float64]) -> float:
     pitch = float(steps.mean()) if len(steps) else float("nan")
     if not pitch > 0:
         msg = "dense surface: found no pitch in the reference, expected corners regular in x and y"
-        raise GeometryError(msg)
+        raise InputError(msg)
     return pitch
 
 

@@ -53,7 +53,7 @@ class CheckableChange(NamedTuple):
 
 
 class DescriptionChanges:
-    """The changes (n,) of one description.  Raises DescriptionError as `build_views` does.
+    """The changes (n,) of one description.  Raises InputError as `build_views` does.
 
     Corners are in one row, of N.
     """
@@ -104,7 +104,7 @@ class DescriptionChanges:
         return self._derivatives(self.effects, 0 * self.prior_std)
 
     def pixels(self, changes: Array) -> Array:
-        """Where the views see all corners, (views, N, 2) px; DescriptionError where they do not."""
+        """Where the views see all corners, (views, N, 2) px; InputError where they do not."""
         views, places = self._changed(changes)
         return np.stack([view.project(places) for view in views.values()])
 

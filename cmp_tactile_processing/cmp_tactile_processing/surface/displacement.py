@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.measured import (
     GridShape,
     MarkerFault,
@@ -77,12 +77,12 @@ class Reference:
         """Mean of several frames of the gel at rest; of three or more, one may be a bad one.
 
         A marker that was measured in some frames is averaged from these, one that was predicted in
-        all from all.  Raises ReferenceFramesError without frames, when fewer than half of the
+        all from all.  Raises CalibrationError without frames, when fewer than half of the
         markers were seen, or when they moved while the frames were taken.
         """
         if not markers:
             msg = "reference: found no frames, expected at least one"
-            raise ReferenceFramesError(msg)
+            raise CalibrationError(msg)
         stack = _best_known(markers)
         seen = np.asarray(np.isfinite(stack[..., :2]).all(axis=-1))
         _require_markers(seen)
@@ -97,11 +97,11 @@ class Reference:
     def surface(self, markers: Markers3D) -> Surface:
         """Displacement of the markers; missing where either position or reference is.
 
-        Raises GeometryError for another number of markers: compiled loops check no bounds.
+        Raises InputError for another number of markers: compiled loops check no bounds.
         """
         if markers.position.shape != self.position.shape:
             msg = f"reference: found {self.position.shape}, expected {markers.position.shape}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         displacement, covariance = np.empty_like(self.position), np.empty((*self.position.shape, 3))
         status, fault = (np.empty(displacement.shape[:2], np.uint8) for _ in range(2))
         _displace(
@@ -152,17 +152,17 @@ def _best_known(markers: Sequence[Markers3D]) -> NDArray[np.float64]:
 
 
 def _require_markers(known: NDArray[np.bool_]) -> None:
-    """Raise ReferenceFramesError where too few are known in any frame; known (F, rows, cols)."""
+    """Raise CalibrationError where too few are known in any frame; known (F, rows, cols)."""
     share = float(known.any(axis=0).mean())
     if share < LEAST_MARKERS:
         msg = f"reference: found {share:.0%} of the markers, expected {LEAST_MARKERS:.0%}"
-        raise ReferenceFramesError(msg)
+        raise CalibrationError(msg)
 
 
 def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which markers (F, rows, cols) of which frames are at rest with the others.
 
-    Raises ReferenceFramesError where more moves than a bad frame, or a bad marker, explains.
+    Raises CalibrationError where more moves than a bad frame, or a bad marker, explains.
     """
     ever = seen.any(axis=0)
     middle = np.full((*ever.shape, 2), np.nan)
@@ -186,7 +186,7 @@ def _at_rest(stack: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.
             f"reference: found markers moving by {moved * 1e6:.0f} um, "
             f"expected a gel at rest (at most {STILL_LIMIT * 1e6:.0f} um)"
         )
-        raise ReferenceFramesError(msg)
+        raise CalibrationError(msg)
     if outvoted:
         used &= off <= STILL_LIMIT
     return used

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean
 from cmp_tactile_processing.measured import Systematics
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -92,7 +92,7 @@ class _Fit(NamedTuple):
 
 
 class RestGauge:
-    """Reads references of one sensor.  Raises DescriptionError as `build_views` does."""
+    """Reads references of one sensor.  Raises InputError as `build_views` does."""
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._shape = sensor.pattern.rows, sensor.pattern.cols
@@ -162,7 +162,7 @@ class RestGauge:
                 if float(np.sqrt(np.mean(curved**2))) > CURVED_PX:
                     jacobian = possible.jacobian_at(changes * prior)
             off = measured - possible.pixels(changes * prior)
-        except DescriptionError:
+        except InputError:
             return None
         # Where not all corners are compared, fewer of them are alike.
         alike = max(1.0, ALIKE_CORNERS * len(possible.compared) / measured.shape[1])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean
 from cmp_tactile_processing.measured import Markers3D, ReferenceFault, Surface
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
@@ -184,7 +184,7 @@ class ReferenceKeeper:
     def take(self, frames: Sequence[Markers3D], stamp_ns: int) -> str:
         """Measure against the mean of these frames from now on; what is to be said of it.
 
-        Raises ReferenceFramesError where they cannot serve; all then stays as it was.
+        Raises CalibrationError where they cannot serve; all then stays as it was.
         """
         reference = Reference.average(frames, self.reference.id + 1, stamp_ns)
         return self._use(*self._gauged(reference), len(frames))
@@ -236,7 +236,7 @@ class ReferenceKeeper:
         self._drift.add(judged, self.reference, stamp_ns)
         if self._zero.auto_rezero and self._drift.warning() and judged.at_rest:
             # What drifted is reported until frames can serve.
-            with contextlib.suppress(ReferenceFramesError):
+            with contextlib.suppress(CalibrationError):
                 return self._taken(judged, stamp_ns)
         return ""
 
@@ -261,7 +261,7 @@ class ReferenceKeeper:
         reference, doubt = self._gauged(average)
         # A gel that is described wrongly rests as well: its reference is used, and flagged.
         if doubt and reference.faults != ReferenceFault.DESCRIPTION:
-            raise ReferenceFramesError(doubt)
+            raise CalibrationError(doubt)
         return self._use(reference, doubt, len(judged.frames)) + ", taken automatically"
 
     def _awaited(self, judged: FramesJudged, stamp_ns: int) -> str:
@@ -269,7 +269,7 @@ class ReferenceKeeper:
         if judged.still and (judged.untouched or self._passed_over >= self._between_tries):
             try:
                 return self._taken(judged, stamp_ns)
-            except ReferenceFramesError as error:
+            except CalibrationError as error:
                 self.reason = str(error)
                 # The gauge takes as long as some frames: what lasts is looked at more rarely.
                 self._passed_over = 0

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
@@ -113,7 +113,7 @@ class NominalGrid:
     def of_view(cls, pattern: Pattern, view: ViewGeometry) -> NominalGrid:
         """The nominal grid of a pattern at rest.
 
-        Raises GeometryError where its checkers are too small to be distinguished.
+        Raises InputError where its checkers are too small to be distinguished.
         """
         corners = view.project(pattern.corners())
         row_step = np.gradient(corners, axis=0)
@@ -128,7 +128,7 @@ class NominalGrid:
                 f"{view.name} view: found checkers of {sides.min():.2g} px, expected at least "
                 f"{least:g} px{coded}; check pattern.pitch ({pattern.pitch:g} m) and the camera"
             )
-            raise GeometryError(msg)
+            raise InputError(msg)
         return cls(
             corners=corners,
             row_step=row_step,
@@ -150,7 +150,7 @@ class NominalGrid:
         along = np.sqrt(place.width * place.height) / self.smallest_side_px
         for more in range(int(along - min(pattern.rows, pattern.cols)) // 2, 0, -1):
             rows, cols = pattern.rows + 2 * more, pattern.cols + 2 * more
-            with suppress(GeometryError):
+            with suppress(InputError):
                 return self.of_view(replace(pattern, rows=rows, cols=cols, code="none"), view)
         return self
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import check_image, to_grey
 from cmp_tactile_processing.image.prepared import Prefilter, PreparedImage
@@ -70,14 +70,14 @@ class GridTracker:
     A complete grid is looked for where the last frame had it.  Everything is checked again in the
     image - each corner's colours, its edges to the neighbours, the pattern's border - and where
     anything is in doubt the grid is detected again from this image alone.
-    Raises GeometryError for a view that the sensor does not have.
+    Raises InputError for a view that the sensor does not have.
     """
 
     def __init__(self, sensor: SensorDescription, view: str = "left") -> None:
         views = build_views(sensor)
         if view not in views:
             msg = f"{sensor.name}: found no view '{view}', expected one of {', '.join(views)}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         self._view = views[view]
         self._pattern, self._parameters = sensor.pattern, sensor.tracking
         full = NominalGrid.of_view(sensor.pattern, self._view)
@@ -184,7 +184,7 @@ class GridTracker:
 
         From now on corners on a flaw are measured by their pictures at rest; where these do not
         fit, they get a larger standard deviation.  Virtual markers on a flaw are predicted.  Raises
-        ReferenceFramesError without images or where the gel moves in them, FrameError for a wrong
+        CalibrationError without images or where the gel moves in them, FrameError for a wrong
         one; what was known before is then kept.
         """
         kept, self._defects = self._defects, None
@@ -367,7 +367,7 @@ class GridTracker:
             self.track(picture)
         part[:] = drawn
         # By a wrong description, the pattern may lie outside the view.
-        with suppress(ReferenceFramesError):
+        with suppress(CalibrationError):
             self.inspect_print([picture])
         self.use_print_defects(None)
         self._looks_for_dots = self._pattern.code == "none"

@@ -21,7 +21,7 @@ from cmp_tactile_processing.cache.files import (
     own_contents,
     split_paths,
 )
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 
 
 def test_a_file_is_replaced_whole_and_keeps_its_permissions(tmp_path):
@@ -143,7 +143,7 @@ def test_a_tilde_stands_for_a_home_folder_that_is_there(monkeypatch, tmp_path):
     assert expanded_path("~$x.mcap") == Path("~$x.mcap")
     monkeypatch.delenv("HOME")
     monkeypatch.setattr("os.getuid", lambda: 543210)
-    with pytest.raises(DescriptionError, match="~/bag: found no home folder"):
+    with pytest.raises(InputError, match="~/bag: found no home folder"):
         expanded_path("~/bag")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.parts import PatternSurface
 
 
@@ -87,7 +87,7 @@ def test_mesh_follows_the_surface(sensor):
 )
 def test_surface_that_reaches_the_base_is_an_error(sensor, surface, found):
     pattern = replace(sensor.pattern, surface=surface)
-    with pytest.raises(GeometryError, match=rf"sample_rig: elastomer.size .*{found}"):
+    with pytest.raises(InputError, match=rf"sample_rig: elastomer.size .*{found}"):
         ElasticProblem.from_sensor(replace(sensor, pattern=pattern))
 
 
@@ -105,5 +105,5 @@ def test_thickness_chooses_the_elements_over_the_depth(other_rig, thickness_mm):
 
 def test_more_markers_than_a_response_can_hold_are_refused_by_name(sensor):
     pattern = replace(sensor.pattern, rows=100, cols=100, border="beyond_view")
-    with pytest.raises(GeometryError, match=r"pattern\.rows, pattern\.cols: found 100 x 100"):
+    with pytest.raises(InputError, match=r"pattern\.rows, pattern\.cols: found 100 x 100"):
         ElasticProblem.from_sensor(replace(sensor, pattern=pattern))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.force.plausibility import Plausibility
 from cmp_tactile_processing.measured import ForceFlag, SlipState
 from cmp_tactile_processing.sensor.parts import PatternSurface
@@ -134,5 +134,5 @@ def test_what_a_gel_shows_is_plausible(model, truth):
     ],
 )
 def test_wrong_shapes(model, displacement, status, message):
-    with pytest.raises(GeometryError, match=f"sample_rig: {message}"):
+    with pytest.raises(InputError, match=f"sample_rig: {message}"):
         model.reconstruct(np.zeros(displacement), np.ones(status, dtype=np.uint8))

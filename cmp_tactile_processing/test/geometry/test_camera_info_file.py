@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rectification import (
     Rectification,
     read_camera_info,
@@ -155,5 +155,5 @@ def test_wrong_key_is_named_with_file_found_and_expected(tmp_path, old, new, exp
     path = tmp_path / "ros.yaml"
     assert old in FOREIGN
     path.write_text(FOREIGN.replace(old, new, 1))
-    with pytest.raises(DescriptionError, match=rf"ros\.yaml: .*({expected})"):
+    with pytest.raises(InputError, match=rf"ros\.yaml: .*({expected})"):
         read_camera_info(path)

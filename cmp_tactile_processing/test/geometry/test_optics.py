@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.parts import Camera, RefractingLayer
 
@@ -19,16 +19,14 @@ def test_a_rig_that_does_not_show_its_pattern_is_refused(sensor):
     pose = sensor.optics.T_camera_gel.copy()
     pose[0, 3] += 0.03
     rig = replace(sensor, optics=replace(sensor.optics, T_camera_gel=pose))
-    with pytest.raises(DescriptionError, match=r"views\.left: found the pattern's centre at pixel"):
+    with pytest.raises(InputError, match=r"views\.left: found the pattern's centre at pixel"):
         build_views(rig)
 
 
 def test_a_pattern_outside_the_lenss_field_is_refused(sensor):
     """Through the polynomial alone its corners would fold back into the image."""
     rig = replace(sensor, camera=replace(sensor.camera, distortion=(-40.0, 0.0, 0.0, 0.0, 0.0)))
-    with pytest.raises(
-        DescriptionError, match=r"views\.left: found no pixel for the pattern, 0% of"
-    ):
+    with pytest.raises(InputError, match=r"views\.left: found no pixel for the pattern, 0% of"):
         build_views(rig)
 
 
@@ -36,7 +34,7 @@ def test_a_pattern_outside_the_lenss_field_is_refused(sensor):
 def test_a_layer_outside_the_way_of_the_rays_is_refused(sensor, z):
     layers = (RefractingLayer(z, 1.4),)
     rig = replace(sensor, optics=replace(sensor.optics, layers=layers))
-    with pytest.raises(DescriptionError, match=r"optics\.layers\[0\]\.z: found .*between the left"):
+    with pytest.raises(InputError, match=r"optics\.layers\[0\]\.z: found .*between the left"):
         build_views(rig)
 
 
@@ -69,5 +67,5 @@ def _rotation_between(a, b):
 
 def test_two_views_from_one_point_are_refused(sensor):
     rig = replace(sensor, views=dict.fromkeys(("left", "right"), sensor.views["left"]))
-    with pytest.raises(DescriptionError, match=r"views: found camera centres 0 m apart"):
+    with pytest.raises(InputError, match=r"views: found camera centres 0 m apart"):
         build_views(rig)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -148,7 +148,7 @@ def test_monocular_view_is_undistorted_only(layers):
     np.testing.assert_allclose(
         rectification.rectify_points("right", raw), expected, atol=ATOL_EXACT_PX
     )
-    with pytest.raises(GeometryError, match="found no view 'left', expected one of right"):
+    with pytest.raises(InputError, match="found no view 'left', expected one of right"):
         rectification.triangulate(expected, expected)
 
 
@@ -163,7 +163,7 @@ def test_one_camera_behind_the_other_is_reported(sensor):
     camera = replace(sensor.camera, cx=left.lens.matrix[0, 2])
     views = {name: replace(view, camera=camera) for name, view in views.items()}
     behind = replace(sensor, camera=None, optics=Optics("two_view", None, ()), views=views)
-    with pytest.raises(GeometryError, match="views: found the left camera beside or behind"):
+    with pytest.raises(InputError, match="views: found the left camera beside or behind"):
         Rectification(behind)
 
 

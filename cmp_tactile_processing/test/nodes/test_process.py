@@ -15,7 +15,8 @@ pytest.importorskip("rclpy")
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
-from cmp_tactile_processing.ros.process import JoinError, Listener
+from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.ros.process import Listener
 
 pytestmark = pytest.mark.ros
 
@@ -145,7 +146,9 @@ def test_why_ros_cannot_be_joined_is_one_line(monkeypatch, variable, value, othe
     """
     for name, text in {variable: value, **others}.items():
         monkeypatch.setenv(name, text)
-    with pytest.raises(JoinError, match=f"^{variable}: found .*{value}.*, expected") as raised:
+    with pytest.raises(
+        CmpTactileError, match=f"^{variable}: found .*{value}.*, expected"
+    ) as raised:
         Listener("somebody").__enter__()
     assert "\n" not in str(raised.value)
 

@@ -16,7 +16,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
@@ -152,7 +152,7 @@ def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
 )
 def test_mounting_that_cannot_be_meant_is_refused_with_the_reason(ros, name, value, message):
     """Millimetres, degrees, and frames that tf2 does not take or that close a circle."""
-    with pytest.raises(ParameterError, match=rf"view_splitter: parameter {name}: .*{message}"):
+    with pytest.raises(InputError, match=rf"view_splitter: parameter {name}: .*{message}"):
         ros.start(ViewSplitter, **(MOUNT | {name: value}))
 
 

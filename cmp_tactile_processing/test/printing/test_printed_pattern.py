@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import DescriptionError, ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.printing.pattern import (
     PrintOptions,
     flat_print,
@@ -131,7 +131,7 @@ def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
     ],
 )
 def test_options_that_cannot_be_are_named(options, message, rig):
-    with pytest.raises(ParameterError, match=re.escape(message)) as raised:
+    with pytest.raises(InputError, match=re.escape(message)) as raised:
         printed_pattern(sensor_of(rig), PrintOptions(**options))
     assert "\n" not in str(raised.value)
 
@@ -148,6 +148,6 @@ def test_a_print_that_is_wider_than_its_surface_is_refused(surface, needed, rig)
     """The corners alone would fit: it is the outer checkers and the margin that do not."""
     sensor = sensor_of(rig, surface)
     assert np.isfinite(sensor.pattern.corners()).all()
-    with pytest.raises(DescriptionError, match=r"pattern.surface.radius: found .* mm") as raised:
+    with pytest.raises(InputError, match=r"pattern.surface.radius: found .* mm") as raised:
         printed_pattern(sensor)
     assert f"expected more than {needed}" in str(raised.value)

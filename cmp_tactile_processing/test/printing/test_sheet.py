@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -45,11 +45,11 @@ def test_everything_lies_on_the_paper_and_no_copy_on_another(paper, copies, copy
 
 def test_copies_that_have_no_room_are_refused_with_how_many_have(copy):
     assert len(print_sheet(copy, "letter", 16).origins) == 16
-    with pytest.raises(ParameterError, match=r"^copies: found 17, expected at most 16 of .* mm on"):
+    with pytest.raises(InputError, match=r"^copies: found 17, expected at most 16 of .* mm on"):
         print_sheet(copy, "letter", 17)
-    with pytest.raises(ParameterError, match=r"^copies: found 0, expected 1 or more"):
+    with pytest.raises(InputError, match=r"^copies: found 0, expected 1 or more"):
         print_sheet(copy, "A4", 0)
-    with pytest.raises(ParameterError, match=r"^paper: found 'A3', expected one of A4, letter"):
+    with pytest.raises(InputError, match=r"^paper: found 'A3', expected one of A4, letter"):
         print_sheet(copy, "A3")
 
 
@@ -57,7 +57,7 @@ def test_a_pattern_larger_than_the_paper_is_refused_but_fits_a_fitting_one():
     rig = load_sensor("sample_rig")
     block = replace(rig.elastomer, size=(0.18, 0.12, 0.006))
     wide = printed_copy("wide", printed_pattern(replace(rig, elastomer=block)))
-    with pytest.raises(ParameterError, match=r"^paper: found A4 with room for 184\.0 x 263\.0 mm"):
+    with pytest.raises(InputError, match=r"^paper: found A4 with room for 184\.0 x 263\.0 mm"):
         print_sheet(wide)
     assert print_sheet(wide, "fit").width > 190
 

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import (
     Contact,
     ForceField,
@@ -239,7 +239,7 @@ def test_what_is_not_known_of_a_grid_is_not_known_when_it_is_read(grid):
 def test_impossible_codes_of_a_grid_are_refused(grid, name, value, message):
     msg = grid_to_msg(grid, HEADER)
     setattr(msg, name, value)
-    with pytest.raises(GeometryError, match=message):
+    with pytest.raises(InputError, match=message):
         grid_from_msg(msg, SHAPE)
 
 
@@ -276,7 +276,7 @@ def test_every_flag_has_its_bit_in_the_message_and_those_of_a_newer_sender_are_k
 
 def test_grid_of_another_sensor_is_refused(grid):
     other = GridShape(7, 5, 3)
-    with pytest.raises(GeometryError, match=r"rows, cols.*found 5, 7, 3, expected 7, 5, 3"):
+    with pytest.raises(InputError, match=r"rows, cols.*found 5, 7, 3, expected 7, 5, 3"):
         grid_from_msg(grid_to_msg(grid, HEADER), other)
 
 
@@ -297,7 +297,7 @@ def test_short_and_long_grid_arrays_are_named(grid, name, count):
         msg = grid_to_msg(grid, HEADER)
         setattr(msg, name, change(getattr(msg, name)))
         found = len(getattr(msg, name))
-        with pytest.raises(GeometryError, match=rf"^{name}: found {found} .* expected {count} "):
+        with pytest.raises(InputError, match=rf"^{name}: found {found} .* expected {count} "):
             grid_from_msg(msg, SHAPE)
 
 
@@ -312,7 +312,7 @@ def test_coordinates_must_agree_with_status(grid):
         corners = grid.corners.copy()
         corners[tuple(index)] = value
         msg = grid_to_msg(replace(grid, corners=corners), HEADER)
-        with pytest.raises(GeometryError, match=reason):
+        with pytest.raises(InputError, match=reason):
             grid_from_msg(msg, SHAPE)
 
 
@@ -341,7 +341,7 @@ def test_surface_of_one_view_has_no_depth_and_is_taken(surface):
 def test_inconsistent_force_field_or_contact_is_refused_by_field(field, name, value, reason):
     msg = force_field_to_msg(field, HEADER)
     setattr(msg.contacts[1] if reason.startswith("^contacts") else msg, name, value)
-    with pytest.raises(GeometryError, match=reason):
+    with pytest.raises(InputError, match=reason):
         force_field_from_msg(msg)
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("rclpy")
 
 from rclpy.parameter import Parameter
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.ros.parameters import StageParameters, declare_parameters
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
@@ -75,7 +75,7 @@ def test_bad_override_at_the_start_names_parameter_found_and_expected(ros, name,
         parameter_overrides=[Parameter(name, value=value)],
     )
     try:
-        with pytest.raises(ParameterError, match=reason):
+        with pytest.raises(InputError, match=reason):
             StageParameters(node, Settings(), lambda _: None)
     finally:
         node.destroy_node()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.printing.pattern import checker_sides_px
@@ -78,15 +78,13 @@ def test_packaged_sensors_show_their_pattern_in_both_views(name):
 
 
 def test_a_sensor_that_is_not_there_is_named():
-    with pytest.raises(DescriptionError, match=r"nowhere\.yaml.*sample_rig"):
+    with pytest.raises(InputError, match=r"nowhere\.yaml.*sample_rig"):
         load_sensor("nowhere.yaml")
 
 
 def test_a_pattern_too_small_for_a_code_is_refused(content, load):
     content["pattern"] |= {"rows": 4, "cols": 7, "code": "dots"}
-    with pytest.raises(
-        DescriptionError, match=r"pattern\.code: found 'dots', expected none, .*5 x 8"
-    ):
+    with pytest.raises(InputError, match=r"pattern\.code: found 'dots', expected none, .*5 x 8"):
         load(content)
     content["pattern"] |= {"rows": 5, "cols": 6}
     assert load(content).pattern.dots().shape == (6, 7)
@@ -105,7 +103,7 @@ def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(cont
     np.testing.assert_array_equal(sheet.dark_checkers()[9:-9, 14:-14], part.dark_checkers())
     np.testing.assert_allclose(sheet.corners()[9:-9, 14:-14], part.corners(), atol=1e-12)
     content["pattern"] |= {"rows": 61}
-    with pytest.raises(DescriptionError, match=r"pattern\.code: found 'dots', .* at most 60 rows"):
+    with pytest.raises(InputError, match=r"pattern\.code: found 'dots', .* at most 60 rows"):
         load(content)
 
 
@@ -178,7 +176,7 @@ def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(cont
     ],
 )
 def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path, value, expected):
-    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
+    with pytest.raises(InputError, match=rf"rig\.yaml: {expected}"):
         load(changed(content, key_path, value))
 
 
@@ -207,7 +205,7 @@ def test_on_and_off_without_quotes_are_words(content, load_text, word):
     ],
 )
 def test_what_is_not_a_mapping_of_yaml_is_refused(load_text, text, expected):
-    with pytest.raises(DescriptionError, match=expected):
+    with pytest.raises(InputError, match=expected):
         load_text(text)
 
 
@@ -217,7 +215,7 @@ def test_binary_huge_and_absent_files_are_refused(tmp_path):
     huge = tmp_path / "huge.yaml"
     huge.write_bytes(b"#" * 2_000_000)
     for path in (binary, huge, tmp_path / "absent.yaml", tmp_path):
-        with pytest.raises(DescriptionError, match=str(path)):
+        with pytest.raises(InputError, match=str(path)):
             SensorDescription.load(path)
 
 
@@ -225,7 +223,7 @@ def test_binary_huge_and_absent_files_are_refused(tmp_path):
 def test_only_decimal_integers_are_numbers(load_sample, number):
     """YAML 1.1 takes 0512 for 330: a part of the frame of another width, and wrong forces."""
     expected = rf"rig\.yaml: views\.right\.roi\[0\]: found '{number}', expected a decimal number"
-    with pytest.raises(DescriptionError, match=expected):
+    with pytest.raises(InputError, match=expected):
         load_sample("roi: [512,", f"roi: [{number},")
     assert load_sample("name: sample_rig", f"name: '{number}'").name == number
 
@@ -233,7 +231,7 @@ def test_only_decimal_integers_are_numbers(load_sample, number):
 def test_all_missing_keys_are_named_at_once(content, load):
     del content["name"], content["pattern"]["corner_checker"], content["pattern"]["rows"]
     del content["elastomer"]["young"], content["elastomer"]["shading_layer"]
-    with pytest.raises(DescriptionError) as caught:
+    with pytest.raises(InputError) as caught:
         load(content)
     found = re.findall(r"(\S+): found nothing, expected", str(caught.value))
     assert found == ["name", "pattern.rows", "pattern.corner_checker", "elastomer.young"]
@@ -255,13 +253,13 @@ def test_keys_with_a_default_may_be_left_out(content, load):
         assert written["pattern"]["points_per_segment"] == 6
         assert written["elastomer"]["model"] == "linear"
     content["elastomer"]["shading_layer"] = None
-    with pytest.raises(DescriptionError, match=r"shading_layer: found None, .*without the layer"):
+    with pytest.raises(InputError, match=r"shading_layer: found None, .*without the layer"):
         load(content)
 
 
 def test_a_misspelt_key_is_named_where_the_right_one_is_missing(load_sample):
     expected = r"pattern\.pitch: found nothing, expected .*; found 'Pich': did you mean 'pitch'\?"
-    with pytest.raises(DescriptionError, match=expected):
+    with pytest.raises(InputError, match=expected):
         load_sample("pitch:", "Pich:")
 
 
@@ -282,13 +280,13 @@ def alias_bomb():
     ids=["aliases", "list", "itself"],
 )
 def test_what_grows_without_bounds_is_refused_where_it_does(load_text, text, where):
-    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {where}: found") as error:
+    with pytest.raises(InputError, match=rf"rig\.yaml: {where}: found") as error:
         load_text(text)
     assert len(str(error.value)) < 1000
 
 
 def test_an_escape_sequence_in_a_key_is_shown_and_not_sent_to_the_terminal(load_text):
-    with pytest.raises(DescriptionError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
+    with pytest.raises(InputError, match=r": \\x1b\[31mred\\n: found 1, expected no such"):
         load_text(SAMPLE.read_text() + '"\\e[31mred\\n": 1\n')
 
 
@@ -345,15 +343,15 @@ def test_a_sensor_that_measures_its_markers_itself_has_neither_camera_nor_views(
     assert not sensor.views
     assert sensor.camera is None
     content["views"] = {"left": {"roi": [0, 0, 100, 100]}}
-    with pytest.raises(DescriptionError, match=r"views: found .* no such key"):
+    with pytest.raises(InputError, match=r"views: found .* no such key"):
         load(content)
 
 
 def test_where_a_camera_is_needed_a_sensor_without_one_is_named():
     sensor = load_sensor("tac3d_ad2")
-    with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
+    with pytest.raises(InputError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
         _ = sensor.frame_size
-    with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
+    with pytest.raises(InputError, match=r"tac3d_ad2\.yaml: optics\.type: found none"):
         Pipeline(sensor).process(np.zeros((768, 1024), np.uint8))
-    with pytest.raises(DescriptionError, match=r"tac3d_ad2\.yaml: views: found none"):
+    with pytest.raises(InputError, match=r"tac3d_ad2\.yaml: views: found none"):
         checker_sides_px(sensor)

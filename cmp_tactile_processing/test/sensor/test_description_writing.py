@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
@@ -200,7 +200,7 @@ SAMPLE = RIGS["sample_rig"]
 def test_description_that_could_not_be_read_is_not_written(tmp_path, broken, expected):
     path = tmp_path / "rig.yaml"
     path.write_text("what was there")
-    with pytest.raises(DescriptionError, match=rf"rig\.yaml: {expected}"):
+    with pytest.raises(InputError, match=rf"rig\.yaml: {expected}"):
         write_sensor_description(path, broken)
     assert path.read_text() == "what was there"
     assert [item.name for item in tmp_path.iterdir()] == ["rig.yaml"]

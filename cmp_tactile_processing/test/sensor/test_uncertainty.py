@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     load_sensor,
@@ -56,7 +56,7 @@ def test_a_file_without_it_has_the_usual_deviations() -> None:
 )
 def test_wrong_sections_are_refused(section: str, said: str) -> None:
     text = sensor_description_text(load_sensor("sample_rig")) + f"uncertainty: {section}\n"
-    with pytest.raises(DescriptionError) as caught:
+    with pytest.raises(InputError) as caught:
         _read(text)
     assert said in str(caught.value)
     assert "sensor.yaml" in str(caught.value)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.errors import FrameError, InputError
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid, Status, ViewPlacement
 from cmp_tactile_processing.stereo.rig import StereoRig
@@ -63,7 +63,7 @@ def test_a_grid_whose_arrays_are_not_of_its_shape_is_refused(sensor, field):
     """Compiled loops check no bounds: they would write beyond their memory."""
     grid = Grid.missing(sensor.pattern.shape, "")
     wrong = replace(grid, **{field: np.repeat(getattr(grid, field), 2, axis=0)})
-    with pytest.raises(GeometryError, match=f"right grid: {field}: found .*, expected"):
+    with pytest.raises(InputError, match=f"right grid: {field}: found .*, expected"):
         StereoRig(sensor).triangulate(grid, wrong)
 
 
@@ -82,13 +82,13 @@ def test_reference_of_another_size_is_refused(sensor):
     missing = Grid.missing(sensor.pattern.shape, "")
     markers = StereoRig(sensor).triangulate(missing, missing)
     narrow = Reference.nominal(sensor).position[:, 1:]
-    with pytest.raises(GeometryError, match=r"found \(20, 19, 3\), expected \(20, 20, 3\)"):
+    with pytest.raises(InputError, match=r"found \(20, 19, 3\), expected \(20, 20, 3\)"):
         Reference(narrow, np.zeros((*narrow.shape, 3))).surface(markers)
 
 
 def test_grids_that_do_not_belong_are_refused(sensor, stills, plane_rig):
     grids = exact_grids(sensor, stills["rest"].truth)
-    with pytest.raises(GeometryError, match="right grid: found none"):
+    with pytest.raises(InputError, match="right grid: found none"):
         StereoRig(sensor).triangulate(grids["left"], None)
-    with pytest.raises(GeometryError, match=r"left grid: found GridShape\(rows=20.*expected .*=9"):
+    with pytest.raises(InputError, match=r"left grid: found GridShape\(rows=20.*expected .*=9"):
         StereoRig(plane_rig(9, 9)).triangulate(grids["left"], grids["right"])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import Surface, SurfaceGrid
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_processing.surface.dense import (
@@ -243,7 +243,7 @@ def test_height_over_space_of_a_surface_in_closed_form():
     ("spacing", "margin"), [(-1e-4, 0.0), (1.0, 0.0), (1e-4, -1e-4), (np.nan, 0.0), (1e-7, 0.0)]
 )
 def test_lengths_that_make_no_grid_are_errors(spacing, margin):
-    with pytest.raises(GeometryError, match=r"dense surface: found .*, expected"):
+    with pytest.raises(InputError, match=r"dense surface: found .*, expected"):
         interpolate(surface_of(pattern_of(8, 8)), spacing, margin)
 
 
@@ -251,8 +251,8 @@ def test_a_surface_of_another_shape_or_without_reference_is_an_error():
     pattern, surface = pattern_of(8, 8), surface_of(pattern_of(8, 8))
     grid = grid_over(pattern.shape, pattern.pitch, 5e-4)
     interpolator = SurfaceInterpolator(pattern.shape, pattern.pitch, grid)
-    with pytest.raises(GeometryError, match=r"surface: found GridShape\(rows=9"):
+    with pytest.raises(InputError, match=r"surface: found GridShape\(rows=9"):
         interpolator.interpolate(surface_of(pattern_of(9, 8)))
     nowhere = replace(surface, reference=np.full_like(surface.reference, np.nan))
-    with pytest.raises(GeometryError, match="no pitch in the reference"):
+    with pytest.raises(InputError, match="no pitch in the reference"):
         interpolate(nowhere, 5e-4)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import FrameError, GeometryError
+from cmp_tactile_processing.errors import FrameError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import GridFault, Status
 from cmp_tactile_processing.tracking.detector import NominalGrid
@@ -228,7 +228,7 @@ def test_a_corner_on_a_sharp_bend_of_the_gel_is_no_spot(sensor, trackers, draw, 
 @pytest.mark.parametrize("pitch", [1e-9, 1e-6, 5e-5])
 def test_a_pattern_too_fine_to_be_seen_is_refused(sensor, pitch):
     rig = replace(sensor, pattern=replace(sensor.pattern, pitch=pitch))
-    with pytest.raises(GeometryError, match=r"left view: found checkers of .*check pattern\.pitch"):
+    with pytest.raises(InputError, match=r"left view: found checkers of .*check pattern\.pitch"):
         GridTracker(rig, "left")
 
 
@@ -246,7 +246,7 @@ def test_an_image_of_another_size_or_type_is_refused(trackers, image, message):
 
 
 def test_a_view_that_the_sensor_lacks_is_named(sensor):
-    with pytest.raises(GeometryError, match="found no view 'top', expected one of left, right"):
+    with pytest.raises(InputError, match="found no view 'top', expected one of left, right"):
         GridTracker(sensor, "top")
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.locator import VirtualMarkerLocator
 
@@ -247,5 +247,5 @@ def test_without_corners_or_picture_nothing_is_invented(plain, method):
 
 
 def test_an_unknown_method_is_named():
-    with pytest.raises(ParameterError, match="found 'best', expected one of fused, local_corr"):
+    with pytest.raises(InputError, match="found 'best', expected one of fused, local_corr"):
         VirtualMarkerLocator(SHAPE, "best")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.errors import ContactError, NotConvergedError
 from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.contact.step import ContactStep
-from cmp_tactile_simulation.errors import ContactError, LoadError, MaterialError
 from cmp_tactile_simulation.indenters import Indenter
 from cmp_tactile_simulation.neo_hookean_gel import Elastomer
 
@@ -83,8 +83,8 @@ class ContactSimulation:
         """The state after a straight motion at constant rates to `pose`, in steps short enough.
 
         A gel that creeps is solved again also where nothing moves.
-        Raises ContactError where the contact leaves its patch or is not solved, MaterialError
-        where the gel cannot follow.
+        Raises ContactError where the contact leaves its patch, is not solved, or the gel cannot
+        follow.
         """
         begin, way = state.pose, self._way(state.pose, pose)
         if way == 0 and not self.elastomer.creeps:
@@ -96,7 +96,7 @@ class ContactSimulation:
             end = 1.0 if end > 1 - ROUNDING else end
             try:
                 state = self._step(state, begin.towards(pose, end))
-            except solver.NotConvergedError:
+            except NotConvergedError:
                 step /= 2
                 if step >= LEAST_STEP_SHARE * first:
                     continue
@@ -113,7 +113,7 @@ class ContactSimulation:
         last, so that friction carries what lies between wherever it carries the ends.  From
         above the gel the indenter first comes straight down.  Without friction it moves along z
         alone.
-        Raises LoadError for a load that cannot be carried, with what was asked and reached.
+        Raises ContactError for a load that cannot be carried, with what was asked and reached.
         """
         check_load(load, self.friction)
         if load.normal == 0:
@@ -168,10 +168,10 @@ class ContactSimulation:
         state = self.move(touching, Pose(pose.position - depth, pose.rotation))
         try:
             return follow_load(self._step, state, load)
-        except LoadError as error:
+        except ContactError as error:
             last = attempt + 1 == len(FIRST_DEPTH_SHARES)
             too_deep = self.load(state).normal > load.normal
-            if last or too_deep or not isinstance(error.__cause__, solver.NotConvergedError):
+            if last or too_deep or not isinstance(error.__cause__, NotConvergedError):
                 raise
         return self._press_from_above(touching, load, attempt + 1)
 
@@ -187,7 +187,7 @@ class ContactSimulation:
             for end in ends:
                 try:
                     reached = step(state, way[0].towards(way[1], end))
-                except solver.NotConvergedError as error:
+                except NotConvergedError as error:
                     failures.append(error)
                     continue
                 name = self.indenter.name
@@ -211,10 +211,8 @@ class ContactSimulation:
         turn = Rotation.from_matrix(end.rotation @ begin.rotation.T).magnitude()
         return float(np.linalg.norm(end.position - begin.position) + turn * arm)
 
-    def _unsolved(
-        self, pose: Pose, error: solver.NotConvergedError
-    ) -> ContactError | MaterialError:
-        if isinstance(error.__cause__, MaterialError):
+    def _unsolved(self, pose: Pose, error: NotConvergedError) -> ContactError:
+        if isinstance(error.__cause__, ContactError):
             return error.__cause__
         x, y, z = 1e3 * pose.position
         return ContactError(
@@ -261,7 +259,7 @@ def carried_load(elastomer: Elastomer, state: ContactState) -> Load:
 
 
 def check_load(load: Load, friction: float) -> None:
-    """Raise LoadError for a load that no contact carries."""
+    """Raise ContactError for a load that no contact carries."""
     numbers = _numbers(load)
     expected = ""
     if not np.isfinite(numbers).all():
@@ -274,7 +272,7 @@ def check_load(load: Load, friction: float) -> None:
         expected = "friction above 0 for tangential force and torque"
     if expected:
         msg = f"load: found {_text(load)}, expected {expected}"
-        raise LoadError(msg)
+        raise ContactError(msg)
 
 
 def follow_load(step: ContactStep, state: ContactState, load: Load) -> ContactState:
@@ -283,15 +281,15 @@ def follow_load(step: ContactStep, state: ContactState, load: Load) -> ContactSt
         for goal in _goals(carried_load(step.elastomer, state), load):
             for passed in _followed(step, state, goal):
                 state = passed
-    except (solver.NotConvergedError, ContactError) as error:
+    except (NotConvergedError, ContactError) as error:
         reached = _text(carried_load(step.elastomer, state))
-        why = error.__cause__ if isinstance(error, solver.NotConvergedError) else error
+        why = error.__cause__ if isinstance(error, NotConvergedError) else error
         reason = "" if why is None else f": {why}"
         msg = (
             f"{step.indenter.name}: load: found {reached}, expected {_text(load)}, with a "
             f"friction coefficient of {step.friction:g}{reason}"
         )
-        raise LoadError(msg) from error
+        raise ContactError(msg) from error
     return state
 
 
@@ -317,7 +315,7 @@ def _followed(step: ContactStep, state: ContactState, goal: Load) -> Iterator[Co
         reach = min(1.0, share + ahead)
         try:
             reached = step(state, state.pose, begin + reach * (end - begin))
-        except solver.NotConvergedError:
+        except NotConvergedError:
             ahead /= 4
             if ahead < LEAST_SHARE:
                 raise

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, lu_factor, lu_solve
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.errors import NotConvergedError
 from cmp_tactile_simulation.contact import laws
 from cmp_tactile_simulation.contact.laws import Pose
-from cmp_tactile_simulation.errors import SimulationError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -56,14 +56,6 @@ CONE_PASSES = 60
 CONE_EXCESS = 1e-10
 # A node whose friction is this near to the cone slides.
 EDGE_SHARE = 1e-6
-
-
-class NotConvergedError(SimulationError):
-    """A step that was not solved.  residual: m, infinite where the step was abandoned."""
-
-    def __init__(self, residual: float) -> None:
-        super().__init__(f"the contact did not converge: residual {residual:.3g} m")
-        self.residual = residual
 
 
 @dataclass(frozen=True)
@@ -265,10 +257,10 @@ def _solved(problem: laws.Problem, touching: Index, system: _System, columns: Ar
     try:
         factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
     except LinAlgError:
-        raise NotConvergedError(np.inf) from None
+        raise NotConvergedError from None
     solved = lu_solve(factors, columns.astype(np.float32), check_finite=False)
     if not np.isfinite(solved).all():
-        raise NotConvergedError(np.inf)
+        raise NotConvergedError
     return np.asarray(solved, dtype=np.float64)
 
 
@@ -338,7 +330,7 @@ def solve(
     for iteration in range(ITERATIONS):
         force, pose = newton_step(problem, view, status, load)
         if load is not None and way_between(guess.pose, pose) > LONGEST_WAY * LONGEST_STEP:
-            raise NotConvergedError(np.inf)
+            raise NotConvergedError
         if iteration >= ITERATIONS // 2:
             force = (view.force + force) / 2
         view = laws.look(problem, rest, force, pose)
@@ -351,7 +343,7 @@ def solve(
                     return _finished(problem, polished, accepted)
         status = flips.hold(status_of(problem, view))
     if residual > accepted:
-        raise NotConvergedError(residual)
+        raise NotConvergedError(residual=residual)
     return _finished(problem, _polished(problem, rest, best), accepted)
 
 
@@ -392,7 +384,7 @@ def _excess(problem: laws.Problem, view: laws.View) -> float:
 def _finished(problem: laws.Problem, view: laws.View, accepted: float) -> Solution:
     residual = float(max(part.max() for part in laws.law_residual(problem, view)))
     if residual > max(accepted, FLIP_TOLERANCE):
-        raise NotConvergedError(residual)
+        raise NotConvergedError(residual=residual)
     size = np.linalg.norm(view.along, axis=1)
     edge = (1 - EDGE_SHARE) * problem.friction * view.pressing
     return Solution(view.force, view.pose, view.place, (view.pressing > 0) & (size >= edge))

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.cache.threads import one_thread
+from cmp_tactile_processing.errors import ContactError, NotConvergedError
 from cmp_tactile_simulation.contact import solver
 from cmp_tactile_simulation.contact.laws import ContactState, Pose, Problem, bulge
-from cmp_tactile_simulation.errors import ContactError, MaterialError
 from cmp_tactile_simulation.indenters import Indenter
 from cmp_tactile_simulation.neo_hookean_gel import Elastomer
 
@@ -147,7 +147,7 @@ class ContactStep:
                 offset = offset + missed
             before = defect
             guess = solver.Guess(solution.force, solution.pose, solution.sliding)
-        raise solver.NotConvergedError(defect)
+        raise NotConvergedError(residual=defect)
 
     def _problem(self, state: ContactState, nodes: Index) -> Problem:
         if not np.isin(nodes, self._held, assume_unique=True).all():
@@ -175,10 +175,10 @@ class ContactStep:
     def _displacement(self, force: Array) -> Array:
         try:
             displacement = self.elastomer.displacement(force)
-        except MaterialError as error:
-            raise solver.NotConvergedError(np.inf) from error
+        except ContactError as error:
+            raise NotConvergedError from error
         if not np.isfinite(displacement).all():
-            raise solver.NotConvergedError(np.inf)
+            raise NotConvergedError
         return displacement
 
     def _state(

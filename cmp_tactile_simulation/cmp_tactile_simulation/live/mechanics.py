@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_driver.sources.capture import Pacer, Worker
+from cmp_tactile_processing.errors import ContactError, InputError
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
-from cmp_tactile_simulation.errors import CommandError, SimulationError
 from cmp_tactile_simulation.scenes.description import Press, Scene, load_between
 from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
 
@@ -53,7 +53,7 @@ Command = Pose | Load | Reset
 
 
 def check_command(command: Command, sensor: SensorDescription) -> None:
-    """Raise CommandError for an invalid pose or one out of reach, or a load not into the gel."""
+    """Raise InputError for an invalid pose or one out of reach, or a load not into the gel."""
     if isinstance(command, Pose):
         _check_pose(command, sensor)
     elif isinstance(command, Load):
@@ -63,23 +63,23 @@ def check_command(command: Command, sensor: SensorDescription) -> None:
 def _check_pose(pose: Pose, sensor: SensorDescription) -> None:
     if not (np.isfinite(pose.position).all() and np.isfinite(pose.rotation).all()):
         msg = "found a number that is not finite, expected a pose"
-        raise CommandError(msg)
+        raise InputError(msg)
     x, y, thickness = sensor.elastomer.size
     limits = ((-x / 2, x / 2), (-y / 2, y / 2), (-thickness, HIGHEST_M))
     for name, value, (low, high) in zip("xyz", pose.position.tolist(), limits, strict=True):
         if not low <= value <= high:
             msg = f"position.{name}: found {value:g} m, expected {low:g} to {high:g} m"
-            raise CommandError(msg)
+            raise InputError(msg)
 
 
 def _check_load(load: Load) -> None:
     values = (load.normal, *load.tangential, load.torque)
     if not all(map(math.isfinite, values)):
         msg = f"found force and torque {values}, expected finite numbers"
-        raise CommandError(msg)
+        raise InputError(msg)
     if load.normal <= 0:
         msg = f"force.z: found {-load.normal:g} N, expected less than 0 (into the gel)"
-        raise CommandError(msg)
+        raise InputError(msg)
 
 
 class LiveMode(Enum):
@@ -136,7 +136,7 @@ def step_towards(
 ) -> tuple[ContactState, bool]:
     """The contact `elapsed` s later on the way to a pose or load, and whether it is there.
 
-    Raises SimulationError where the contact cannot be solved.
+    Raises ContactError where the contact cannot be solved.
     """
     simulation.elastomer.advance(now.force, elapsed)
     if isinstance(goal, Load):
@@ -152,7 +152,7 @@ def step_towards(
 def stay(simulation: Simulation, now: ContactState, elapsed: float) -> ContactState:
     """The contact `elapsed` s later, the indenter where it is.
 
-    Raises SimulationError where the contact cannot be solved.
+    Raises ContactError where the contact cannot be solved.
     """
     simulation.elastomer.advance(now.force, elapsed)
     return simulation.contact.move(now, now.pose)
@@ -184,7 +184,7 @@ class ScenePlayer:
     def step(self, elapsed: float) -> ContactState:
         """The contact `elapsed` s later.
 
-        Raises SimulationError where a frame cannot be solved; the next step passes it over.
+        Raises ContactError where a frame cannot be solved; the next step passes it over.
         """
         self._due += elapsed * self._simulation.scene.rate
         if self._state.frame + 1 >= self._simulation.scene.frame_count:
@@ -200,7 +200,7 @@ class ScenePlayer:
     def _play(self, frame: int) -> None:
         try:
             self._state = next(self._simulation.states(self._state))
-        except SimulationError:
+        except ContactError:
             self._state = replace(self._state, frame=frame)
             raise
 
@@ -346,7 +346,7 @@ class LiveContact:
         began = time.monotonic()
         try:
             contact, there = self._solve(player, None if reset else goal, elapsed)
-        except SimulationError as error:
+        except ContactError as error:
             self._problem = str(error)
             self._end(goal)
         else:

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import Frame
+from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Camera
@@ -95,7 +95,7 @@ class LiveSensor:
         )
 
     def command(self, command: Command) -> None:
-        """Ask something of the indenter; CommandError for what cannot be."""
+        """Ask something of the indenter; InputError for what cannot be."""
         check_command(command, self._scene.sensor)
         self._contact.command(command)
 

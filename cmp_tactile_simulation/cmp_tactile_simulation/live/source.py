@@ -17,9 +17,8 @@ from functools import partial
 from multiprocessing.connection import Connection, Pipe
 from typing import Any
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import NodeExtension, SourceHealth, SourceOptions
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError
 from cmp_tactile_processing.processes import python_command
 from cmp_tactile_simulation.live.mechanics import Command, LiveSettings, LiveStatus, check_command
 from cmp_tactile_simulation.live.sensor import LiveFrame, LiveSensor, TruthWanted
@@ -70,7 +69,7 @@ class LiveProcess:
         return answer
 
     def command(self, command: Command) -> None:
-        """Ask something of the indenter; CommandError for what cannot be."""
+        """Ask something of the indenter; InputError for what cannot be."""
         check_command(command, self._scene.sensor)
         # Where the process has ended, the next picture shows it.
         with self._sending, suppress(OSError):
@@ -154,7 +153,7 @@ class SimulatedSource:
     def from_options(cls, options: SourceOptions) -> SimulatedSource:
         """The source of the driver: its input is the scene's name or file.
 
-        The sensor of the options takes the place of the scene's.  SceneError for a wrong scene.
+        The sensor of the options takes the place of the scene's.  InputError for a wrong scene.
         """
         scene = load_scene(options.input)
         return cls(replace(scene, sensor=options.sensor), options.frame_rate)
@@ -196,7 +195,7 @@ class SimulatedSource:
         return frame
 
     def command(self, command: Command) -> None:
-        """Ask something of the indenter; CommandError for what cannot be."""
+        """Ask something of the indenter; InputError for what cannot be."""
         self._started().command(command)
 
     def interrupt(self) -> None:

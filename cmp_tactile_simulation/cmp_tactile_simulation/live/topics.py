@@ -14,11 +14,11 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.ros.messages import conversions
 from cmp_tactile_processing.ros.messages.making import gel_frame, view_frame
 from cmp_tactile_processing.ros.parameters import declare_checked, describe
 from cmp_tactile_simulation.contact.laws import Load, Pose
-from cmp_tactile_simulation.errors import CommandError
 from cmp_tactile_simulation.live.mechanics import LiveSettings, Reset
 from cmp_tactile_simulation.live.sensor import LiveFrame, TruthWanted
 
@@ -35,7 +35,7 @@ class LiveSource:
     """Lets a node move the indenter of a simulated source, and publish what is true of its frames.
 
     The node's parameters are declared with its first simulated source and stay.
-    Raises ParameterError for a wrong one.
+    Raises InputError for a wrong one.
     """
 
     def __init__(self, node: Any, source: SimulatedSource) -> None:
@@ -104,7 +104,7 @@ class LiveSource:
             try:
                 self._check_frame(message.header)
                 command(message)
-            except CommandError as error:
+            except InputError as error:
                 self._refused = f"{name}: {error}"
                 self._node.get_logger().warning(
                     self._refused, throttle_duration_sec=WARNING_PERIOD_S
@@ -115,7 +115,7 @@ class LiveSource:
     def _check_frame(self, header: Header) -> None:
         if header.frame_id != self._gel_frame:
             msg = f"header.frame_id: found {header.frame_id!r}, expected {self._gel_frame!r}"
-            raise CommandError(msg)
+            raise InputError(msg)
 
     def _on_target(self, message: PoseStamped) -> None:
         self._source.command(_pose_of(message))
@@ -148,7 +148,7 @@ def _pose_of(message: PoseStamped) -> Pose:
     norm = float(np.linalg.norm(quaternion))
     if not abs(norm - 1.0) <= NORM_TOLERANCE:
         msg = f"orientation: found a quaternion of length {norm:g}, expected 1"
-        raise CommandError(msg)
+        raise InputError(msg)
     return Pose(np.array([p.x, p.y, p.z]), Rotation.from_quat(quaternion).as_matrix())
 
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.measured import Grid, Surface, gridline_points
-from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.recording.truth import RecordedFrame
 from cmp_tactile_simulation.scenes.description import Motion, Scene
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from cmp_tactile_processing.cache import files
 from cmp_tactile_processing.cache.compiled import source_digest
 from cmp_tactile_processing.elastic.model import Progress
-from cmp_tactile_simulation.errors import OutputError
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_simulation.recording.pictures import write_images, write_video
 from cmp_tactile_simulation.recording.truth import RecordingWriter, recorded_frames
 from cmp_tactile_simulation.scenes.description import Scene
@@ -231,7 +231,7 @@ def recording_of(
     The folder has the scene's name; scene.yaml and sensor.yaml are in it.  Where another process
     makes the same one, this waits.
     progress: called with what is done and the fraction of it.
-    Raises SceneError for an unknown name, other SimulationErrors as `run_scene`.
+    Raises InputError for an unknown name, other SimulationErrors as `run_scene`.
     """
     scene = load_scene(scene_name)
     place = (cache_dir or files.default_cache_dir()) / "recordings" / _key(scene)

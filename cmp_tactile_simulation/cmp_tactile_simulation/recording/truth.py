@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.messages import making, reading
@@ -29,7 +30,6 @@ from cmp_tactile_processing.ros.messages.definitions import (
 from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.laws import Pose
-from cmp_tactile_simulation.errors import OutputError
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
 
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
@@ -72,7 +72,7 @@ class RecordingWriter:
 
     The same frames give the same bytes.  A frame is a chunk of the file: should the process be
     killed, only the next one is lost.
-    Raises MessageDefinitionError where the suite's message definitions are not installed.
+    Raises CmpTactileError where the suite's message definitions are not installed.
     """
 
     def __init__(self, bag: Path, sensor: SensorDescription) -> None:
@@ -219,7 +219,7 @@ class RecordedTruth:
 def read_truth(bag: Path) -> RecordedTruth:
     """The truth of all frames of a bag that `cmp_tactile simulate` made; sensor.yaml is beside it.
 
-    Raises BagError for a bag that cannot be read, DescriptionError for its sensor.yaml, and
+    Raises FrameSourceError for a bag that cannot be read, InputError for its sensor.yaml, and
     OutputError where it holds no truth.
     """
     sensor = SensorDescription.load(bag / "sensor.yaml")
@@ -254,7 +254,7 @@ def recorded_frames(
 
     topics: those that are read, below the sensor's namespace; without them all.
     Ends at the first frame that lacks a message, as the last one of an interrupted run may.
-    Raises BagError for a bag that cannot be read.
+    Raises FrameSourceError for a bag that cannot be read.
     """
     prefix, types = recorded_topics(sensor)
     wanted = [prefix + topic for topic in topics or types]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
@@ -140,7 +140,7 @@ class CameraSettings(Parameters, section="camera"):
     """Light, lens, dirt and sensor noise.  Lengths in px of the frame, light in grey levels 0..255.
 
     The defaults are a good camera's: a little blur, vignetting and noise, nothing else.
-    Raises ParameterError for a value outside its range.
+    Raises InputError for a value outside its range.
     """
 
     light_level: float = parameter(
@@ -204,7 +204,7 @@ class CameraSettings(Parameters, section="camera"):
                 f"camera.dark_level: found {self.dark_level}, "
                 f"expected less than light_level, {self.light_level}"
             )
-            raise ParameterError(msg)
+            raise InputError(msg)
 
 
 # What stays between the gel and the camera: glare, dust and hairs.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Pattern
@@ -40,7 +40,7 @@ CHECKERS, DOTS = 0, 1
 class PrintDefects(Parameters, section="print"):
     """What is wrong with the print; the places are set by the seed.
 
-    Raises ParameterError for a value outside its range.
+    Raises InputError for a value outside its range.
     """
 
     missing_ink: int = parameter(0, "number of blobs without ink on the pattern", within=(0, 10000))
@@ -96,7 +96,7 @@ def stray_lattice(
 ) -> Strays:
     """Straying over a print of that size (x, y) m.
 
-    Raises ParameterError where the print is too large for so small a length.
+    Raises InputError where the print is too large for so small a length.
     """
     if defects.ragged_edge == 0:
         return Strays(np.zeros((2, 2, 2), np.float32))
@@ -106,7 +106,7 @@ def stray_lattice(
     if max(rows, cols) > MAX_LATTICE:
         least = max(size) / MAX_LATTICE
         msg = f"print.ragged_length: found {length:g}, expected at least {least:.2g} m here"
-        raise ParameterError(msg)
+        raise InputError(msg)
     noise = rng.standard_normal((rows, cols, 2)).clip(-LARGEST_DEVIATION, LARGEST_DEVIATION)
     values = noise * (defects.ragged_edge / math.sqrt(KEPT_VARIANCE))
     steps = [np.linalg.norm(np.diff(values, axis=axis), axis=-1).max() for axis in (0, 1)]
@@ -231,14 +231,14 @@ class Dots:
 def ink_of(
     pattern: Pattern, pattern_type: str, defects: PrintDefects | None = None, seed: int = 0
 ) -> Checkerboard | Dots:
-    """The print of that type: "cmp" checkers or "dmp" dots; ParameterError for another."""
+    """The print of that type: "cmp" checkers or "dmp" dots; InputError for another."""
     defects = defects or PrintDefects()
     if pattern_type == "cmp":
         return Checkerboard(pattern, defects, seed)
     if pattern_type == "dmp":
         return Dots(pattern, defects, seed)
     msg = f"pattern_type: found {pattern_type!r}, expected one of {', '.join(PATTERN_TYPES)}"
-    raise ParameterError(msg)
+    raise InputError(msg)
 
 
 def _grey(arrays: InkArrays, xy: NDArray[np.float64]) -> NDArray[np.float64]:

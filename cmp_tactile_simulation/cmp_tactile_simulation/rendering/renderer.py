@@ -100,7 +100,7 @@ class Renderer:
     A pixel's rays go through the view's lens, mirror and refracting layers and meet the deformed
     surface exactly, so that the picture shows the pattern where ViewGeometry.project says.
     Not for use by several threads at once.  threads: default that of numba; the picture does not
-    depend on it.  Raises GeometryError for a sensor without a block.
+    depend on it.  Raises InputError for a sensor without a block.
     """
 
     def __init__(
@@ -336,7 +336,7 @@ def _draw(triangle: Any, out: NDArray[np.float64], border: int, band: tuple[int,
 
 
 class OpticalTruth:
-    """What is true of the frames of one sensor.  Raises GeometryError for one without a block."""
+    """What is true of the frames of one sensor.  Raises InputError for one without a block."""
 
     def __init__(self, sensor: SensorDescription) -> None:
         self._pattern = sensor.pattern

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
@@ -32,7 +33,6 @@ from cmp_tactile_processing.sensor.yaml_section import (
 from cmp_tactile_simulation import indenter_shapes, indenters
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
-from cmp_tactile_simulation.errors import IndenterError
 from cmp_tactile_simulation.gel import NODES_RANGE
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
@@ -331,7 +331,7 @@ def read_indenter(section: YamlSection, folder: Path, start: Start) -> IndenterD
     """The description of `indenter`; its keys are the fields of the shape.
 
     folder: of the scene file, which a mesh's path is relative to.
-    Raises DescriptionError for wrong keys, and for a shape that cannot be made of their values.
+    Raises InputError for wrong keys, and for a shape that cannot be made of their values.
     """
     kind = section.choice("type", (*INDENTERS, MESH))
     friction = DEFAULT_FRICTION
@@ -351,13 +351,13 @@ def read_indenter(section: YamlSection, folder: Path, start: Start) -> IndenterD
     description = IndenterDescription(kind, friction, values, file)
     try:
         indenter_of(description, start)
-    except IndenterError as error:
+    except InputError as error:
         raise section.error("", values or str(file), f"another indenter ({error})") from None
     return description
 
 
 def indenter_of(description: IndenterDescription, start: Start) -> indenters.Indenter:
-    """The indenter itself; IndenterError where it cannot be made.
+    """The indenter itself; InputError where it cannot be made.
 
     start: its rotation says which side of a mesh touches.
     """

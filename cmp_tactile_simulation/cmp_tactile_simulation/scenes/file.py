@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from cmp_tactile_processing.cache.files import atomic_path, expanded_path
-from cmp_tactile_processing.errors import DescriptionError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     find_sensor_description,
@@ -28,7 +28,6 @@ from cmp_tactile_processing.sensor.yaml_section import (
 )
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 from cmp_tactile_simulation.contact.laws import Load
-from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes import description
@@ -52,23 +51,17 @@ VARIANT_MARK = ":"
 
 
 def variants_of(path: Path) -> tuple[str, ...]:
-    """Names of a scene's variants; empty where it has none.  SceneError as for `read_scene`."""
-    try:
-        return tuple(_variants(read_yaml(path)))
-    except DescriptionError as error:
-        raise SceneError(str(error)) from None
+    """Names of a scene's variants; empty where it has none.  InputError as for `read_scene`."""
+    return tuple(_variants(read_yaml(path)))
 
 
 def read_scene(path: Path, variant: str = "") -> description.Scene:
     """Read and check a scene file.
 
     variant: one of the file's variants; needed where it has some.
-    Raises SceneError naming file, key path, what was found and what is expected.
+    Raises InputError naming file, key path, what was found and what is expected.
     """
-    try:
-        return _read(_with_variant(read_yaml(path), path, variant), path)
-    except DescriptionError as error:
-        raise SceneError(str(error)) from None
+    return _read(_with_variant(read_yaml(path), path, variant), path)
 
 
 def _read(top: YamlSection, path: Path) -> description.Scene:
@@ -142,7 +135,7 @@ def _read_sensor(top: YamlSection, path: Path) -> tuple[SensorDescription, dict[
     beside = path.parent / base
     try:
         source = beside if beside.is_file() else find_sensor_description(base)
-    except DescriptionError as error:
+    except InputError as error:
         raise top.error(key, base, f"a sensor description ({error})") from None
     content = dict(read_yaml(source).items())
     if not over:
@@ -359,7 +352,7 @@ class SceneName(NamedTuple):
 
     @classmethod
     def find(cls, text: str) -> SceneName:
-        """From NAME, NAME:VARIANT, FILE or FILE:VARIANT; SceneError where there is no such file."""
+        """From NAME, NAME:VARIANT, FILE or FILE:VARIANT; InputError where there is no such file."""
         packaged = packaged_scenes()
         if text in packaged:
             return cls(packaged[text])
@@ -373,7 +366,7 @@ class SceneName(NamedTuple):
         if base and path.is_file():
             return cls(path, variant)
         msg = f"{text}: found no such scene, expected a file or one of {', '.join(packaged)}"
-        raise SceneError(msg + did_you_mean(text, packaged))
+        raise InputError(msg + did_you_mean(text, packaged))
 
 
 def packaged_scenes() -> dict[str, Path]:
@@ -397,7 +390,7 @@ def packaged_scene_names() -> Iterator[str]:
 def load_scene(name_or_path: str) -> description.Scene:
     """The scene of that name or file, `:VARIANT` behind it where it has variants.
 
-    Raises SceneError naming file, key, found and expected.
+    Raises InputError naming file, key, found and expected.
     """
     found = SceneName.find(name_or_path)
     return replace(read_scene(*found), file=found.path)

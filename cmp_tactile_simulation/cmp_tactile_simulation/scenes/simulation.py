@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.elastic.model import Progress
+from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.measured import (
     ForceField,
     Grid,
@@ -25,7 +26,6 @@ from cmp_tactile_processing.measured import (
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
-from cmp_tactile_simulation.errors import ContactError, MaterialError, SimulationError
 from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import expose
@@ -180,7 +180,7 @@ class Simulation:
     """Elastomer, indenter and camera of a scene, ready to run.
 
     cache_dir: of the elastomer's compliance.  progress: called with a text and the fraction done
-    while it is built.  Raises SimulationError for a scene that cannot be run.
+    while it is built.  Raises ContactError for a scene that cannot be run.
     """
 
     def __init__(
@@ -222,12 +222,12 @@ class Simulation:
     def frames(self) -> Generator[SimulatedFrame, None, None]:
         """All frames, in order.
 
-        The mechanics of the next frames goes on while one is rendered.  Raises SimulationError
+        The mechanics of the next frames goes on while one is rendered.  Raises ContactError
         after the last frame that can be simulated, where that is not the scene's last.
         """
         state = self.start()
         pending: deque[Future[SimulatedFrame]] = deque()
-        failure: SimulationError | None = None
+        failure: ContactError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
             try:
                 for frame in range(state.frame + 1, self.scene.frame_count):
@@ -237,7 +237,7 @@ class Simulation:
                     pending.append(pool.submit(self.observe, state, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
-            except SimulationError as error:
+            except ContactError as error:
                 # The frames before are good.
                 failure = error
             while pending:
@@ -267,9 +267,9 @@ class Simulation:
         """Let errors name the phase and the frame in which they come."""
         try:
             yield
-        except (ContactError, MaterialError) as error:
+        except ContactError as error:
             msg = f"phase {self._motion.phase(frame).name!r}, frame {frame}: {error}"
-            raise type(error)(msg) from error
+            raise ContactError(msg) from error
 
     def _next(self, state: MechanicalState, frame: int) -> MechanicalState:
         self.elastomer.advance(state.contact.force, 1 / self.scene.rate)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
-from cmp_tactile_simulation.errors import ContactError
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenter_shapes import Sphere
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_simulation.indenters import MeshIndenter
 from cmp_tactile_simulation.scenes.description import turned
 from cmp_tactile_simulation.scenes.simulation import Simulation
@@ -105,27 +105,27 @@ def test_lowest_of_several_surfaces_counts(write):
 def test_file_without_a_mesh_is_named(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content)
-    with pytest.raises(IndenterError, match=rf"{name}: (mesh file: cannot be read|no mesh: found)"):
+    with pytest.raises(InputError, match=rf"{name}: (mesh file: cannot be read|no mesh: found)"):
         MeshIndenter.load(path)
 
 
 def test_open_mesh_is_refused(write):
     mesh = trimesh.creation.box((4e-3, 2e-3, 1e-3))
     mesh.faces = mesh.faces[:-2]
-    with pytest.raises(IndenterError, match=r"found [1-9]\d* edges .*watertight"):
+    with pytest.raises(InputError, match=r"found [1-9]\d* edges .*watertight"):
         MeshIndenter.load(write(mesh))
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-6])
 def test_mistaken_unit_is_reported(write, scale):
     path = write(trimesh.creation.box((20.0, 10.0, 10.0)))
-    with pytest.raises(IndenterError, match=r"size: found .* m along .* a file in mm use scale"):
+    with pytest.raises(InputError, match=r"size: found .* m along .* a file in mm use scale"):
         MeshIndenter.load(path, scale=scale)
 
 
 def test_edge_radius_that_would_leave_nothing_of_a_pin_is_refused(write):
     path = write(trimesh.creation.box((2.0, 2.0, 10.0)))
-    with pytest.raises(IndenterError, match=r"edge_radius: found 0.0015 m, expected 0 to 0.001 m"):
+    with pytest.raises(InputError, match=r"edge_radius: found 0.0015 m, expected 0 to 0.001 m"):
         MeshIndenter.load(path, 1e-3, edge_radius=1.5e-3)
     lying = MeshIndenter.load(path, 1e-3, edge_radius=9e-4, rotation=turned((90, 0, 0)))
     assert lying.heights.height.min() == pytest.approx(-1e-3, abs=1e-9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cmp_tactile_simulation.errors import IndenterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_simulation.indenter_shapes import (
     Cuboid,
     Cylinder,
@@ -114,5 +114,5 @@ def test_known_distances(shape, point, gap, normal):
     ],
 )
 def test_impossible_sizes_are_named(make, message):
-    with pytest.raises(IndenterError, match=message):
+    with pytest.raises(InputError, match=message):
         make()

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_simulation.contact.laws import Load, Pose
-from cmp_tactile_simulation.errors import ContactError
 from cmp_tactile_simulation.live.mechanics import LiveSettings, ScenePlayer, step_towards
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from waiting import wait_until
 
-from cmp_tactile_driver.errors import FrameSourceError
 from cmp_tactile_driver.sources.frames import SourceOptions, find_source
+from cmp_tactile_processing.errors import FrameSourceError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
@@ -25,7 +25,6 @@ from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.contact.laws import Load, Pose
-from cmp_tactile_simulation.errors import CommandError, SceneError
 from cmp_tactile_simulation.live.mechanics import LiveMode, LiveSettings, Reset, check_command
 from cmp_tactile_simulation.live.sensor import LiveSensor, TruthWanted
 from cmp_tactile_simulation.live.source import LiveProcess, SimulatedSource
@@ -164,14 +163,14 @@ def test_a_scene_that_starts_in_the_gel_fails_with_its_reason(start):
     ],
 )
 def test_a_command_that_is_none_is_refused(command, message):
-    with pytest.raises(CommandError, match=message):
+    with pytest.raises(InputError, match=message):
         check_command(command, load_sensor("sample_rig"))
 
 
 def test_a_process_that_is_killed_is_reported_and_can_be_closed(start):
     live = start(LiveProcess)
     live.picture()
-    with pytest.raises(CommandError, match=r"position\.x"):
+    with pytest.raises(InputError, match=r"position\.x"):
         live.command(Pose(np.array([1.0, 0, 0])))
     os.kill(live._process.pid, signal.SIGKILL)
     live._process.wait()
@@ -224,5 +223,5 @@ def test_the_driver_finds_the_source_and_its_scene():
     assert (source.name, source.frame_rate) == ("scene live_press", 12.0)
     assert source.scene.sensor is description
     assert find_source("simulated")(SourceOptions(str(SCENE), description)).frame_rate == 20.0
-    with pytest.raises(SceneError, match="nosuch"):
+    with pytest.raises(InputError, match="nosuch"):
         find_source("simulated")(SourceOptions("nosuch", description))

@@ -11,9 +11,8 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_driver.errors import BagWriteError
 from cmp_tactile_processing.cache.files import locked
-from cmp_tactile_simulation.errors import LoadError, OutputError
+from cmp_tactile_processing.errors import ContactError, OutputError
 from cmp_tactile_simulation.recording.run import RunOptions, run_scene
 from cmp_tactile_simulation.scenes.file import load_scene, write_scene
 
@@ -144,7 +143,7 @@ def test_a_scene_that_fails_leaves_its_good_frames(small_scene, tmp_path):
         {"name": "tear", "frames": 1, "load": {"normal": 0.5, "tangential": [5, 0]}},
     ]
     expected = r"phase 'tear', frame 2: .*expected normal 0\.5 N, tangential \(5, 0\) N"
-    with pytest.raises(LoadError, match=expected):
+    with pytest.raises(ContactError, match=expected):
         run_scene(small_scene(motion=motion), tmp_path / "out")
     assert len(list(BagReader(tmp_path / "out").frames())) == 2
 
@@ -207,7 +206,7 @@ def test_a_full_disk_is_reported_with_its_folder(scene, tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
 
     try:
-        with pytest.raises(BagWriteError, match=r"out/out\.mcap: cannot be written: File too"):
+        with pytest.raises(OutputError, match=r"out/out\.mcap: cannot be written: File too"):
             run_scene(scene, tmp_path / "out", progress=fill_disk)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cmp_tactile_simulation.errors import SceneError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_simulation.scenes.file import load_scene, packaged_scene_names
 from cmp_tactile_simulation.scenes.simulation import Simulation
 from cmp_tactile_simulation.scenes.table import renew
@@ -70,13 +70,13 @@ def test_the_grasps_knock_moves_the_gel_by_more_than_two_checkers_in_one_frame()
 
 @pytest.mark.parametrize("text", ["nothing", "nothing:10mm", "no/such.yaml", ":"])
 def test_an_unknown_scene_is_answered_with_the_known_ones(text):
-    with pytest.raises(SceneError, match=r"found no such scene, expected a file or one of ball, "):
+    with pytest.raises(InputError, match=r"found no such scene, expected a file or one of ball, "):
         load_scene(text)
 
 
 def test_a_scene_of_several_variants_needs_one():
     expected = r"variants: found nothing, expected one of 10mm, .*20mm, given as SCENE:10mm"
-    with pytest.raises(SceneError, match=expected):
+    with pytest.raises(InputError, match=expected):
         load_scene("ball")
 
 

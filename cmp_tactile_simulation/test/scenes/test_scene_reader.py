@@ -7,9 +7,9 @@ import re
 import pytest
 import yaml
 
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.laws import Load
-from cmp_tactile_simulation.errors import SceneError
 from cmp_tactile_simulation.scenes.description import Hold, MoveBy, MoveTo, Press, Release, Touch
 from cmp_tactile_simulation.scenes.file import read_scene, variants_of, write_scene
 
@@ -136,9 +136,9 @@ def test_a_variant_is_laid_over_the_scene(write):
     assert variants_of(path) == ("big", "small")
     scene = read_scene(path, "small")
     assert (scene.name, scene.indenter.values) == ("press_small", {"radius": 0.002})
-    with pytest.raises(SceneError, match=r"variants: found nothing, expected one of big, sm"):
+    with pytest.raises(InputError, match=r"variants: found nothing, expected one of big, sm"):
         read_scene(path)
-    with pytest.raises(SceneError, match=r"variants: found 'huge', expected one of big, small"):
+    with pytest.raises(InputError, match=r"variants: found 'huge', expected one of big, small"):
         read_scene(path, "huge")
 
 
@@ -194,5 +194,5 @@ MISTAKES = {
 def test_a_mistake_is_named_with_file_key_found_and_expected(mistake, write):
     changes, message = MISTAKES[mistake]
     path = write(changes)
-    with pytest.raises(SceneError, match=re.escape(f"{path}: ") + ".*" + re.escape(message)):
+    with pytest.raises(InputError, match=re.escape(f"{path}: ") + ".*" + re.escape(message)):
         read_scene(path)

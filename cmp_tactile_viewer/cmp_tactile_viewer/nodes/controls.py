@@ -15,8 +15,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from cmp_tactile_driver.nodes.recorder import Recorder
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.services import answer_of
-from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.snapshot import Setting, ShownSensor
 
 STAGES = ("stereo_triangulator", "force_reconstructor")
@@ -41,7 +41,7 @@ class RunningSensor:
 def node_settings(node: Node, namespace: str, views: Iterable[str]) -> tuple[Setting, ...]:
     """The parameters of a sensor's stages that may change while they run.
 
-    Raises ServiceError where one does not answer.
+    Raises CmpTactileError where one does not answer.
     """
     names = (*(f"{view}_gridline_tracker" for view in views), *STAGES)
     # The first that does not answer ends it: the others would be as late.
@@ -86,7 +86,7 @@ def _change(node: Node, owner: str, descriptor: ParameterDescriptor, value: Any)
     request = SetParameters.Request(parameters=[message])
     result = answer_of(node, SetParameters, f"{owner}/set_parameters", request).results[0]
     if not result.successful:
-        raise ViewerError(result.reason)
+        raise CmpTactileError(result.reason)
     return f"is now {value}"
 
 
@@ -119,7 +119,7 @@ class RecordingButton:
         }
         executor = self._node.executor
         if executor is None:
-            raise ViewerError("the viewer's node is not running")
+            raise CmpTactileError("the viewer's node is not running")
         self._recorder = Recorder(
             context=self._node.context,
             namespace=self._sensor.namespace,

@@ -28,7 +28,6 @@ from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.services import answer_of
-from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes.controls import RecordingButton, RunningSensor, node_settings
 from cmp_tactile_viewer.snapshot import (
     Action,
@@ -320,7 +319,7 @@ class LiveSensors:
         }
 
     def settings(self, sensor: str) -> tuple[Setting, ...]:
-        """Parameters of the sensor's nodes; ServiceError where none answers."""
+        """Parameters of the sensor's nodes; CmpTactileError where none answers."""
         item = next(item for item in self._watched if item.name == sensor)
         return node_settings(self._node, item.sensor.namespace, item.views)
 
@@ -443,5 +442,5 @@ class LiveSensors:
     def _call(self, service: str) -> str:
         answer = answer_of(self._node, Trigger, service, Trigger.Request())
         if not answer.success:
-            raise ViewerError(answer.message)
+            raise CmpTactileError(answer.message)
         return str(answer.message) or "done"

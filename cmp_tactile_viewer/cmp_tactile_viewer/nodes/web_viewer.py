@@ -13,7 +13,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.cache.files import split_paths
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
@@ -109,7 +109,7 @@ class WebViewer(ReportingNode):
 
 
 def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningSensor]:
-    """The sensors that the parameters name; ParameterError where their numbers differ."""
+    """The sensors that the parameters name; InputError where their numbers differ."""
     spaces = given.sensors.split() or [namespace.rstrip("/")]
     files = [str(path) for path in split_paths(given.sensor_descriptions)]
     names = given.sensor_names.split() or [""] * len(spaces)
@@ -122,7 +122,7 @@ def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningS
             msg = (
                 f"parameter {what}: found {len(found)}, expected {len(spaces)}, one for each sensor"
             )
-            raise ParameterError(msg)
+            raise InputError(msg)
     return [_running(*item) for item in zip(spaces, files, names, mounts, strict=True)]
 
 
@@ -141,7 +141,7 @@ def _pose(text: str) -> tuple[float, ...]:
         numbers = ()
     if len(numbers) != 6:
         msg = f"parameter mounts: found {text!r}, expected six numbers, x y z roll pitch yaw"
-        raise ParameterError(msg)
+        raise InputError(msg)
     return numbers
 
 

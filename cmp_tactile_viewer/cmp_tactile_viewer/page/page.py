@@ -81,7 +81,7 @@ class Page:
     """
 
     def __init__(self, source: Source, access: Access, rate_hz: float = RATE_HZ) -> None:
-        """Raises ViewerError where the address cannot be listened on."""
+        """Raises CmpTactileError where the address cannot be listened on."""
         self._source, self._period_s = source, 1 / rate_hz
         self._server = PageServer(access, "cmp_tactile")
         self._wake, self._ended = threading.Event(), False

@@ -24,7 +24,7 @@ import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_processing.errors import CmpTactileError
 
 LOCAL = ("127.0.0.1", "localhost", "::1")
 DEFAULT_PORT = 8080
@@ -73,7 +73,7 @@ class PageServer(viser.ViserServer):  # type: ignore[misc,unused-ignore]
     """Viser without its tunnel, and with a guard before every request."""
 
     def __init__(self, access: Access, title: str) -> None:
-        """Raises ViewerError where the address cannot be listened on."""
+        """Raises CmpTactileError where the address cannot be listened on."""
         self.access = access
         _check_address(access)
         with _guarded(Guard(access), title), redirect_stdout(io.StringIO()):
@@ -82,7 +82,7 @@ class PageServer(viser.ViserServer):  # type: ignore[misc,unused-ignore]
         if access.port not in (None, 0, port):
             self.stop()
             msg = f"port {access.port} of {access.host} is taken: choose another one with --port"
-            raise ViewerError(msg)
+            raise CmpTactileError(msg)
 
     @property
     def url(self) -> str:
@@ -115,7 +115,7 @@ def _check_address(access: Access) -> None:
     except OSError as error:
         where = f"{access.host}, port {access.port}" if access.port else access.host
         msg = f"cannot listen on {where}: {error.strerror or error}"
-        raise ViewerError(msg) from None
+        raise CmpTactileError(msg) from None
 
 
 class Guard:
@@ -197,7 +197,7 @@ def _allowed_name(text: str) -> str:
     place = _place(text if "//" in text else f"//{text}")
     if place is None or any(sign in text for sign in "*, "):
         msg = f"--allow-host: found {text!r}, expected the name of a machine, as robot.lab.example"
-        raise ViewerError(msg)
+        raise CmpTactileError(msg)
     return place[0]
 
 
@@ -238,7 +238,7 @@ def _with_guard(guard: Guard, title: str, answer: Answer) -> Answer:
 def _guarded(guard: Guard, title: str) -> Iterator[None]:
     """Viser has no place for a guard: while a server starts, it gets a `serve` that sets one.
 
-    Raises ViewerError where the server did not take it: it would be open to everybody.
+    Raises CmpTactileError where the server did not take it: it would be open to everybody.
     """
     original = websockets.asyncio.server.serve
     taken = []
@@ -258,4 +258,4 @@ def _guarded(guard: Guard, title: str) -> Iterator[None]:
             websockets.asyncio.server.serve = original  # type: ignore[misc]
     if not taken:
         msg = f"found viser {viser.__version__}, whose access cannot be restricted, expected 1.1"
-        raise ViewerError(msg)
+        raise CmpTactileError(msg)

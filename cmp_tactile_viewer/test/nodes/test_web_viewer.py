@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.errors import CmpTactileError, ParameterError
+from cmp_tactile_processing.errors import CmpTactileError, InputError
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
@@ -27,7 +27,6 @@ from cmp_tactile_processing.ros.messages.conversions import (
     image_to_msg,
     surface_to_msg,
 )
-from cmp_tactile_viewer.errors import ViewerError
 from cmp_tactile_viewer.nodes import controls
 from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
 from cmp_tactile_viewer.nodes.web_viewer import WebViewer, WebViewerParameters, running_sensors
@@ -234,7 +233,7 @@ def test_zero_calls_the_service_and_says_its_answer(rig, ros):
     ros.node.create_service(Trigger, "stereo_triangulator/set_reference", answer)
     assert rig.do(rig.action["zero"]) == "force counts from now on"
     refused = rig.do(rig.action["zero"])
-    assert isinstance(refused, ViewerError)
+    assert isinstance(refused, CmpTactileError)
     assert str(refused) == "no frame yet"
 
 
@@ -251,7 +250,7 @@ def test_parameters_are_those_of_the_nodes(rig, ros, monkeypatch):
     assert "sensor_description" not in settings  # cannot change
     assert rig.do(lambda: frames.change(20.0)) == "is now 20"
     assert node.get_parameter("reference_frames").value == 20
-    assert isinstance(rig.do(lambda: frames.change(0)), ViewerError)
+    assert isinstance(rig.do(lambda: frames.change(0)), CmpTactileError)
     assert node.get_parameter("reference_frames").value == 20
 
 
@@ -301,7 +300,7 @@ def test_a_drag_is_a_target_for_the_indenter(rig, ros):
     ],
 )
 def test_parameters_that_do_not_fit(given, message):
-    with pytest.raises(ParameterError, match=message):
+    with pytest.raises(InputError, match=message):
         running_sensors(WebViewerParameters(**given), "/rig")
 
 

@@ -12,7 +12,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 from websockets.sync.client import connect
 
-from cmp_tactile_viewer.errors import ViewerError
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_viewer.page import server
 from cmp_tactile_viewer.page.server import Access, PageServer
 
@@ -134,7 +134,7 @@ def test_a_name_that_is_not_allowed_is_told_what_to_do():
 
 @pytest.mark.parametrize("given", ["*", "", "a b", "a,b", "http://", "*.lab.example"])
 def test_what_is_no_name_is_refused_at_the_start(given):
-    with pytest.raises(ViewerError, match=r"--allow-host: found .*, expected the name"):
+    with pytest.raises(CmpTactileError, match=r"--allow-host: found .*, expected the name"):
         server.Guard(Access(allow_hosts=(given,)))
 
 
@@ -156,7 +156,7 @@ def test_a_token_is_asked_for_once_and_kept_as_a_cookie(started):
 def test_a_taken_port_is_an_error_where_it_was_asked_for_and_skipped_else(started):
     first = started()
     port = first.get_port()
-    with pytest.raises(ViewerError, match=rf"cannot listen on 127.0.0.1, port {port}"):
+    with pytest.raises(CmpTactileError, match=rf"cannot listen on 127.0.0.1, port {port}"):
         started(port=port)
     assert started().get_port() != port
 
@@ -165,7 +165,7 @@ def test_a_server_that_does_not_take_the_guard_is_an_error(monkeypatch):
     """Another version of viser may start its server in another way: it would be open to all."""
     monkeypatch.setattr(server, "viser", viser)
     with (
-        pytest.raises(ViewerError, match=r"found viser .*, expected 1.1"),
+        pytest.raises(CmpTactileError, match=r"found viser .*, expected 1.1"),
         server._guarded(server.Guard(Access()), "test"),
     ):
         pass

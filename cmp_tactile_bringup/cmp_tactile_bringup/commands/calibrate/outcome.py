@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from cmp_tactile_bringup.errors import OutputError
 from cmp_tactile_bringup.report.calibration import HEADINGS, estimate_rows, write_calibration_report
 from cmp_tactile_bringup.terminal import cell, output_console, print_line, titled_table
 from cmp_tactile_processing.cache.files import expanded_path
@@ -23,6 +22,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Finding,
     Severity,
 )
+from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo, write_camera_info
 from cmp_tactile_processing.geometry.split import split_frame, to_grey

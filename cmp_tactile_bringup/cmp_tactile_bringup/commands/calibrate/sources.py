@@ -167,7 +167,7 @@ def force_at_frames(
 ) -> NDArray[np.float64]:
     """Force on the gel at the frames, (n, 3) N, gel frame; NaN if unknown.
 
-    Raises RecordingError where force and frames have no time in common.
+    Raises FrameSourceError where force and frames have no time in common.
     """
     import numpy as np
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit, soft_loss
-from cmp_tactile_processing.errors import CalibrationError, DescriptionError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 
@@ -273,7 +273,7 @@ class _Search:
         used = self.boards.used[:, None]
         try:
             poses = self.boards.best_poses(changes, self.noise, self.robust)
-        except DescriptionError:
+        except InputError:
             poses = None
         if poses is None:
             return np.full(2 * len(used), np.nan)

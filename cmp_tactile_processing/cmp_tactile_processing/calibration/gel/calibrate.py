@@ -69,7 +69,7 @@ def calibrate_gel(
 
     frames: (H, W) grey or (H, W, 3) BGR uint8, of the size that the description says.
     What is wrong with frames or result is among the outcome's findings.  Raises CalibrationError
-    where nothing can be fitted: no frames, or no pattern in any of them; DescriptionError for a
+    where nothing can be fitted: no frames, or no pattern in any of them; InputError for a
     view that does not show the pattern; FrameError that names a frame of another size.
     """
     options = options or GelCalibrationParameters()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
 from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals, number_text
-from cmp_tactile_processing.errors import CalibrationError, DescriptionError, GeometryError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
@@ -58,7 +58,7 @@ _LOOK = (
 class GelCalibrationParameters(RigPrior, section="gel calibration"):
     """What may differ from the description by how much, and when the result is good enough.
 
-    A deviation of 0 holds a value: it is not fitted at all.  Raises ParameterError for a value
+    A deviation of 0 holds a value: it is not fitted at all.  Raises InputError for a value
     outside its range.
     """
 
@@ -224,7 +224,7 @@ class _Residuals:
     def __call__(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
         try:
             views = build_views(self._parameters.sensor(changes))
-        except (DescriptionError, GeometryError):
+        except InputError:
             return np.full(self._pixels.size, np.nan)
         shown = [views[name].project(points) for name, points in self._points.items()]
         return np.asarray(((self._pixels - np.concatenate(shown)) / self._spread).ravel())

@@ -12,7 +12,7 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from cmp_tactile_processing.errors import MessageDefinitionError
+from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.messages import making
 
 SEPARATOR = "=" * 80
@@ -26,7 +26,7 @@ CHECKOUT = Path(__file__).resolve().parents[4]
 def simulation_typestore() -> Typestore:
     """ROS 2's message types and those of cmp_tactile_msgs.
 
-    Raises MessageDefinitionError where the definitions are not installed.
+    Raises CmpTactileError where the definitions are not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     for kind in (making.GRID, making.SURFACE, making.CONTACT, making.FORCE_FIELD):
@@ -67,7 +67,7 @@ def simulation_definition(kind: str) -> MessageDefinition:
 def message_definition(message_type: str) -> MessageDefinition:
     """The definition of a type such as "sensor_msgs/msg/Image", as a bag keeps it.
 
-    Raises MessageDefinitionError where its package, or one that it needs, has none here.
+    Raises CmpTactileError where its package, or one that it needs, has none here.
     """
     texts: dict[str, str] = {}
     missing = [message_type]
@@ -108,4 +108,4 @@ def _file(message_type: str, suffix: str) -> Path:
             return folder / f"{name}{suffix}"
     searched = ", ".join(prefixes) or "none: AMENT_PREFIX_PATH is empty"
     msg = f"{message_type}: found no {name}{suffix} in the share folders of {searched}"
-    raise MessageDefinitionError(msg)
+    raise CmpTactileError(msg)

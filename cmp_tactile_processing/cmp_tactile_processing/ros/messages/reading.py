@@ -1,7 +1,7 @@
 """The core's dataclasses and images from messages, of ROS or of `rosbags`.
 
 Reading checks the size of every array against the sensor's grid, and that coordinates and status
-agree, before anything is reshaped: GeometryError names field, found and expected.
+agree, before anything is reshaped: InputError names field, found and expected.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing import measured
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.split import LUMINANCE
 from cmp_tactile_processing.image.encodings import BitDepth, decode_compressed, decode_raw
@@ -59,7 +59,7 @@ def image_camera_info_from_msg(msg: Any) -> ViewCameraInfo:
 def grid_from_msg(
     msg: Any, shape: measured.GridShape, placement: measured.ViewPlacement | None = None
 ) -> measured.Grid:
-    """The Grid of a message; GeometryError unless it has the given shape and is consistent."""
+    """The Grid of a message; InputError unless it has the given shape and is consistent."""
     check_shape(measured.GridShape(msg.rows, msg.cols, msg.points_per_segment), shape)
     grid = measured.Grid(
         shape=shape,
@@ -87,7 +87,7 @@ def grid_from_msg(
 
 
 def surface_from_msg(msg: Any, shape: measured.GridShape) -> measured.Surface:
-    """The Surface of a message; GeometryError unless it has the given shape and is consistent."""
+    """The Surface of a message; InputError unless it has the given shape and is consistent."""
     check_shape(measured.GridShape(msg.rows, msg.cols, msg.points_per_segment), shape)
     surface = measured.Surface(
         shape=shape,
@@ -118,7 +118,7 @@ def surface_from_msg(msg: Any, shape: measured.GridShape) -> measured.Surface:
 
 
 def force_field_from_msg(msg: Any) -> measured.ForceField:
-    """The ForceField of a message; GeometryError unless its arrays belong together."""
+    """The ForceField of a message; InputError unless its arrays belong together."""
     nodes = msg.rows * msg.cols
     slip = _read_slip(msg, "")
     return measured.ForceField(
@@ -155,7 +155,7 @@ def _contact_from_msg(msg: Any, nodes: int, owner: str) -> measured.Contact:
     numbers = np.array(msg.nodes, np.intp)
     if (numbers >= nodes).any():
         text = f"{owner}nodes: found {numbers.max()}, expected numbers below {nodes}"
-        raise GeometryError(text)
+        raise InputError(text)
     return measured.Contact(
         nodes=numbers,
         wrench=_six(msg.wrench),
@@ -186,7 +186,7 @@ def _read_systematic_covariance(msg: Any) -> NDArray[np.float64]:
 def _read_slip(msg: Any, owner: str) -> measured.SlipEstimate:
     if msg.slip_state not in list(measured.SlipState):
         text = f"{owner}slip_state: found {msg.slip_state}, expected one of SLIP_* (0 to 4)"
-        raise GeometryError(text)
+        raise InputError(text)
     figures = {name: getattr(msg, name) for name in SLIP_FIGURES}
     return measured.SlipEstimate(measured.SlipState(msg.slip_state), **figures)
 
@@ -218,10 +218,10 @@ def image_from_msg(
 
 
 def check_shape(found: measured.GridShape, shape: measured.GridShape) -> None:
-    """Raise GeometryError where what came is of another pattern than the sensor's."""
+    """Raise InputError where what came is of another pattern than the sensor's."""
     if found != shape:
         text = f"rows, cols, points_per_segment: found {_words(found)}, expected {_words(shape)}"
-        raise GeometryError(text)
+        raise InputError(text)
 
 
 def _words(shape: measured.GridShape) -> str:
@@ -239,7 +239,7 @@ def _read_named(msg: Any, field: str, names: type[Name]) -> Name:
     except ValueError:
         known = ", ".join(repr(item.value) for item in names)
         text = f"{field}: found {found!r}, expected one of {known}"
-        raise GeometryError(text) from None
+        raise InputError(text) from None
 
 
 def _xyz(point: Any) -> NDArray[np.float64]:
@@ -251,12 +251,12 @@ def _six(wrench: Any) -> NDArray[np.float64]:
 
 
 def _read_array(msg: Any, name: str, dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """Field `name` in the given shape; GeometryError for another number of values."""
+    """Field `name` in the given shape; InputError for another number of values."""
     values = np.frombuffer(getattr(msg, name), dtype=dtype)
     if values.size != math.prod(shape):
         sides = " x ".join(str(side) for side in shape)
         text = f"{name}: found {values.size} values, expected {math.prod(shape)} ({sides})"
-        raise GeometryError(text)
+        raise InputError(text)
     return values.reshape(shape)
 
 
@@ -266,19 +266,19 @@ def _read_points(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.floa
 
 
 def _read_status(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """A field of status codes; GeometryError for an unknown one."""
+    """A field of status codes; InputError for an unknown one."""
     return _read_codes(msg, name, shape, measured.Status)
 
 
 def _read_codes(
     msg: Any, name: str, shape: tuple[int, ...], known: type[IntEnum]
 ) -> NDArray[np.uint8]:
-    """A field of codes of an enumeration; GeometryError for an unknown one."""
+    """A field of codes of an enumeration; InputError for an unknown one."""
     codes = _read_array(msg, name, np.uint8, shape)
     if codes.size and int(codes.max()) > _last_code(known):
         names = ", ".join(f"{item.value} ({item.name.lower()})" for item in known)
         text = f"{name}: found code {codes.max()}, expected one of {names}"
-        raise GeometryError(text)
+        raise InputError(text)
     return codes.copy()
 
 
@@ -290,22 +290,22 @@ def _read_deviations(msg: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.
 
 
 def _check_seen(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
-    """Raise GeometryError where a point that is not missing has no coordinates."""
+    """Raise InputError where a point that is not missing has no coordinates."""
     bad = (status != MISSING) & ~_in_all(np.isfinite(points))
     if bad.any():
         count = np.count_nonzero(bad)
         text = f"{name}: found NaN or inf at {count} points whose status is not 0, expected numbers"
-        raise GeometryError(text)
+        raise InputError(text)
 
 
 def _check_consistent(name: str, points: NDArray[np.float64], status: NDArray[np.uint8]) -> None:
-    """Raise GeometryError where status and coordinates do not agree."""
+    """Raise InputError where status and coordinates do not agree."""
     _check_seen(name, points, status)
     bad = (status == MISSING) & ~_in_all(np.isnan(points))
     if bad.any():
         count = np.count_nonzero(bad)
         text = f"{name}: found numbers at {count} points whose status is 0 (missing), expected NaN"
-        raise GeometryError(text)
+        raise InputError(text)
 
 
 def _in_all(holds: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError, ReferenceFramesError
+from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.image.light_bands import LightBands
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import Grid, GridShape, Status
@@ -62,18 +62,18 @@ class PrintInspection:
     ) -> None:
         """Take in a frame; origin: the prepared image's first pixel in the view, px.
 
-        Raises ReferenceFramesError where half of the corners are missing or the gel has moved since
-        the first frame, and GeometryError for a grid or an image of another size.
+        Raises CalibrationError where half of the corners are missing or the gel has moved since
+        the first frame, and InputError for a grid or an image of another size.
         """
         mean = self._mean or MeanFrame(self._shape, image.grey.shape)
         mean.add(image, grid, origin)
         self._mean = mean
 
     def result(self) -> PrintDefects:
-        """The state of the print as all frames show it; ReferenceFramesError without frames."""
+        """The state of the print as all frames show it; CalibrationError without frames."""
         if self._mean is None:
             msg = "print inspection: found no frames, expected at least one at rest"
-            raise ReferenceFramesError(msg)
+            raise CalibrationError(msg)
         found = _judged(self._mean)
         if self._dots is None:
             return found
@@ -206,10 +206,10 @@ class MeanFrame:
         """Take in a frame; raises as `PrintInspection.add` does."""
         if grid.shape != self.shape:
             msg = f"print inspection: found a grid of {grid.shape}, expected {self.shape}"
-            raise GeometryError(msg)
+            raise InputError(msg)
         if image.grey.shape != self._sum.shape:
             msg = f"print inspection: found an image of {image.grey.shape}, expected "
-            raise GeometryError(f"{msg}{self._sum.shape}")
+            raise InputError(f"{msg}{self._sum.shape}")
         corners = np.where((grid.corner_status == Status.MEASURED)[..., None], grid.corners, np.nan)
         self.bands.add(image.grey)
         self._check_rest(corners, origin)
@@ -239,7 +239,7 @@ class MeanFrame:
                 f"print inspection: found {seen:.0%} of the corners in a frame, expected at least "
                 f"{LEAST_SEEN:.0%}"
             )
-            raise ReferenceFramesError(msg)
+            raise CalibrationError(msg)
         if self._first is None:
             self._first, self.origin = corners, np.array(origin, dtype=np.float64)
             return
@@ -253,7 +253,7 @@ class MeanFrame:
                 "frames"
             )
             flicker = self.bands.report
-            raise ReferenceFramesError(f"{msg}; {flicker}" if flicker else msg)
+            raise CalibrationError(f"{msg}; {flicker}" if flicker else msg)
 
     @property
     def image(self) -> NDArray[np.float32]:

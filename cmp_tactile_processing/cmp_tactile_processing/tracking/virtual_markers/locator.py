@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_processing.errors import ParameterError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage
 from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.corner_fusion import (
@@ -140,13 +140,13 @@ class VirtualMarkerLocator:
     """Finds the virtual markers of frame after frame; its buffers are kept.
 
     method: "fused", the gradient's ridge fused with the curve through the corners, or
-    "local_correction", the paper's alone.  Raises ParameterError for another one.
+    "local_correction", the paper's alone.  Raises InputError for another one.
     """
 
     def __init__(self, shape: GridShape, method: str = "fused") -> None:
         if method not in METHODS:
             msg = f"virtual_markers: found {method!r}, expected one of {', '.join(METHODS)}"
-            raise ParameterError(msg)
+            raise InputError(msg)
         self._fused = method == "fused"
         self._count = n = shape.points_per_segment
         self._rows = _Gridlines(shape.rows, shape.cols, n)

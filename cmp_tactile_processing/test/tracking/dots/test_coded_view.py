@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import GeometryError
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import Grid, GridFault, NumberingKind
 from cmp_tactile_processing.sensor.dot_code import dot_map
 from cmp_tactile_processing.tracking.tracker import GridTracker
@@ -151,7 +151,7 @@ def test_dots_are_no_defects_of_the_print(tracker, photograph, nominal):
 def test_checkers_too_small_for_dots_are_an_error(sensor):
     pattern = replace(sensor.pattern, rows=55, cols=55, pitch=sensor.pattern.pitch * 21 / 56)
     GridTracker(replace(sensor, pattern=pattern), "left")
-    with pytest.raises(GeometryError, match=r"expected at least 6.5 px with code: dots"):
+    with pytest.raises(InputError, match=r"expected at least 6.5 px with code: dots"):
         GridTracker(replace(sensor, pattern=replace(pattern, code="dots")), "left")
 
 
