@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -26,15 +26,10 @@ from rich.table import Table
 from rich.text import Text
 
 from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.processes import OnProgress
 
 if TYPE_CHECKING:
     from cmp_tactile_bringup.report.results import TableRow
-
-OnStage = Callable[[str, float], None]
-"""Takes what is being done, and the share of it that is done, from 0 to 1."""
-
-OnCount = Callable[[str, int, int], None]
-"""Takes what is being done, how much is done, and of how much."""
 
 # No line of ours is longer.
 UNBOUNDED = 10_000
@@ -131,7 +126,7 @@ def error_line(error: Exception, hint: str = "") -> str:
     return printable(f"error: {type(error).__name__}: {error}{hint}")
 
 
-def stage_bars(progress: Progress, **fields: Any) -> OnStage:
+def stage_bars(progress: Progress, **fields: Any) -> OnProgress:
     """A bar for each thing that is done, in the order in which they begin.
 
     Where no bar can move (a pipe, a file), a line as each begins: bars are drawn at the end there.
@@ -150,22 +145,10 @@ def stage_bars(progress: Progress, **fields: Any) -> OnStage:
 
 
 @contextmanager
-def shown_stages() -> Iterator[OnStage]:
+def shown_stages() -> Iterator[OnProgress]:
     """Bars on stderr with the time that each stage took; none before a stage begins."""
     with _bars() as progress:
         yield stage_bars(progress)
-
-
-@contextmanager
-def shown_count() -> Iterator[OnCount]:
-    """One bar on stderr for work of several parts, which counts through all of them."""
-    with _bars() as progress:
-        task = progress.add_task("beginning", total=None)
-
-        def on_count(what: str, done: int, total: int) -> None:
-            progress.update(task, description=what, completed=done, total=max(total, 1))
-
-        yield on_count
 
 
 def _bars() -> Progress:

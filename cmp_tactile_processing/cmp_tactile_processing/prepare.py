@@ -17,10 +17,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from cmp_tactile_processing.cache.compiled import installing, when_compiling
-from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.processes import python_command
+from cmp_tactile_processing.processes import OnProgress, python_command
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
@@ -45,7 +44,7 @@ def _prepare_stereo(sensor: SensorDescription) -> None:
     ReferenceKeeper(Reference.nominal(sensor))
 
 
-def prepare_forces(sensor: SensorDescription, progress: Progress | None = None) -> None:
+def prepare_forces(sensor: SensorDescription, progress: OnProgress | None = None) -> None:
     """Compile what finds forces, and build and cache the elastic model.
 
     progress: called with what is built of a model that is not cached, and its share.

@@ -1,4 +1,4 @@
-"""How processes of this software are started, and how signals end them."""
+"""How processes of this software are started, what they say of their progress, how they end."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ import math
 import signal
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Any
+
+OnProgress = Callable[[str, float], None]
+"""Takes what is being done, and the share of it that is done, from 0 to 1."""
 
 # For Python 3.10, which has no option -P.  Only sys, which is built in, is imported before the
 # current folder is taken off the path.  Python 3.13 imports more before it runs such a line.
@@ -22,6 +26,10 @@ NUMBERS = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)
 LONGEST_SLEEP = 1.0  # s
 # After which an interrupt that Python dropped is repeated.
 REPEAT_S = 0.05
+
+
+def no_progress(_what: str, _share: float) -> None:
+    """An OnProgress that shows nothing."""
 
 
 def python_command(module: str, *arguments: str) -> list[str]:

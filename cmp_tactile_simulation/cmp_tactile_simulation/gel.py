@@ -26,10 +26,11 @@ from cmp_tactile_processing.elastic.mesh import (
     MeshDensity,
 )
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
-from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
+from cmp_tactile_processing.elastic.model import ElasticProblem, quarter_count
 from cmp_tactile_processing.elastic.relaxation import step_weights
 from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.measured import SurfaceGrid
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
@@ -182,7 +183,7 @@ class LinearElastomer:
         sensor: SensorDescription,
         nodes: int = 40,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
     ) -> None:
         self._problem = problem = ContactProblem.with_nodes(sensor, nodes)
         self._young = sensor.elastomer.young
@@ -266,7 +267,7 @@ class LinearElastomer:
         return np.asarray(force, dtype=np.float64) / self._young
 
 
-def _build(problem: ContactProblem, name: str, progress: Progress | None) -> dict[str, Array]:
+def _build(problem: ContactProblem, name: str, progress: OnProgress | None) -> dict[str, Array]:
     LOGGER.info("building the elastomer of %s, about 20 s, cached afterwards", name)
     start = monotonic()
     responses = problem.responses(progress=progress)

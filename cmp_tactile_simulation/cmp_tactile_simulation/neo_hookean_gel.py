@@ -18,10 +18,11 @@ from cmp_tactile_processing.elastic.mesh import (
     hat_loads,
     interpolation,
 )
-from cmp_tactile_processing.elastic.model import Progress, mesh_under
+from cmp_tactile_processing.elastic.model import mesh_under
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.errors import ContactError, NotConvergedError
 from cmp_tactile_processing.measured import SurfaceGrid
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.gel import LinearElastomer, RelaxingElastomer
 
@@ -66,7 +67,7 @@ class NeoHookeanElastomer(LinearElastomer):
         sensor: SensorDescription,
         nodes: int = 40,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
         density: MeshDensity = DENSITY,
     ) -> None:
         super().__init__(sensor, nodes, cache_dir, progress)
@@ -175,7 +176,7 @@ def elastomer_of(
     sensor: SensorDescription,
     nodes: int = 40,
     cache_dir: Path | None = None,
-    progress: Progress | None = None,
+    progress: OnProgress | None = None,
 ) -> Elastomer:
     """The gel of a sensor: the material that `elastomer.model` names, with `elastomer.relaxation`.
 

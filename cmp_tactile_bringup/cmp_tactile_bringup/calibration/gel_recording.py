@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import check_source, recorded_source
-from cmp_tactile_bringup.terminal import OnStage
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
 from cmp_tactile_processing.errors import CalibrationError, FrameSourceError
 from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.pipeline import MarkerCamera
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.stillness import (
@@ -106,7 +106,7 @@ def read_motion(
     sensor: SensorDescription,
     topic: str = "",
     rest_s: tuple[float, float] | None = None,
-    report: OnStage = lambda _, __: None,
+    report: OnProgress = no_progress,
 ) -> GelMotion:
     """The motion in a bag, a folder of images or a packaged scene.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -26,6 +26,7 @@ from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, ContactError, InputError, OutputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_simulation.recording.truth import RecordingWriter
@@ -59,7 +60,6 @@ BOARD_COLS, BOARD_ROWS = 9, 6
 SQUARE_STEP = 1e-4
 FRAME_NOISE = 4.0
 REST_FRAMES = 10
-Progress = Callable[[str, float], None]
 
 
 def changed_rig(
@@ -233,7 +233,7 @@ class PracticeSet:
 
 
 def make_practice_set(
-    practice: PracticeSet, folder: Path, progress: Progress, *, overwrite: bool = False
+    practice: PracticeSet, folder: Path, progress: OnProgress, *, overwrite: bool = False
 ) -> None:
     """Write the whole set into the folder.  progress: called with what is done and its share.
 
@@ -269,7 +269,7 @@ def _make_room(folder: Path, *, overwrite: bool) -> None:
 
 
 def _write_board(
-    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: Progress
+    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: OnProgress
 ) -> None:
     poses = board_poses(true_rig, practice.target, practice.board_images, practice.seed)
     folder.mkdir()
@@ -287,7 +287,7 @@ def _write_board(
 
 
 def _write_rest(
-    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: Progress
+    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: OnProgress
 ) -> None:
     folder.mkdir()
     camera, pattern = CameraSettings(read_noise=FRAME_NOISE), true_rig.pattern
@@ -300,7 +300,7 @@ def _write_rest(
 
 
 def _write_contact(
-    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: Progress
+    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: OnProgress
 ) -> None:
     """A bag as the rig's driver records it: its camera_info is that of the nominal description."""
     scene: Scene = load_scene(DEFAULT_SCENE)

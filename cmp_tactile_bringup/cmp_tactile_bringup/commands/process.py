@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.offline.imported import Agreement
     from cmp_tactile_bringup.offline.jobs import Job, Outcome
     from cmp_tactile_bringup.offline.processor import Result
-    from cmp_tactile_bringup.terminal import OnStage
     from cmp_tactile_driver.sources.markers import MarkerRecording
+    from cmp_tactile_processing.processes import OnProgress
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 MOST_REFERENCE_FRAMES = 1000
@@ -193,7 +193,9 @@ def _sensor_of(job: Job, given: str | None) -> str | Exception:
         return error
 
 
-def _run(jobs: list[Job], arguments: Process, on_stage: OnStage) -> Generator[Result, None, None]:
+def _run(
+    jobs: list[Job], arguments: Process, on_stage: OnProgress
+) -> Generator[Result, None, None]:
     from cmp_tactile_bringup.offline.processor import run_here, run_in_processes, run_on_cluster
 
     processes = min(arguments.jobs or _default_jobs(), len(jobs))

@@ -15,10 +15,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cmp_tactile_bringup.recordings.library import MakingProgress, recorded_source
+from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_processing.cache.files import expanded_path, split_paths
 from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, InputError
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import yaml_value
@@ -363,7 +364,7 @@ def absolute_name(namespace: str, below: str = "") -> str:
     return f"/{absolute.strip('/')}"
 
 
-def with_recordings(graph: Graph, progress: MakingProgress = lambda *_: None) -> Graph:
+def with_recordings(graph: Graph, progress: OnProgress = no_progress) -> Graph:
     """The graph with the names of packaged scenes replaced by their recordings.
 
     One that was never asked for before is simulated first.  All replays begin together.  Raises
@@ -381,7 +382,7 @@ def with_recordings(graph: Graph, progress: MakingProgress = lambda *_: None) ->
     return graph.with_parameters(parameters)
 
 
-def _recorded(scene: Path, progress: MakingProgress) -> str:
+def _recorded(scene: Path, progress: OnProgress) -> str:
     def show(what: str, share: float) -> None:
         progress(f"{scene}: {what}, the first time only", share)
 

@@ -32,7 +32,7 @@ from cmp_tactile_bringup.offline.jobs import Job, Outcome
 from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
-from cmp_tactile_bringup.terminal import OnStage, error_line, processor_name
+from cmp_tactile_bringup.terminal import error_line, processor_name
 from cmp_tactile_driver.bags.reader import Recorded, RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
@@ -42,7 +42,7 @@ from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
-from cmp_tactile_processing.processes import python_command
+from cmp_tactile_processing.processes import OnProgress, no_progress, python_command
 from cmp_tactile_processing.ros import diagnostics
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.stereo.rig import implausible_ray_gap
@@ -285,7 +285,7 @@ class _FrameFaults:
             )
 
 
-def run_job(job: Job, on_stage: OnStage) -> Outcome:
+def run_job(job: Job, on_stage: OnProgress) -> Outcome:
     """Make the results of a job.
 
     Raises CmpTactileError or OSError where that is not possible; nothing new is then written.
@@ -306,7 +306,7 @@ def run_job(job: Job, on_stage: OnStage) -> Outcome:
             raise OutputError(msg) from error
 
 
-def run_guarded(job: Job, on_stage: OnStage = lambda *_: None) -> Outcome | CmpTactileError:
+def run_guarded(job: Job, on_stage: OnProgress = no_progress) -> Outcome | CmpTactileError:
     """As `run_job`; no error of the job leaves this."""
     try:
         return run_job(job, on_stage)
@@ -317,7 +317,7 @@ def run_guarded(job: Job, on_stage: OnStage = lambda *_: None) -> Outcome | CmpT
         return failure
 
 
-def compile_elsewhere(sensor: Path, on_stage: OnStage) -> None:
+def compile_elsewhere(sensor: Path, on_stage: OnProgress) -> None:
     """Have all that the pipeline of a sensor runs compiled by another process, if it is not yet.
 
     Raises OutputError where that process fails.
@@ -343,7 +343,7 @@ def compile_elsewhere(sensor: Path, on_stage: OnStage) -> None:
             done.touch()
 
 
-def run_here(jobs: Sequence[Job], on_stage: OnStage) -> Generator[Result, None, None]:
+def run_here(jobs: Sequence[Job], on_stage: OnProgress) -> Generator[Result, None, None]:
     """Run the jobs in this process."""
     for job in jobs:
         yield job, run_guarded(job, on_stage)

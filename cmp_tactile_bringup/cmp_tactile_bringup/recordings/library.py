@@ -5,13 +5,14 @@ The simulator is imported only for names without such a path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from cmp_tactile_driver.bags.recording import check_folder
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest, expanded_path
 from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_section import did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
@@ -21,7 +22,6 @@ DEFAULT_SCENE = "grasp"
 SOURCES = "a ROS 2 bag, a folder of images, an image, a video"
 """What is replayed and processed, beside packaged scenes."""
 
-MakingProgress = Callable[[str, float], None]
 """Called with what is done and its share, 0 to 1, while a recording is made."""
 
 
@@ -34,7 +34,7 @@ def is_packaged(source: Path) -> bool:
     return str(source).partition(VARIANT_MARK)[0] in packaged_scenes()
 
 
-def recorded_source(source: Path, progress: MakingProgress | None = None) -> Path:
+def recorded_source(source: Path, progress: OnProgress | None = None) -> Path:
     """The path; for a packaged scene, its recording, which is made where there is none yet."""
     if not is_packaged(source):
         return expanded_path(source)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.recording.truth import RecordedTruth, read_truth
 from cmp_tactile_simulation.scenes.description import Scene
@@ -39,7 +40,7 @@ class Recording:
 
 
 def find_recording(
-    name_or_path: str = library.DEFAULT_SCENE, progress: library.MakingProgress | None = None
+    name_or_path: str = library.DEFAULT_SCENE, progress: OnProgress | None = None
 ) -> Recording:
     """The recording of a packaged scene, or the one in the folder that is given, with its truth.
 

@@ -20,6 +20,7 @@ from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
 from cmp_tactile_processing.measured import Grid, Status
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig
@@ -272,7 +273,7 @@ class CheckReport(outcome.WithFindings):
 def check_recording(
     sensor: SensorDescription,
     frames: Sequence[NDArray[np.uint8]],
-    on_progress: outcome.Progress = outcome.silent,
+    on_progress: OnProgress = no_progress,
     limits: CheckParameters | None = None,
 ) -> CheckReport:
     """Check the calibration of a sensor on frames, (H, W) grey or (H, W, 3) BGR uint8.

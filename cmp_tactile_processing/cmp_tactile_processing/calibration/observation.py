@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.outcome import Progress, silent
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean
 from cmp_tactile_processing.measured import Grid, Status
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.tracking.views import ViewTrackers
 
@@ -58,7 +58,9 @@ class ViewObservation:
 
 
 def track_frames(
-    sensor: SensorDescription, frames: Sequence[NDArray[np.uint8]], on_progress: Progress = silent
+    sensor: SensorDescription,
+    frames: Sequence[NDArray[np.uint8]],
+    on_progress: OnProgress = no_progress,
 ) -> dict[str, list[Grid]]:
     """Grids of all frames, (H, W) or (H, W, 3) uint8, by view.
 
@@ -68,13 +70,13 @@ def track_frames(
     if not len(frames):
         msg = f"{sensor.name}: found no frames, expected at least one of the gel"
         raise CalibrationError(msg)
-    on_progress("preparing the trackers", 0, len(frames))
+    on_progress("preparing the trackers", 0.0)
     trackers = ViewTrackers(sensor)
     grids: dict[str, list[Grid]] = {name: [] for name in sensor.views}
     for number, frame in enumerate(frames, 1):
         for name, grid in trackers.track(frame, f"frame {number} of {len(frames)}").items():
             grids[name].append(grid)
-        on_progress("tracking", number, len(frames))
+        on_progress("tracking", number / len(frames))
     return grids
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from enum import Enum
@@ -15,13 +15,6 @@ from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
-
-# What is being done, how much of it is done, how much there is.
-Progress = Callable[[str, int, int], None]
-
-
-def silent(doing: str, done: int, total: int) -> None:
-    """A progress report that nobody reads."""
 
 
 class Severity(str, Enum):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -40,6 +40,7 @@ from cmp_tactile_processing.elastic.mirror_symmetry import (
 )
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import SurfaceGrid
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # To be raised with every change that alters the compliance of the same sensor.
@@ -54,7 +55,6 @@ NODE_SPACING, MAX_NODES = 0.6e-3, 20
 # The response of the markers to the nodes is kept whole: 104 MB for so many.
 MAX_MARKERS = 60 * 60
 
-Progress = Callable[[str, float], None]
 
 LOGGER = logging.getLogger(__name__)
 
@@ -149,13 +149,13 @@ class ElasticProblem:
         return mesh_under(self.nodes, self.geometry, self.density)
 
     def solve(
-        self, forces: NDArray[np.float64] | None = None, progress: Progress | None = None
+        self, forces: NDArray[np.float64] | None = None, progress: OnProgress | None = None
     ) -> list[NDArray[np.float64]]:
         """Displacement of the quarter grid of markers, as in `responses`, one matrix per parity."""
         return [response.markers for response in self.responses(forces, progress)]
 
     def responses(
-        self, forces: NDArray[np.float64] | None = None, progress: Progress | None = None
+        self, forces: NDArray[np.float64] | None = None, progress: OnProgress | None = None
     ) -> list[QuarterResponse]:
         """Response of the quarter block to forces on the nodes, one per parity, for E = 1 Pa.
 
@@ -268,7 +268,7 @@ class ElasticModel:
         self,
         sensor: SensorDescription,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
     ) -> None:
         self._problem = problem = ElasticProblem.from_sensor(sensor)
         self._young = sensor.elastomer.young
@@ -331,7 +331,7 @@ class ElasticModel:
 
 
 def _build(
-    problem: ElasticProblem, name: str, progress: Progress | None
+    problem: ElasticProblem, name: str, progress: OnProgress | None
 ) -> dict[str, NDArray[np.float64]]:
     LOGGER.info("building the elastic model of %s, about 5 s, cached afterwards", name)
     start = monotonic()

@@ -22,9 +22,10 @@ from cmp_tactile_processing.elastic.cholesky import RestInverse
 from cmp_tactile_processing.elastic.equilibrium import QuickEquilibrium
 from cmp_tactile_processing.elastic.mesh import MeshDensity, hat_loads, interpolation
 from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
-from cmp_tactile_processing.elastic.model import ElasticProblem, Progress, quarter_count
+from cmp_tactile_processing.elastic.model import ElasticProblem, quarter_count
 from cmp_tactile_processing.elastic.neo_hookean import NeoHookeanElements
 from cmp_tactile_processing.errors import InputError, NotConvergedError
+from cmp_tactile_processing.processes import OnProgress
 
 LOGGER = logging.getLogger(__name__)
 
@@ -65,7 +66,7 @@ class LargePress:
         problem: ElasticProblem,
         young: float,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
         density: MeshDensity = DENSITY,
     ) -> None:
         if problem.geometry.layer == 0:
@@ -177,7 +178,7 @@ def _complaint(force: Array) -> str:
 
 
 def _build(
-    problem: ElasticProblem, at_rest: RestInverse, progress: Progress | None
+    problem: ElasticProblem, at_rest: RestInverse, progress: OnProgress | None
 ) -> dict[str, Array]:
     start = monotonic()
     inverse = at_rest.build(problem.poisson, problem.layer_ratio)

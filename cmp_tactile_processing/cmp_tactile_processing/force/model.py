@@ -15,7 +15,7 @@ from scipy.ndimage import binary_dilation, binary_propagation
 
 from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem, Progress
+from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.errors import NotConvergedError
 from cmp_tactile_processing.force.contact_regions import (
     ContactRegions,
@@ -37,6 +37,7 @@ from cmp_tactile_processing.measured import (
     SurfaceGrid,
     Systematics,
 )
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 # Share of the markers under a contact, or of those around it, that may be missing before it is
@@ -322,7 +323,7 @@ class ForceModel:
         self,
         sensor: SensorDescription,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
     ) -> None:
         self._sensor, self._parameters = sensor, sensor.force
         self.elastic = ElasticModel(sensor, cache_dir, progress)
@@ -341,7 +342,9 @@ class ForceModel:
         # What this keeps is made here, before the first frame.
         self.elastic.node_displacement(np.ones(self.elastic.node_position.shape))
 
-    def _large_press(self, cache_dir: Path | None, progress: Progress | None) -> LargePress | None:
+    def _large_press(
+        self, cache_dir: Path | None, progress: OnProgress | None
+    ) -> LargePress | None:
         choice, elastomer = self._parameters.large_press, self._sensor.elastomer
         if choice == "off" or (choice == "auto" and elastomer.model != "neo_hookean"):
             return None

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.error_bars import (
     RollingShutter,
@@ -23,6 +22,7 @@ from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.plausibility import BorderContact
 from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Surface
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
@@ -53,7 +53,7 @@ class ForceStage:
         self,
         sensor: SensorDescription,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
         *,
         encoded: bool = False,
     ) -> None:

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from cmp_tactile_processing.cache import files
 from cmp_tactile_processing.cache.compiled import source_digest
-from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import OutputError
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_simulation.recording.pictures import write_images, write_video
 from cmp_tactile_simulation.recording.truth import RecordingWriter, recorded_frames
 from cmp_tactile_simulation.scenes.description import Scene
@@ -62,7 +62,7 @@ def run_scene(
     output: Path,
     options: RunOptions | None = None,
     cache_dir: Path | None = None,
-    progress: Progress | None = None,
+    progress: OnProgress | None = None,
 ) -> int:
     """Simulate a scene into the folder `output`; returns the number of frames.
 
@@ -72,7 +72,7 @@ def run_scene(
     Raises OutputError where the folder cannot be used, other SimulationErrors where the scene
     cannot be simulated; what was simulated until then can be read.
     """
-    options, progress = options or RunOptions(), progress or _silent
+    options, progress = options or RunOptions(), progress or no_progress
     folder = _usable(output)
     _check_apart(folder, (file for file in (scene.file, scene.indenter.file) if file is not None))
     with _locked(folder):
@@ -86,7 +86,7 @@ def run_scene(
     return count
 
 
-def _record(simulation: Simulation, folder: Path, count: int, progress: Progress) -> None:
+def _record(simulation: Simulation, folder: Path, count: int, progress: OnProgress) -> None:
     """Write scene, sensor description and the bag of so many frames."""
     scene = simulation.scene
     write_scene(scene, folder)
@@ -105,7 +105,7 @@ def _write_frames(
     simulation: Simulation,
     count: int,
     write: Callable[[SimulatedFrame], None],
-    progress: Progress,
+    progress: OnProgress,
 ) -> None:
     """Write the frames.
 
@@ -126,7 +126,7 @@ def _write_frames(
             writing.result()
 
 
-def _write_pictures(scene: Scene, folder: Path, options: RunOptions, progress: Progress) -> None:
+def _write_pictures(scene: Scene, folder: Path, options: RunOptions, progress: OnProgress) -> None:
     """Make of the bag what else is wanted; images take its place."""
     count = min(options.frames or scene.frame_count, scene.frame_count)
     if options.video:
@@ -142,10 +142,6 @@ def _write_pictures(scene: Scene, folder: Path, options: RunOptions, progress: P
             raise OutputError(msg)
         for name in (f"{folder.name}.mcap", "metadata.yaml"):
             (folder / name).unlink()
-
-
-def _silent(_text: str, _fraction: float) -> None:
-    pass
 
 
 def _usable(path: Path) -> Path:
@@ -224,7 +220,7 @@ def _begin(folder: Path, scene: Scene) -> None:
 
 
 def recording_of(
-    scene_name: str, progress: Progress | None = None, cache_dir: Path | None = None
+    scene_name: str, progress: OnProgress | None = None, cache_dir: Path | None = None
 ) -> Path:
     """The bag of a packaged scene ("grasp"), from the cache folder or simulated now.
 

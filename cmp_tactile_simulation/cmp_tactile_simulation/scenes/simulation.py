@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.elastic.model import Progress
 from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.measured import (
     ForceField,
@@ -23,6 +22,7 @@ from cmp_tactile_processing.measured import (
     Surface,
     SurfaceGrid,
 )
+from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
@@ -187,7 +187,7 @@ class Simulation:
         self,
         scene: description.Scene,
         cache_dir: Path | None = None,
-        progress: Progress | None = None,
+        progress: OnProgress | None = None,
     ) -> None:
         self.scene = scene
         self.elastomer = elastomer_of(

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-    from cmp_tactile_bringup.terminal import OnStage
     from cmp_tactile_processing.calibration.material.loads import (
         LoadResult,
         LoadSample,
         MaterialOutcome,
     )
+    from cmp_tactile_processing.processes import OnProgress
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 OWN_SENSOR = f"{sources.SENSOR}; not needed if sensor.yaml is in the recording's folder"
@@ -113,7 +113,7 @@ class Force(sources.Output, sources.WrenchSensor):
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
         from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-        from cmp_tactile_bringup.terminal import shown_count
+        from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.calibration.material.calibrate import fit_material
         from cmp_tactile_processing.calibration.material.loads import check_views
 
@@ -124,8 +124,8 @@ class Force(sources.Output, sources.WrenchSensor):
         files.check_free(overwrite=self.overwrite)
         samples = _samples(self, sensor)
         method = FORCE_SENSOR if self.wrench_topic else WEIGHTS
-        with shown_count() as count:
-            outcome = fit_material(sensor, samples, method, self.poisson_std, count)
+        with shown_stages() as on_stage:
+            outcome = fit_material(sensor, samples, method, self.poisson_std, on_stage)
         return _conclude(outcome, files, self._source)
 
     @property
@@ -166,7 +166,7 @@ def _samples(arguments: Force, sensor: SensorDescription) -> list[LoadSample]:
 
 
 def _weight_samples(
-    arguments: Force, weights: Path, sensor: SensorDescription, on_stage: OnStage
+    arguments: Force, weights: Path, sensor: SensorDescription, on_stage: OnProgress
 ) -> list[LoadSample]:
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
     from cmp_tactile_bringup.calibration.loads import read_known_loads, samples_of_weights
@@ -189,7 +189,7 @@ def _weight_samples(
 
 
 def _sensor_samples(
-    arguments: Force, sensor: SensorDescription, on_stage: OnStage
+    arguments: Force, sensor: SensorDescription, on_stage: OnProgress
 ) -> list[LoadSample]:
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
     from cmp_tactile_bringup.calibration.loads import read_wrench
@@ -331,7 +331,7 @@ class Relaxation(sources.Output, sources.WrenchSensor):
 
 
 def _record(
-    arguments: Relaxation, sensor: SensorDescription, on_stage: OnStage
+    arguments: Relaxation, sensor: SensorDescription, on_stage: OnProgress
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | float | None]:
     """A press over time: s, reading and true force into the gel, (n,) N; NaN where not known."""
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
@@ -356,7 +356,7 @@ def _record(
 
 
 def _reading(
-    motion: GelMotion, sensor: SensorDescription, on_stage: OnStage
+    motion: GelMotion, sensor: SensorDescription, on_stage: OnProgress
 ) -> NDArray[np.float64]:
     """Force into the gel as the elastic model alone shows it, (n,) N."""
     import numpy as np

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
     from cmp_tactile_bringup.report.evaluation import TruthErrors
     from cmp_tactile_bringup.report.results import TableRow
-    from cmp_tactile_bringup.terminal import OnCount
     from cmp_tactile_processing.calibration.board.target import BoardTarget
     from cmp_tactile_processing.calibration.check import CheckFigure, CheckReport
     from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
+    from cmp_tactile_processing.processes import OnProgress
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 BOARD_SIZE = Pair("the number of inner corners, as 9x6")
@@ -145,7 +145,7 @@ class Gel(Output, FrameInput):
             warn,
         )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
-        from cmp_tactile_bringup.terminal import shown_count, shown_stages
+        from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
         from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -156,8 +156,8 @@ class Gel(Output, FrameInput):
         with shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
             prepare_tracker(sensor, on_stage)
-        with shown_count() as count:
-            outcome = calibrate_gel(sensor, frames.images, on_progress=count)
+        with shown_stages() as on_stage:
+            outcome = calibrate_gel(sensor, frames.images, on_progress=on_stage)
         warn(frames.problem)
         return conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
 
@@ -166,7 +166,7 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
     from cmp_tactile_bringup.calibration.frames import read_images
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude, warn
-    from cmp_tactile_bringup.terminal import shown_count
+    from cmp_tactile_bringup.terminal import shown_stages
     from cmp_tactile_driver.bags.pairs import pairs_by_number
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
 
@@ -184,8 +184,10 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
             else ""
         )
     images = {view: read_images(files) for view, files in chosen.items()}
-    with shown_count() as count:
-        outcome = calibrate_cameras(images["left"], images.get("right"), target, on_progress=count)
+    with shown_stages() as on_stage:
+        outcome = calibrate_cameras(
+            images["left"], images.get("right"), target, on_progress=on_stage
+        )
     pictures = {view: items[0] for view, items in images.items()}
     return conclude(outcome, files, pictures, arguments.output.name)
 
@@ -199,7 +201,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
         view_pictures,
         warn,
     )
-    from cmp_tactile_bringup.terminal import shown_count
+    from cmp_tactile_bringup.terminal import shown_stages
     from cmp_tactile_processing.sensor.description import load_sensor
 
     sensor = load_sensor(arguments.sensor)
@@ -211,8 +213,8 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
         found = read_frames(arguments.input, sensor, arguments.topic)
         warn(found.problem)
         frames = found.images
-    with shown_count() as count:
-        outcome = _calibrate(frames, target, sensor, count)
+    with shown_stages() as on_stage:
+        outcome = _calibrate(frames, target, sensor, on_stage)
     return conclude(outcome, files, view_pictures(sensor, frames[0]), sensor.name)
 
 
@@ -220,7 +222,7 @@ def _calibrate(
     frames: list[NDArray[np.uint8]],
     target: BoardTarget,
     sensor: SensorDescription,
-    count: OnCount,
+    on_stage: OnProgress,
 ) -> CalibrationOutcome:
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
     from cmp_tactile_processing.calibration.board.calibrate import (
@@ -229,14 +231,14 @@ def _calibrate(
     )
 
     if sensor.optics.type == "mirror_stereo":
-        return calibrate_mirror_rig(frames, target, sensor, on_progress=count)
+        return calibrate_mirror_rig(frames, target, sensor, on_progress=on_stage)
     views = [view_pictures(sensor, frame) for frame in frames]
     first, *others = sensor.views
     return calibrate_cameras(
         [item[first] for item in views],
         [item[others[0]] for item in views] if others else None,
         target,
-        on_progress=count,
+        on_progress=on_stage,
         sensor=sensor,
     )
 
@@ -328,8 +330,8 @@ class Check(FrameInput):
             frames = frames_of(self, sensor, on_stage)
             prepare_tracker(sensor, on_stage)
         errors = None
-        with terminal.shown_count() as count:
-            grids = track_frames(sensor, frames.images, count)
+        with terminal.shown_stages() as on_stage:
+            grids = track_frames(sensor, frames.images, on_stage)
         report = check_grids(sensor, grids)
         # One view measures no places in 3-D.
         in_3d = len(sensor.views) > 1

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.calibration.frames import RecordedFrames
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
     from cmp_tactile_bringup.calibration.loads import WrenchSeries
-    from cmp_tactile_bringup.terminal import OnStage
+    from cmp_tactile_processing.processes import OnProgress
     from cmp_tactile_processing.sensor.description import SensorDescription
 
 IMAGE_TOPIC = "/NS/image_raw"
@@ -100,7 +100,7 @@ class WrenchSensor(Command):
 
 
 def frames_of(
-    arguments: FrameInput, sensor: SensorDescription, on_stage: OnStage
+    arguments: FrameInput, sensor: SensorDescription, on_stage: OnProgress
 ) -> RecordedFrames:
     """Frames of the input, or of the live topic where there is none."""
     from itertools import islice
@@ -125,7 +125,7 @@ def frames_of(
     return RecordedFrames(images, list(range(len(images))))
 
 
-def prepare_tracker(sensor: SensorDescription, on_stage: OnStage) -> None:
+def prepare_tracker(sensor: SensorDescription, on_stage: OnProgress) -> None:
     """Compile what tracks and triangulates where that has not been done before, and say so."""
     from cmp_tactile_processing.prepare import prepare_tracking
 

@@ -35,6 +35,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.split import split_frame
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import Camera, Optics, Roi, ViewDescription
 
@@ -66,7 +67,7 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     left_images: Sequence[NDArray[np.uint8]],
     right_images: Sequence[NDArray[np.uint8]] | None,
     target: BoardTarget,
-    on_progress: outcome.Progress = outcome.silent,
+    on_progress: OnProgress = no_progress,
     sensor: SensorDescription | None = None,
     model: str = "pinhole",
 ) -> outcome.CalibrationOutcome:
@@ -97,12 +98,12 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
         _check_sizes(sensor, images.sizes)
     if outcome.errors_in(found):
         return result.refused(found)
-    on_progress("fitting the cameras", 0, 1)
+    on_progress("fitting the cameras", 0.0)
     fitted_rig = fit_cameras(model, target, corners_of(images), images.sizes, sensor)
     if fitted_rig is None:
         return result.refused([*found, result.of_no_fit()])
     rig, fit = fitted_rig
-    on_progress("fitting the cameras", 1, 1)
+    on_progress("fitting the cameras", 1.0)
     residuals = result.residuals_of(fit)
     calibrated = rig.sensor(fit.bundle.fit.values)
     estimates = _pair_estimates(rig, fit.bundle.fit, sensor)
@@ -264,7 +265,7 @@ def calibrate_mirror_rig(
     frames: Sequence[NDArray[np.uint8]],
     target: BoardTarget,
     sensor: SensorDescription,
-    on_progress: outcome.Progress = outcome.silent,
+    on_progress: OnProgress = no_progress,
 ) -> outcome.CalibrationOutcome:
     """Camera and mirrors of a mirror_stereo sensor from frames of a board without the gel.
 
@@ -293,7 +294,7 @@ def calibrate_mirror_rig(
     found = findings_of_images(images)
     if outcome.errors_in(found):
         return result.refused(found)
-    on_progress("fitting camera and mirrors", 0, 1)
+    on_progress("fitting camera and mirrors", 0.0)
     seen = corners_of(images)
     start, error = _start(rig, target, seen)
     far = FAR_OFF * next(iter(described.values())).placement.width
@@ -302,7 +303,7 @@ def calibrate_mirror_rig(
     fit = fit_rig(rig, start, target, seen)
     if fit is None:
         return result.refused([*found, result.of_no_fit()])
-    on_progress("fitting camera and mirrors", 1, 1)
+    on_progress("fitting camera and mirrors", 1.0)
     residuals = result.residuals_of(fit)
     estimates = [
         item for item in rig_estimates(rig, fit.bundle.fit) if not item.name.startswith("gel")

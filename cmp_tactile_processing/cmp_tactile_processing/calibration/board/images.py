@@ -16,7 +16,8 @@ from cmp_tactile_processing.calibration.board.target import (
     chessboard_size,
     find_board,
 )
-from cmp_tactile_processing.calibration.outcome import Finding, Progress, Severity
+from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.processes import OnProgress
 
 Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]
 
@@ -78,7 +79,7 @@ def corners_of(images: BoardImages) -> dict[int, dict[str, Corners]]:
 def look_for_board(
     images: dict[str, Sequence[NDArray[np.uint8]]],
     target: BoardTarget,
-    on_progress: Progress,
+    on_progress: OnProgress,
     cut: Cut | None = None,
     size: tuple[int, int] | None = None,
 ) -> BoardImages:
@@ -94,7 +95,7 @@ def look_for_board(
         wanted = size or _most_common_size(of_view)
         found: list[BoardSighting | None] = []
         for number, image in enumerate(of_view):
-            on_progress("looking for the board", done, total)
+            on_progress("looking for the board", done / total)
             done += 1
             if image.shape[1::-1] != wanted:
                 name = f"image {number + 1}" if cut else f"{view} image {number + 1}"
@@ -107,7 +108,7 @@ def look_for_board(
                 without.append(part)
             sizes[view] = part.shape[1], part.shape[0]
         sightings[view] = found
-    on_progress("looking for the board", total, total)
+    on_progress("looking for the board", 1.0)
     board = _other_board(target, without) if _few(sightings) else None
     return BoardImages(target, sightings, sizes, tuple(dict.fromkeys(others)), board)
 

@@ -35,7 +35,6 @@ from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
-    Progress,
     Severity,
     errors_in,
     length_text,
@@ -43,11 +42,11 @@ from cmp_tactile_processing.calibration.outcome import (
     provenance,
     reprojection,
     rig_estimates,
-    silent,
 )
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.measured import Grid
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord
 
@@ -63,7 +62,7 @@ def calibrate_gel(
     sensor: SensorDescription,
     frames: Sequence[NDArray[np.uint8]],
     options: GelCalibrationParameters | None = None,
-    on_progress: Progress = silent,
+    on_progress: OnProgress = no_progress,
 ) -> CalibrationOutcome:
     """Refine the optical values of a description from frames of the gel at rest.
 
@@ -76,9 +75,9 @@ def calibrate_gel(
     grids = observation.track_frames(sensor, frames, on_progress)
     if not _usable(grids, options).any():
         _refuse_exchanged(sensor, frames[0], options)
-    on_progress("fitting", 0, 1)
+    on_progress("fitting", 0.0)
     outcome = calibrate_gel_grids(sensor, grids, options)
-    on_progress("fitting", 1, 1)
+    on_progress("fitting", 1.0)
     return outcome
 
 

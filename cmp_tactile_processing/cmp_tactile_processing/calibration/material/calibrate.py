@@ -28,10 +28,8 @@ from cmp_tactile_processing.calibration.material.loads import (
 from cmp_tactile_processing.calibration.outcome import (
     Estimate,
     Finding,
-    Progress,
     Severity,
     provenance,
-    silent,
 )
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
@@ -39,6 +37,7 @@ from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.contact_regions import material_covariance
 from cmp_tactile_processing.force.model import LINEAR_DOUBT, ForceModel
 from cmp_tactile_processing.measured import ForceField, Status
+from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 
@@ -79,7 +78,7 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is in
     samples: Sequence[LoadSample],
     method: str,
     poisson_std: float = POISSON_STD,
-    on_progress: Progress = silent,
+    on_progress: OnProgress = no_progress,
     cache_dir: Path | None = None,
 ) -> MaterialOutcome:
     """Young's modulus of a sensor's gel from samples of known load.
@@ -98,9 +97,9 @@ def fit_material(  # noqa: PLR0913, PLR0917 - what is known, how well, who is in
     # Without the deviations of an earlier calibration.
     plain = replace(sensor, elastomer=replace(sensor.elastomer, calibration=None))
     with one_thread():
-        on_progress("loading the elastic model", 0, 1)
+        on_progress("loading the elastic model", 0.0)
         model = ForceModel(plain, cache_dir)
-        on_progress("loading the elastic model", 1, 1)
+        on_progress("loading the elastic model", 1.0)
         fields = [model.reconstruct_random(item.displacement, item.status) for item in samples]
         reasons = {k: reason for k, shown in enumerate(fields) if (reason := _why_unusable(shown))}
         calibration = _Calibration(sensor, samples, fields, method, reasons)
