@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import InputError
 
 NAN = float("nan")
+NS_PER_S = 10**9
 
 
 class Status(IntEnum):

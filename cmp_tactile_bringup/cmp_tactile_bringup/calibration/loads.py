@@ -24,14 +24,13 @@ from cmp_tactile_driver.bags.timeline import timeline
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
 from cmp_tactile_processing.errors import FrameSourceError
-from cmp_tactile_processing.measured import Status
+from cmp_tactile_processing.measured import NS_PER_S, Status
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
 
 TF_STATIC = "/tf_static"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
-NS_PER_S = 10**9
 
 STANDARD_GRAVITY = 9.80665
 LEAST_GRAVITY, MOST_GRAVITY = 9.7, 9.9

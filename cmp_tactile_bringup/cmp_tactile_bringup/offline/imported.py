@@ -21,7 +21,7 @@ from cmp_tactile_driver.bags.reader import RecordedSurface
 from cmp_tactile_driver.sources.markers import MarkerRecording
 from cmp_tactile_driver.sources.tac3d import Tac3dRecording
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.measured import NS_PER_S, ForceField, Surface
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages
@@ -32,7 +32,6 @@ from cmp_tactile_processing.sensor.description import (
 
 Array = NDArray[np.float64]
 
-NS_PER_S = 10**9
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 REFERENCE = "markers at rest, as the sensor reports them"
 

@@ -34,6 +34,7 @@ from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import locked
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.rectification import Rectification
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import (
@@ -47,7 +48,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 # What a player needs to offer late listeners the last message, as rosbag2 writes it.
-FOREVER = QosTime(2**63 // 10**9, 2**63 % 10**9 - 1)
+FOREVER = QosTime(2**63 // NS_PER_S, 2**63 % NS_PER_S - 1)
 LATCHED = Qos(
     history=QosHistory.KEEP_LAST,
     depth=1,

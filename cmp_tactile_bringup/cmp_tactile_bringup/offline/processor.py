@@ -41,6 +41,7 @@ from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
 from cmp_tactile_processing.processes import OnProgress, no_progress, python_command
 from cmp_tactile_processing.ros import diagnostics
@@ -49,7 +50,6 @@ from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 NOMINAL = "nominal surface of the sensor description"
 AS_RECORDED = "reference of the recorded surfaces; without images there are no grids"
-NS_PER_S = 10**9
 STAMP_FAULTS = {
     diagnostics.Stamp.REPEATED: "came twice",
     diagnostics.Stamp.ZERO: "were 0",

@@ -23,6 +23,7 @@ from mcap.writer import MCAP0_MAGIC
 from rosbags.rosbag2 import Reader
 
 from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.measured import NS_PER_S
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 HEAD_BYTES = 12
@@ -81,7 +82,7 @@ def head_stamp_ns(message: bytes) -> int:
         return 0
     order = "<" if head[1] & 1 else ">"
     seconds, nanoseconds = struct.unpack_from(f"{order}iI", head, 4)
-    return max(0, int(seconds) * 10**9 + int(nanoseconds))
+    return max(0, int(seconds) * NS_PER_S + int(nanoseconds))
 
 
 def full_kind(name: str, encoding: str = "cdr") -> str:

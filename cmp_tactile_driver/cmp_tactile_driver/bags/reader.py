@@ -28,7 +28,7 @@ from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, Sourc
 from cmp_tactile_processing.errors import FrameError, FrameSourceError, InputError
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
-from cmp_tactile_processing.measured import GridShape, Surface
+from cmp_tactile_processing.measured import NS_PER_S, GridShape, Surface
 from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE, whole_frame_info
 from cmp_tactile_processing.ros.messages.reading import (
@@ -251,7 +251,7 @@ class BagReader:
         times = stored.time_s, stored.moment_ns
         message = self._read_message(stored)
         stamp = message.header.stamp
-        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
+        stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
         if stamp_ns < 0:
             msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
             raise FrameError(msg)

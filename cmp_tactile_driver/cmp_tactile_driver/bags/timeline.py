@@ -13,8 +13,8 @@ from itertools import accumulate, pairwise
 from statistics import median
 
 from cmp_tactile_driver.bags.files import StoredMessage
+from cmp_tactile_processing.measured import NS_PER_S
 
-NS_PER_S = 10**9
 LONGEST_GAP_S = 60.0
 """A longer time between two messages is a jump of the clock or a pause: nobody waits for it."""
 # A clock that was set back stays so; a message that came late is one of a few.

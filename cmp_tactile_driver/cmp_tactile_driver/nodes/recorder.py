@@ -40,6 +40,7 @@ from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import FrameError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.encodings import COMPRESSED
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, InputWatch, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import message_class
@@ -179,7 +180,7 @@ def _recorded_qos(qos: QoSProfile) -> interfaces.Qos:
 
 
 def _time(duration: Any) -> interfaces.QosTime:
-    return interfaces.QosTime(*divmod(duration.nanoseconds, 10**9))
+    return interfaces.QosTime(*divmod(duration.nanoseconds, NS_PER_S))
 
 
 def message_encoder(topic: str, kind: str) -> Callable[[Any], EncodedMessage]:

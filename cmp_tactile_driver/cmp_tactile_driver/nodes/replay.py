@@ -29,6 +29,7 @@ from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.cache.files import split_paths
 from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import (
@@ -48,7 +49,6 @@ SETTLE_TIME = 0.2
 
 The subscriber's side of the match may still be under way, and all replays are to know of the last.
 """
-NS_PER_S = 10**9
 
 STATUS_CHECK_PERIOD = 0.1
 # A second of frames: what a subscriber on a busy machine has not taken yet is not given up.

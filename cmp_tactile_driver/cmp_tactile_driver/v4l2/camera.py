@@ -14,6 +14,7 @@ from cmp_tactile_driver.sources.frames import ImageSize, size_text
 from cmp_tactile_driver.v4l2.controls import CameraControls
 from cmp_tactile_driver.v4l2.devices import VideoDevice, device_error
 from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.measured import NS_PER_S
 
 AUTO = "auto"
 PREFERENCE = ("GREY", "YUYV", "BGR3", "RGB3", "MJPG", "JPEG")
@@ -237,7 +238,7 @@ class V4L2Camera:
             return None
         raw, flags = frame.buff, frame.buff.flags
         is_monotonic = flags & v4l2.BufferFlag.TIMESTAMP_MASK == v4l2.BufferFlag.TIMESTAMP_MONOTONIC
-        time_ns = raw.timestamp.secs * 10**9 + raw.timestamp.usecs * 1000
+        time_ns = raw.timestamp.secs * NS_PER_S + raw.timestamp.usecs * 1000
         source = flags & v4l2.BufferFlag.TSTAMP_SRC_MASK
         return Buffer(
             data=frame.data,

@@ -18,6 +18,7 @@ from cmp_tactile_driver.v4l2.camera import Buffer, Mode, V4L2Camera
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
 from cmp_tactile_processing.errors import FrameError, FrameSourceError, SourceNotReadyError
 from cmp_tactile_processing.image.encodings import decode_jpeg, decode_raw
+from cmp_tactile_processing.measured import NS_PER_S
 
 RAW_ENCODINGS = {"GREY": "mono8", "YUYV": "yuyv", "BGR3": "bgr8", "RGB3": "rgb8"}
 SEQUENCES = 2**32
@@ -26,7 +27,7 @@ MOST_EQUAL = 10
 # How long a damaged frame is reported.
 MEMORY_S = 5.0
 # Of a frame that has just come; a time beyond is no time of this frame.
-MAX_AGE_NS = 2 * 10**9
+MAX_AGE_NS = 2 * NS_PER_S
 READ_TIMEOUT_S = 0.1
 # In intervals of frames, how long none may come at the least.
 SLOWEST = 3.0

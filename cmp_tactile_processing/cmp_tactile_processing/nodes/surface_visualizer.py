@@ -11,7 +11,7 @@ from visualization_msgs.msg import MarkerArray
 
 from cmp_tactile_msgs.msg import ForceField as ForceFieldMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.measured import ForceField, Surface
+from cmp_tactile_processing.measured import NS_PER_S, ForceField, Surface
 from cmp_tactile_processing.ros import rviz
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.messages import reading
@@ -24,7 +24,7 @@ from cmp_tactile_processing.surface.dense import SurfaceInterpolator, grid_over
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 
 # What came of the other topic is drawn beside the newest message for so long, by their stamps.
-KEPT_NS = 1_000_000_000
+KEPT_NS = NS_PER_S
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.wiring import Input
 
 # An interval is a gap where it exceeds the usual one by this factor.
@@ -22,7 +23,7 @@ GAP_FACTOR = 1.6
 NEW_PACE = 5
 SMOOTHING = 0.1
 # A longer gap is to another recording, or of a clock that was set: no frames are missing in it.
-LONGEST_GAP_NS = 60 * 10**9
+LONGEST_GAP_NS = 60 * NS_PER_S
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01

@@ -21,9 +21,8 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
-
-NS_PER_S = 1_000_000_000
 
 # Plain CDR, little endian: what every middleware of ROS 2 takes.
 ENCAPSULATION = b"\x00\x01\x00\x00"

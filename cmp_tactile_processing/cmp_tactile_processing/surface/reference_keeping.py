@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean
-from cmp_tactile_processing.measured import Markers3D, ReferenceFault, Surface
+from cmp_tactile_processing.measured import NS_PER_S, Markers3D, ReferenceFault, Surface
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.gauge import RestGauge
@@ -24,7 +24,6 @@ from cmp_tactile_processing.surface.stillness import (
     why_touched,
 )
 
-NS_PER_S = 1_000_000_000
 # Sets of frames after which the gauge looks again at a gel that seems touched, at most.
 MAX_PASSED_OVER = 31
 # Between what was done and why it is doubtful.

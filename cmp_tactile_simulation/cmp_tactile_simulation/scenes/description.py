@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_section import (
     YamlSection,
@@ -45,7 +46,7 @@ MAX_SEED = 2**32 - 1
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 NOWHERE = (0.0, 0.0, 0.0)
 # Recordings of the same scene are to be the same bytes, whenever they are made.
-FIRST_STAMP_NS = 1_750_000_000 * 10**9
+FIRST_STAMP_NS = 1_750_000_000 * NS_PER_S
 
 Vector = tuple[float, float, float]
 

@@ -26,6 +26,7 @@ from std_srvs.srv import Trigger
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.image.encodings import BitDepth
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.services import answer_of
 from cmp_tactile_viewer.nodes.controls import RecordingButton, RunningSensor, node_settings
@@ -46,7 +47,6 @@ from cmp_tactile_viewer.snapshot import (
 HEADER = struct.Struct("<4xiI")
 # Frames that may be on their way through the stages at once; an image is a megabyte.
 KEPT = 12
-NS_PER_S = 1_000_000_000
 # The rate is that of so many frames.
 RATE_FRAMES = 60
 # Of camera images, which the page draws less often than surfaces, somewhat more than it draws.

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing import measured
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, Rectification, ViewCameraInfo
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 GRID = "cmp_tactile_msgs/msg/Grid"
@@ -23,7 +24,6 @@ SURFACE = "cmp_tactile_msgs/msg/Surface"
 CONTACT = "cmp_tactile_msgs/msg/Contact"
 FORCE_FIELD = "cmp_tactile_msgs/msg/ForceField"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-NS_PER_S = 10**9
 # A symmetric (3, 3) travels as its six entries xx, xy, xz, yy, yz, zz.
 UPPER_TRIANGLE = np.triu_indices(3)
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")

@@ -20,7 +20,8 @@ from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.split import LUMINANCE
 from cmp_tactile_processing.image.encodings import BitDepth, decode_compressed, decode_raw
-from cmp_tactile_processing.ros.messages.making import NS_PER_S, SLIP_FIGURES
+from cmp_tactile_processing.measured import NS_PER_S
+from cmp_tactile_processing.ros.messages.making import SLIP_FIGURES
 
 Name = TypeVar("Name", bound=Enum)
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
