@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rich.console import RenderableType
 
-    from cmp_tactile_processing.calibration.counting import Worth
+    from cmp_tactile_processing.calibration.counting import MarkerQuality
     from cmp_tactile_processing.calibration.proposal import Proposal
     from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -268,28 +268,28 @@ class _Meter:
             return str(error)
         names = VIEW_NAMES if len(views) > 1 else ("view",)
         return {
-            name: self._cells(name, view.seen.worth)
+            name: self._cells(name, view.seen.quality)
             for name, view in zip(names, views, strict=True)
         }
 
-    def _cells(self, name: str, worth: Worth) -> dict[str, str]:
-        best = self._best[name] = min(worth.blur_px, self._best.get(name, worth.blur_px))
+    def _cells(self, name: str, quality: MarkerQuality) -> dict[str, str]:
+        best = self._best[name] = min(quality.blur_px, self._best.get(name, quality.blur_px))
         um = 1e6 * self._pitch
         values = {
-            "px per checker": ("side_px", f"{worth.side_px:.1f}"),
-            "blur": ("blur_px", f"{worth.blur_px:.2f} px, best {best:.2f}"),
-            "contrast": ("contrast", f"{worth.contrast:.0f}"),
-            "noise": ("noise", f"{worth.noise:.1f}"),
+            "px per checker": ("side_px", f"{quality.side_px:.1f}"),
+            "blur": ("blur_px", f"{quality.blur_px:.2f} px, best {best:.2f}"),
+            "contrast": ("contrast", f"{quality.contrast:.0f}"),
+            "noise": ("noise", f"{quality.noise:.1f}"),
         }
         cells = {
-            heading: f"{text} ({um * worth.std_if(key):.2f} um)"
+            heading: f"{text} ({um * quality.std_if(key):.2f} um)"
             for heading, (key, text) in values.items()
         }
-        advice = [*worth.advice(HINT_GAIN), "nothing: a good picture"]
+        advice = [*quality.advice(HINT_GAIN), "nothing: a good picture"]
         return {
             **cells,
-            "overexposed": f"{worth.saturated:.0%}",
-            "marker": f"{um * worth.std_pitch:.2f} um",
+            "overexposed": f"{quality.saturated:.0%}",
+            "marker": f"{um * quality.std_pitch:.2f} um",
             "next": advice[0],
         }
 
@@ -443,13 +443,14 @@ def _report(found: Proposal, output: Path) -> None:
     if found.note:
         print(f"to do: {found.note}")
     for name, view in found.views.items():
-        worth = view.seen.worth
+        quality = view.seen.quality
         print(
-            f"{f'{name} view: ' if two else ''}checkers of {worth.side_px:.1f} px; contrast "
-            f"{worth.contrast:.0f} grey levels; noise {worth.noise:.1f}; blur {worth.blur_px:.2f} "
-            f"px; standard deviation of a marker {1e6 * pattern.pitch * worth.std_pitch:.1f} um"
+            f"{f'{name} view: ' if two else ''}checkers of {quality.side_px:.1f} px; contrast "
+            f"{quality.contrast:.0f} grey levels; noise {quality.noise:.1f}; "
+            f"blur {quality.blur_px:.2f} px; standard deviation of a marker "
+            f"{1e6 * pattern.pitch * quality.std_pitch:.1f} um"
         )
-        for advice in worth.advice(LEAST_GAIN):
+        for advice in quality.advice(LEAST_GAIN):
             print(f"to do: {advice}")
     if two:
         print(f"corners agree with the description to {found.misfit_px:.2g} px")

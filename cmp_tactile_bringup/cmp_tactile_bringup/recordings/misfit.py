@@ -41,14 +41,14 @@ def _comparison(sensor: SensorDescription, view: ViewGeometry, seen: Sighting) -
     pattern = sensor.pattern
     nominal = view.project(pattern.corners())
     side_px = float(np.nanmedian(np.linalg.norm(np.diff(nominal, axis=1), axis=-1)))
-    ratio = seen.worth.side_px / side_px
+    ratio = seen.quality.side_px / side_px
     if not 1 / MAX_SIDE_RATIO < ratio < MAX_SIDE_RATIO:
         keys = "pattern.pitch, focal length and distance of the camera"
     elif sorted(seen.corners.shape[:2]) != sorted((pattern.rows, pattern.cols)):
         keys = "pattern.rows and cols"
     else:
         keys = "the pose, which takes points of the gel to the camera (not its inverse)"
-    found = f"found {seen.size_text} with checkers of {seen.worth.side_px:.1f} px"
+    found = f"found {seen.size_text} with checkers of {seen.quality.side_px:.1f} px"
     expected = f"expected {pattern.rows} x {pattern.cols} with checkers of {side_px:.1f} px"
     return f"{found}, {expected}: check {keys}"
 

@@ -22,7 +22,7 @@ from std_msgs.msg import Header
 from cmp_tactile_bringup.container.components import ComponentContainer, find_component
 from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg
-from cmp_tactile_processing.ros.wiring import Given, Input, WiredNode
+from cmp_tactile_processing.ros.wiring import Input, LazyResult, WiredNode
 
 WARM_UP, CYCLES = 2, 4
 PERIOD_S = 0.02
@@ -61,7 +61,7 @@ class Counter(WiredNode):
         self.seen: list[int] = []
         self.connect_input(Input(self._begin), Image, "left/image_raw", 10)
 
-    def _begin(self, given: Given) -> Any:
+    def _begin(self, given: LazyResult) -> Any:
         return lambda: self.seen.append(given.header.stamp.sec)
 
 

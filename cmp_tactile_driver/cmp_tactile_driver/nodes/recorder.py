@@ -47,7 +47,7 @@ from cmp_tactile_processing.ros.messages.conversions import message_class
 from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
-from cmp_tactile_processing.ros.wiring import Given, Input
+from cmp_tactile_processing.ros.wiring import Input, LazyResult
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SUBSCRIPTION_DEPTH = 100
@@ -365,7 +365,7 @@ class Recorder(ReportingNode):
                 self._lost[tap.topic] += new
                 self._recorder.lost(tap, new)
 
-    def _on_message(self, tap: Tap, watch: InputWatch, given: Given) -> None:
+    def _on_message(self, tap: Tap, watch: InputWatch, given: LazyResult) -> None:
         message = given.message
         watch.take(given.info)
         recorder, now_ns = self._recorder, self.get_clock().now().nanoseconds

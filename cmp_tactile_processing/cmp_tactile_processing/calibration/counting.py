@@ -62,8 +62,8 @@ ADVICE = {
 
 
 @dataclass(frozen=True)
-class Worth:
-    """What a picture of checkers is worth.
+class MarkerQuality:
+    """How well a picture shows the corners of checkers.
 
     side_px: of a checker.  blur_px: standard deviation of the blur of the edges that are blurred
     more, along rows or columns, beyond that of the pixels.  contrast: grey levels between light and
@@ -114,7 +114,9 @@ class Worth:
 
 
 # A good picture, as a webcam can take it.
-GOOD = Worth(side_px=16.0, blur_px=0.6, contrast=180.0, saturated=0.0, noise=1.5, std_px=FLOOR_PX)
+GOOD = MarkerQuality(
+    side_px=16.0, blur_px=0.6, contrast=180.0, saturated=0.0, noise=1.5, std_px=FLOOR_PX
+)
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ class Sighting:
     corners: Float
     even: bool
     ends: tuple[bool, ...]
-    worth: Worth
+    quality: MarkerQuality
     dots: DotReading
 
     @property
@@ -199,7 +201,7 @@ def count_corners(image: Image, name: str = "picture") -> Sighting:
     prepared = Prefilter(image.shape, side).prepare(image)
     sides = border_sides(prepared, corners, even, corners.shape[:2])
     std = np.nan if grid.corner_std is None else float(np.nanmedian(grid.corner_std))
-    worth = _worth(prepared.grey, corners, even, (prepared.noise, std))
+    worth = _marker_quality(prepared.grey, corners, even, (prepared.noise, std))
     dots = read_dots(prepared, corners, even)
     return Sighting(corners, even, tuple(item.ends for item in sides), worth, dots)
 
@@ -294,7 +296,9 @@ def _part_with_corners(known: NDArray[np.bool_]) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def _worth(grey: Image, corners: Float, even: bool, known: tuple[float, float]) -> Worth:
+def _marker_quality(
+    grey: Image, corners: Float, even: bool, known: tuple[float, float]
+) -> MarkerQuality:
     """known: noise, grey levels, and the standard deviation of a corner, px."""
     side, blur, contrast, light = [], [], [], []
     for lattice in (corners, corners.swapaxes(0, 1)):
@@ -306,7 +310,9 @@ def _worth(grey: Image, corners: Float, even: bool, known: tuple[float, float]) 
     bright = np.concatenate([levels.ravel() for levels in light])
     saturated = float(np.mean(bright[np.isfinite(bright)] >= SATURATED))
     noise, std = known
-    return Worth(float(np.mean(side)), max(blur), float(np.mean(contrast)), saturated, noise, std)
+    return MarkerQuality(
+        float(np.mean(side)), max(blur), float(np.mean(contrast)), saturated, noise, std
+    )
 
 
 def _edges(grey: Image, lattice: Float, even: bool) -> tuple[float, float, Float]:

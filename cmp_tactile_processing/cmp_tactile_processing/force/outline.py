@@ -16,11 +16,17 @@ from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 # the narrower it is: under a ball the level is WIDE_LEVEL + NARROW_LEVEL / width^2, the width in
 # spacings of the nodes.
 WIDE_LEVEL, NARROW_LEVEL = 0.3, 1.1
-# Logarithm of the area above the first of two levels over that above the second: under a ball
-# GENTLE + GENTLE_NARROW / width, at most MOST_GENTLE.  Where the pressure ends abruptly, as under a
-# flat punch, it is less, and the outline lies PER_STEEPNESS times the difference higher.
-BETWEEN = 0.3, 0.8
-GENTLE, GENTLE_NARROW, MOST_GENTLE, PER_STEEPNESS = 0.14, 0.9, 0.53, 5.3
+# Levels over the mean pressure whose areas are compared: the steepness of the pressure is the
+# logarithm of the ratio of these areas.
+COMPARED_LEVELS = 0.3, 0.8
+# Under a ball the steepness is GENTLE_STEEPNESS + NARROW_STEEPNESS / width, at most
+# MAX_GENTLE_STEEPNESS.
+GENTLE_STEEPNESS = 0.14
+NARROW_STEEPNESS = 0.9
+MAX_GENTLE_STEEPNESS = 0.53
+# Where the pressure ends abruptly, as under a flat punch, it is less, and the level of the outline
+# is higher by this times the difference.
+LEVEL_PER_STEEPNESS = 5.3
 
 # Even the outline of a single node encloses something.
 HIGHEST_LEVEL = 0.6
@@ -50,14 +56,14 @@ def outline(height: Array, mean: float, highest: float) -> tuple[Array, float]:
     if not mean > 0:
         return np.empty((0, 2)), 0.0
     top = HIGHEST_LEVEL * height.max()
-    low = rings_above(height, min(BETWEEN[0] * mean, top))
-    high = rings_above(height, min(BETWEEN[1] * mean, top))
+    low = rings_above(height, min(COMPARED_LEVELS[0] * mean, top))
+    high = rings_above(height, min(COMPARED_LEVELS[1] * mean, top))
     wide, slim = _areas(low).sum(), _areas(high).sum()
     # One over the radius of a disc, or over the width of a long strip.
     narrowness = _length(low, height.shape) / (2 * wide)
-    of_ball = min(GENTLE + GENTLE_NARROW * narrowness, MOST_GENTLE)
+    of_ball = min(GENTLE_STEEPNESS + NARROW_STEEPNESS * narrowness, MAX_GENTLE_STEEPNESS)
     steepness = max(of_ball - np.log(wide / slim), 0.0)
-    level = (WIDE_LEVEL + NARROW_LEVEL * narrowness**2 + PER_STEEPNESS * steepness) * mean
+    level = (WIDE_LEVEL + NARROW_LEVEL * narrowness**2 + LEVEL_PER_STEEPNESS * steepness) * mean
     rings = rings_above(height, max(min(level, highest, top), 0.0))
     areas = _areas(rings)
     outer = np.argmax(areas)

@@ -50,12 +50,14 @@ REST_WEIGHT = 1e-6
 # The second pass has left something out where it leaves so many times the first one's misfit,
 # squared; else it is mostly below 1.1.  What it left out is added so often at most.
 LEFT_OUT, ADDED = 1.2, 2
-# Markers that have moved by no force, as those of another reference, are explained by weak loads
-# all over, and so is a gel that does not quite follow the model.  So nothing is added where the
-# second pass leaves a larger share of the displacement beside the noise, where more than this
-# share of the nodes would be loaded, or where with it the squared misfit is still so many times
-# the first pass's.
-MOST_LEFT, ALL_OVER, EXPLAINED = 0.3, 0.5, 2.0
+# Markers that no force has moved, as those of another reference, are explained by weak loads on the
+# whole surface; so is a gel that does not quite follow the model.  So nodes are added only if
+# - the second pass leaves at most this share of the displacement beside the noise,
+MAX_RESIDUAL_SHARE = 0.3
+# - at most this share of the nodes is then loaded,
+MAX_LOADED_SHARE = 0.5
+# - the squared misfit is then at most this many times that of the first pass.
+MAX_MISFIT_RATIO = 2.0
 
 
 class ContactRule:
@@ -212,7 +214,7 @@ class ForceSolver:
             return self._nothing(first)
         seen = self._second.seen(data, known)
         posterior = self._on(mask, first, seen)
-        posterior = self._with_left_out(first, posterior, seen)
+        posterior = self._with_weak_loads(first, posterior, seen)
         return self._second_pass(first, self._with_its_scale(posterior, seen))
 
     def again(self, before: ForceSolution, data: Array, known: Mask) -> ForceSolution:
@@ -277,7 +279,7 @@ class ForceSolver:
             posterior = replace(found, edge=posterior.edge)
         return posterior
 
-    def _with_left_out(
+    def _with_weak_loads(
         self, first: FirstPass, posterior: TractionPosterior, seen: SeenData
     ) -> TractionPosterior:
         """The posterior on a mask that holds weak loads beside a strong one, too.
@@ -285,7 +287,7 @@ class ForceSolver:
         They are below a share of its peak, as is what rings around it.  What the second pass
         leaves over does not ring, and shows them.
         """
-        begun = posterior
+        second_pass = posterior
         for _ in range(ADDED):
             if posterior.noise_squared <= LEFT_OUT * first.noise_squared:
                 return posterior
@@ -293,8 +295,8 @@ class ForceSolver:
             if mask is None:
                 break
             posterior = self._on(mask, first, seen)
-        explained = posterior.noise_squared <= EXPLAINED * first.noise_squared
-        return posterior if explained else begun
+        explained = posterior.noise_squared <= MAX_MISFIT_RATIO * first.noise_squared
+        return posterior if explained else second_pass
 
     def _with_more(
         self, first: FirstPass, posterior: TractionPosterior, seen: SeenData
@@ -305,7 +307,7 @@ class ForceSolver:
         predicted = self._spectrum.respond(self._on_all_nodes(posterior).ravel())
         rest = np.where(seen.known, seen.data - predicted, 0.0)
         of_noise = first.noise_squared * np.count_nonzero(seen.known)
-        if rest @ rest - of_noise > MOST_LEFT**2 * (seen.data @ seen.data):
+        if rest @ rest - of_noise > MAX_RESIDUAL_SHARE**2 * (seen.data @ seen.data):
             return None
         left = self._spectrum.solve(rest, seen.known)
         if left.evidence < self._parameters.contact_evidence:
@@ -319,7 +321,7 @@ class ForceSolver:
         return None if strange or (mask == before).all() else mask
 
     def _is_all_over(self, nodes: int) -> bool:
-        return nodes > ALL_OVER * self._shape[0] * self._shape[1]
+        return nodes > MAX_LOADED_SHARE * self._shape[0] * self._shape[1]
 
     def _nothing(self, first: FirstPass) -> ForceSolution:
         nodes = self._shape[0] * self._shape[1]

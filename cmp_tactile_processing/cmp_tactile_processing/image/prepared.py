@@ -28,23 +28,30 @@ QUANTISATION = 12**-0.5
 # An image with more than this share of pixels that stand out from all 8 neighbours has salt and
 # pepper.
 SALT_AND_PEPPER = 0.001
-# A pixel stands out by more than this share of the contrast, by no fewer grey levels, by more than
-# noise makes likely, and by more than the centre of a small checker does from its neighbours.
-STAND_OUT_CONTRAST, STAND_OUT_GREY, STAND_OUT_NOISE, OF_CHECKER = 0.2, 12.0, 4.0, 0.75
+# An impulse differs from its neighbours by more than this share of the contrast, this many grey
+# levels, and this many deviations of the noise,
+MIN_IMPULSE_CONTRAST = 0.2
+MIN_IMPULSE_GREY = 12.0
+MIN_IMPULSE_NOISE_STD = 4.0
+# and by more than this share of what the centre of a small checker differs by.
+MIN_IMPULSE_CHECKER_SHARE = 0.75
 # To decide whether there is salt and pepper it takes more: the tip of a sharp checker stands out by
 # up to 0.25 of the contrast.
 CERTAIN_CONTRAST = 0.3
 # What noise may ask for at most, as a share of the contrast.
 MOST_BY_NOISE = 0.4
 # Neighbours alike that make a pixel part of the pattern: a checker's tip has as many.
-ALIKE = 2
+MIN_EQUAL_NEIGHBOURS = 2
 # Above this share, clusters are likely; a second pass finds the rest of them.
 CLUSTERS = 0.01
 # Standard normal: root of the sum of squares of (1, -2, 1), and 30th percentile of its modulus.
 SECOND_DIFFERENCE, LOW_QUANTILE, LOW_VALUE = 6**0.5, 0.3, 0.385
-# Smoothing before saddle points and gradients are measured, px: the lens blurs by about as much.
-# More where the noise is more than a share of the contrast, less where checkers are small.
-SMOOTHING_PX, MOST_SMOOTHING_PX, LEAST_SMOOTHING_PX = 1.1, 2.0, 0.5
+# Standard deviation of the smoothing before saddle points and gradients are measured: a lens blurs
+# by about as much.  It is more if the noise exceeds a share of the contrast, less if checkers are
+# small.
+SMOOTHING_PX = 1.1
+MAX_SMOOTHING_PX = 2.0
+MIN_SMOOTHING_PX = 0.5
 SMOOTHING_PER_NOISE = 10.0
 SMOOTHING_PER_SIDE = 0.15
 # Width of the Gaussian kernel to either side, in standard deviations.
@@ -72,7 +79,7 @@ class PreparedImage:
     @property
     def smooth_noise(self) -> float:
         """Standard deviation of the noise of `smooth`, grey levels."""
-        smoothing = max(self.smoothing_px, LEAST_SMOOTHING_PX)
+        smoothing = max(self.smoothing_px, MIN_SMOOTHING_PX)
         return float(self.noise / (2.0 * np.sqrt(np.pi) * smoothing))
 
 
@@ -195,14 +202,16 @@ class ImpulseFilter:
         self._median = np.empty(shape, np.uint8)
         self._deviation = np.empty(shape, np.uint8)
         self._step = 3 if shape[0] * shape[1] > 90_000 else 1
-        peak = OF_CHECKER * (1 - np.cos(np.pi / max(side_px, 2.0)))
-        self._share_of_contrast = max(STAND_OUT_CONTRAST, float(peak))
+        peak = MIN_IMPULSE_CHECKER_SHARE * (1 - np.cos(np.pi / max(side_px, 2.0)))
+        self._share_of_contrast = max(MIN_IMPULSE_CONTRAST, float(peak))
 
     def apply(self, grey: NDArray[np.uint8], contrast: float, clean: NDArray[np.uint8]) -> bool:
         """Copy `grey` (H, W) into `clean` without salt and pepper; whether there was any."""
         np.copyto(clean, grey)
-        by_noise = min(STAND_OUT_NOISE * _rough_noise(clean, self._step), MOST_BY_NOISE * contrast)
-        limit = max(STAND_OUT_GREY, self._share_of_contrast * contrast, by_noise)
+        by_noise = min(
+            MIN_IMPULSE_NOISE_STD * _rough_noise(clean, self._step), MOST_BY_NOISE * contrast
+        )
+        limit = max(MIN_IMPULSE_GREY, self._share_of_contrast * contrast, by_noise)
         share = _share_standing_out(clean, self._step, max(limit, CERTAIN_CONTRAST * contrast))
         if share > SALT_AND_PEPPER:
             self._replace(clean, int(limit))
@@ -305,7 +314,7 @@ def _from_neighbours(
         differ = abs(a - b) + 256 * (2 - good_a - good_b)
         along = (a + b + 1) >> 1 if differ < least else along
         least = min(differ, least)
-    if alike >= ALIKE or good == 0:
+    if alike >= MIN_EQUAL_NEIGHBOURS or good == 0:
         return int(value)
     return int(along if least < 256 else total // good)
 
@@ -342,8 +351,8 @@ class Prefilter:
 def smoothing_for(noise: float, contrast: float, side_px: float) -> float:
     """Standard deviation of the smoothing Gaussian, px."""
     wanted = SMOOTHING_PX + SMOOTHING_PER_NOISE * max(noise / max(contrast, 1.0) - 0.03, 0.0)
-    limit = max(SMOOTHING_PER_SIDE * side_px, LEAST_SMOOTHING_PX)
-    return float(min(wanted, MOST_SMOOTHING_PX, limit))
+    limit = max(SMOOTHING_PER_SIDE * side_px, MIN_SMOOTHING_PX)
+    return float(min(wanted, MAX_SMOOTHING_PX, limit))
 
 
 @lru_cache(maxsize=64)

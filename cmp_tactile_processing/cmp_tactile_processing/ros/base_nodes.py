@@ -46,7 +46,7 @@ from cmp_tactile_processing.ros.parameters import (
     unknown_overrides,
     why_refused,
 )
-from cmp_tactile_processing.ros.wiring import Finish, Given, Input, Output, WiredNode
+from cmp_tactile_processing.ros.wiring import Finish, Input, LazyResult, Output, WiredNode
 from cmp_tactile_processing.sensor.description import load_sensor
 
 SERVICE_QOS = QoSProfile(depth=1000)
@@ -291,15 +291,17 @@ class StageNode(ReportingNode):
         """
         name = self.resolve_topic_name(topic)
 
-        def begin_guarded(given: Given) -> Finish:
+        def begin_guarded(given: LazyResult) -> Finish:
             self.diagnostics.frames_in += 1
             header = given.header
             watch.take(given.info)
             if watch.stamps.take(stamp_ns(header.stamp)) is Stamp.BACK:
                 self._run_guarded(name, self._on_time_back, topic)
-            begun: list[Any] = []
-            self._run_guarded(name, lambda: begun.append(begin(given.value)))
-            return lambda: self._run_guarded(name, callback, *begun, header) if begun else None
+            prepared: list[Any] = []
+            self._run_guarded(name, lambda: prepared.append(begin(given.value)))
+            return lambda: (
+                self._run_guarded(name, callback, *prepared, header) if prepared else None
+            )
 
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         end = Input(begin_guarded, from_msg, needs_all)

@@ -3,7 +3,7 @@
 A node has outputs and inputs, each with a topic.  Where nodes of a sensor share a container, its
 `Wiring` connects them: what a stage made goes to the next one as the object of the core, on the
 same thread, so nobody may change it afterwards.  A message is made, once, where somebody else
-subscribes.  Frames of a source come on its own thread and wait in an `Entrance`, the only queue.
+subscribes.  Frames of a source come on its own thread and wait in a `FrameQueue`, the only queue.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Finish = Callable[[], None]
 """The rest of the work on a frame, on the thread of the sensor."""
 
 
-class Given:
+class LazyResult:
     """What a node gives of one frame: a value of the core, and a message that says the same.
 
     Each is made at its first use.  header: of the message, None for one without, which is only
@@ -64,14 +64,14 @@ class Given:
 class Input:
     """Where a topic comes in.
 
-    dropped: frames that newer ones took the place of at the entrance.  subscription: over DDS; it
+    dropped: frames in whose place newer ones came.  subscription: over DDS; it
     is not looked at while an output of the same container is connected.  is_wired: whether its node
     is there, and a wiring may connect it.
     """
 
     def __init__(
         self,
-        begin: Callable[[Given], Finish],
+        begin: Callable[[LazyResult], Finish],
         from_msg: Callable[[Any], Any] = lambda message: message,
         needs_all: Callable[[], bool] = lambda: True,
     ) -> None:
@@ -85,18 +85,18 @@ class Input:
 
     @property
     def depth(self) -> int | None:
-        """Frames that may wait at the entrance; None for all."""
+        """Frames that may wait; None for all."""
         qos = self.subscription.qos_profile
         return None if qos.history is HistoryPolicy.KEEP_ALL else max(1, qos.depth)
 
-    def take(self, given: Given) -> None:
+    def take(self, given: LazyResult) -> None:
         """Work on a frame."""
         self.begin(given)()
 
     def take_message(self, message: Any, info: Info) -> None:
         """The callback of the subscription."""
         read, header = partial(self._from_msg, message), getattr(message, "header", None)
-        self.take(Given(header, read, lambda: message, info))
+        self.take(LazyResult(header, read, lambda: message, info))
 
     def listen_to_dds(self, wanted: bool) -> None:
         """Look at the subscription from now on, at what is yet to come, or not."""
@@ -125,7 +125,7 @@ def never() -> bool:
     return False
 
 
-class Entrance:
+class FrameQueue:
     """Frames of another thread that wait for the thread of the sensor.
 
     Where there is no room, the source waits while `waits` says so, as for a recording; else, and
@@ -133,13 +133,13 @@ class Entrance:
     """
 
     def __init__(
-        self, end: Input, wake: Callable[[Entrance], None], waits: Callable[[], bool] = never
+        self, end: Input, wake: Callable[[FrameQueue], None], waits: Callable[[], bool] = never
     ) -> None:
         self.end, self._wake, self._waits = end, wake, waits
-        self._waiting: deque[Given] = deque()
+        self._waiting: deque[LazyResult] = deque()
         self._changed = threading.Condition()
 
-    def take(self, given: Given) -> None:
+    def take(self, given: LazyResult) -> None:
         """Let a frame wait."""
         depth = self.end.depth
         with self._changed:
@@ -182,7 +182,7 @@ class Output:
         """
         self.publisher, self.own_thread, self.waits = publisher, own_thread, waits
         self._to_msg = to_msg
-        self.ends: tuple[Input | Entrance, ...] = ()
+        self.ends: tuple[Input | FrameQueue, ...] = ()
 
     @property
     def topic_name(self) -> str:
@@ -206,19 +206,19 @@ class Output:
             end.take(given)
         self.send(given)
 
-    def given(self, value: Any, header: Any) -> Given:
+    def given(self, value: Any, header: Any) -> LazyResult:
         """What the ends of this output take."""
-        return Given(header, lambda: value, partial(self._to_msg, value, header))
+        return LazyResult(header, lambda: value, partial(self._to_msg, value, header))
 
-    def send(self, given: Given) -> None:
+    def send(self, given: LazyResult) -> None:
         """Publish the message, where somebody subscribes."""
         if self.is_heard and getattr(self.publisher, "is_activated", True):
             self.publisher.publish(given.message)
 
 
-def input_of(end: Input | Entrance) -> Input:
+def input_of(end: Input | FrameQueue) -> Input:
     """Where an end of an output leads to."""
-    return end.end if isinstance(end, Entrance) else end
+    return end.end if isinstance(end, FrameQueue) else end
 
 
 def publish_side_by_side(
@@ -268,7 +268,7 @@ class Wiring:
         self.lock = FairLock()
         self._outputs: list[Output] = []
         self._inputs: list[Input] = []
-        self._due: SimpleQueue[Entrance | None] = SimpleQueue()
+        self._due: SimpleQueue[FrameQueue | None] = SimpleQueue()
         self._thread: threading.Thread | None = None
 
     def add(self, *ends: Output | Input) -> None:
@@ -309,19 +309,19 @@ class Wiring:
             self._thread.join()
             self._thread = None
 
-    def _end(self, output: Output, end: Input) -> Input | Entrance:
+    def _end(self, output: Output, end: Input) -> Input | FrameQueue:
         if not output.own_thread:
             return end
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="frames", daemon=True)
             self._thread.start()
-        return Entrance(end, self._due.put, output.waits)
+        return FrameQueue(end, self._due.put, output.waits)
 
     def _work(self) -> None:
-        while (entrance := self._due.get()) is not None:
+        while (queue := self._due.get()) is not None:
             with self.lock, one_thread():  # entered here it costs the stages nothing
                 try:
-                    entrance.pass_on()
+                    queue.pass_on()
                 except BaseException as error:  # noqa: BLE001  the next frame may be better
                     get_logger("wiring").error(f"a frame was lost: {error!r}")
 

@@ -15,7 +15,7 @@ from cmp_tactile_processing.sensor.yaml_text import Comment, yaml_comments, yaml
 
 MAX_FILE_BYTES = 1_000_000
 # How alike a misspelt word is to the one that is meant.
-ALIKE = 0.7
+MIN_SPELLING_SIMILARITY = 0.7
 # What people give by mistake instead of the unit that is asked for, as factors.
 OTHER_UNITS = {"m": (1e-3, 1e-6), "Pa": (1e3, 1e6)}
 _MISSING = object()
@@ -289,7 +289,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 def _close(word: str, known: Iterable[str]) -> str:
     by_lower = {name.lower(): name for name in known}
-    near = get_close_matches(word[:100].lower(), by_lower, n=1, cutoff=ALIKE)
+    near = get_close_matches(word[:100].lower(), by_lower, n=1, cutoff=MIN_SPELLING_SIMILARITY)
     return by_lower[near[0]] if near else ""
 
 

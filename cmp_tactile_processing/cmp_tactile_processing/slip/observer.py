@@ -23,10 +23,13 @@ from cmp_tactile_processing.slip.friction import (
 )
 from cmp_tactile_processing.slip.surface_motion import ContactSurface
 
-# Growth of the normal force after which it is looked at whether the tangential force grew along,
-# how much more steeply than the present ratio it may have done so without anything sliding, and
-# the change of the ratio that is no growth.
-GROWTH, STEEPER, OTHER_RATIO = 1.05, 1.2, 0.05
+# Once the normal force has grown by this factor, it is tested whether the tangential force has
+# grown with it.
+MIN_NORMAL_GROWTH = 1.05
+# Nothing has slid if the tangential force grew less steeply than this many times the present ratio.
+MAX_STICKING_STEEPNESS_RATIO = 1.2
+# A larger change of the ratio starts the test again.
+MAX_RATIO_CHANGE = 0.05
 # What was taken for sliding was none where the friction used rises beyond it by this share.
 EXCEEDED = 0.1
 # A load has turned, and sliding has ended, where so much of the friction used is given back.
@@ -146,14 +149,14 @@ class ContactTrack:
         """Count from now where the tangential force grew only along with the normal force."""
         normal, ratio, along = self._level
         least = self._parameters.min_traction_ratio
-        if patch.normal_force >= GROWTH * normal:
+        if patch.normal_force >= MIN_NORMAL_GROWTH * normal:
             rise = float(np.linalg.norm(patch.along.sum(axis=0) - along))
             steepness = rise / (patch.normal_force - normal)
-            if steepness < STEEPER * max(patch.use.ratio, least):
+            if steepness < MAX_STICKING_STEEPNESS_RATIO * max(patch.use.ratio, least):
                 below = patch.use.ratio < (1 - GIVEN_BACK) * self._friction
                 self._anchor_at(patch, known=self._known or bool(below))
             self._level_at(patch)
-        elif patch.normal_force < normal or abs(patch.use.ratio - ratio) > OTHER_RATIO:
+        elif patch.normal_force < normal or abs(patch.use.ratio - ratio) > MAX_RATIO_CHANGE:
             self._level_at(patch)
 
     def _turned(self, patch: ContactPatch, reach: FrictionUse) -> bool:

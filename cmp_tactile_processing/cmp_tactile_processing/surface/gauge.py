@@ -32,9 +32,11 @@ MIN_PRINT_PX, ALIKE_CORNERS = 5e-3, 9.0
 # From so many deviations on, a corner counts less.
 ROBUST_SCALE = 3.0
 MAD_TO_STD = 1.4826
-# Steps of the fit, and how often one is halved that makes the fit worse.  Where pixels differ by
-# more than this, px, from what the derivatives say, these are computed again.
-MAX_STEPS, MAX_HALVINGS, CURVED_PX = 12, 4, 0.05
+MAX_STEPS = 12
+# A step that makes the fit worse is halved at most so often.
+MAX_HALVINGS = 4
+# The derivatives are computed again if the pixels differ by more than this from their prediction.
+MAX_LINEAR_ERROR_PX = 0.05
 # The fit has converged where a step is shorter, in deviations of the prior.
 CONVERGED = 1e-3
 # Share of the corners without which nothing is fitted.
@@ -42,9 +44,13 @@ MIN_SEEN_SHARE = 0.5
 # The description is doubtful where displacements are off by more than this share, and by so many
 # times what the fit leaves open.
 DOUBTFUL_SHARE, DOUBTFUL_DEVIATIONS = 0.02, 2.0
-# A misfit below this, px, needs no explanation.  A single change explains it that leaves at most so
-# many times what the best one leaves, or this share of it; so many are named.
-MIN_EXPLAINED_PX, BEST_TIMES, UNEXPLAINED_SHARE, MAX_NAMED = 0.1, 2.0, 0.1, 3
+# A smaller misfit needs no explanation.
+MIN_EXPLAINED_PX = 0.1
+# A single change explains a misfit if it leaves at most this many times what the best one leaves,
+# or this share of the misfit.
+MAX_BEST_RATIO = 2.0
+MAX_UNEXPLAINED_SHARE = 0.1
+MAX_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -159,7 +165,7 @@ class RestGauge:
                     break
                 changes, curved = changes + step, after - (left - by_change @ step)
                 left = after
-                if float(np.sqrt(np.mean(curved**2))) > CURVED_PX:
+                if float(np.sqrt(np.mean(curved**2))) > MAX_LINEAR_ERROR_PX:
                     jacobian = possible.jacobian_at(changes * prior)
             off = measured - possible.pixels(changes * prior)
         except InputError:
@@ -185,7 +191,7 @@ class RestGauge:
             value = float(values[len(pose)] * prior[change.columns[0]])
             tried.append((left, f"{change.name} {change.format.format(value)}"))
         tried.sort()
-        most = max(BEST_TIMES * tried[0][0], UNEXPLAINED_SHARE * misfit)
+        most = max(MAX_BEST_RATIO * tried[0][0], MAX_UNEXPLAINED_SHARE * misfit)
         named = [text for left, text in tried if left <= min(most, misfit / 2)]
         return " or ".join(named[:MAX_NAMED])
 

@@ -34,10 +34,16 @@ CLOSE = 0.36 * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
 # A checker counts where it differs from those beside it by this share of what is usual, and where
 # its own grey levels beside the dot scatter by less than a share of that.
 LEAST_CONTRAST, MOST_SCATTER = 0.4, 0.3
-# Dots and the lack of dots are distinguished where they differ by so much, as a share of the
-# contrast and of the scatter of each; what lies between them by less than a share is not known.
-LEAST_STRENGTH, LEAST_RATIO, BETWEEN = 0.04, 3.5, 0.2
-FEWEST_CHECKERS, FEWEST_OF_PLANE, ROUNDS = 12, 12, 8
+# Checkers with a dot and without are distinguished if their levels differ by this share of the
+# contrast, and by this many times the scatter of each.
+MIN_DOT_CONTRAST = 0.04
+MIN_DOT_SCATTER_RATIO = 3.5
+# Levels in the middle, within this share of the difference, are not known.
+UNKNOWN_BAND_SHARE = 0.2
+MIN_LEVEL_CHECKERS = 12
+# A plane of levels over the image needs so many of each kind, and half of the rounds done.
+MIN_PLANE_CHECKERS = 12
+LEVEL_ROUNDS = 8
 # Median of |x| of a normal distribution of standard deviation 1.
 MEDIAN_OF_NORMAL = 0.6745
 # Weaker dots are no proof of another code: what blur makes of checkers looks the same.
@@ -163,7 +169,9 @@ def read_dots(image: PreparedImage, lattice: Float, even: bool) -> DotReading:
         return DotReading(bits, float("nan"), sharpness, side)
     none, some = found
     share = (strength[good] - none) / (some - none)
-    bits[good] = np.where(np.abs(share - 0.5) > BETWEEN / 2, np.where(share > 0.5, 1, -1), 0)
+    bits[good] = np.where(
+        np.abs(share - 0.5) > UNKNOWN_BAND_SHARE / 2, np.where(share > 0.5, 1, -1), 0
+    )
     return DotReading(bits, float(np.median(some - none)), sharpness, side)
 
 
@@ -205,24 +213,26 @@ def _two_levels(values: Float, place: Float) -> tuple[Float, Float] | None:
     None where they are one.
     place (n, 2): each level may change along a plane, as blur and the size of checkers do.
     """
-    if len(values) < FEWEST_CHECKERS:
+    if len(values) < MIN_LEVEL_CHECKERS:
         return None
     low, high = np.percentile(values, [10, 90])
     none, some = np.full_like(values, low), np.full_like(values, high)
     terms = np.column_stack([np.ones(len(values)), place - place.mean(axis=0)])
-    for number in range(ROUNDS):
+    for number in range(LEVEL_ROUNDS):
         upper = values > (none + some) / 2
         fewest = min(np.count_nonzero(upper), np.count_nonzero(~upper))
         if fewest == 0:
             return None
-        used = terms if fewest >= FEWEST_OF_PLANE and number >= ROUNDS // 2 else terms[:, :1]
+        used = (
+            terms if fewest >= MIN_PLANE_CHECKERS and number >= LEVEL_ROUNDS // 2 else terms[:, :1]
+        )
         none, some = (
             used @ np.linalg.lstsq(used[chosen], values[chosen], rcond=None)[0]
             for chosen in (~upper, upper)
         )
     scatter = np.median(np.abs(values - np.where(upper, some, none))) / MEDIAN_OF_NORMAL
     apart = (some - none).min()
-    return (none, some) if apart >= max(LEAST_STRENGTH, LEAST_RATIO * scatter) else None
+    return (none, some) if apart >= max(MIN_DOT_CONTRAST, MIN_DOT_SCATTER_RATIO * scatter) else None
 
 
 TURNS = tuple((turns, mirrored) for mirrored in (False, True) for turns in range(4))

@@ -118,7 +118,7 @@ def photograph(sigma, *, side=20.0, contrast=160, noise=1.0):
 @pytest.mark.parametrize("sigma", [0.6, 1.0, 1.5, 3.0])
 @pytest.mark.parametrize(("contrast", "noise"), [(160, 1.0), (80, 1.0), (160, 6.0)])
 def test_blur_contrast_and_noise_of_a_picture_are_measured_one_by_one(sigma, contrast, noise):
-    worth = count_corners(photograph(sigma, contrast=contrast, noise=noise)).worth
+    worth = count_corners(photograph(sigma, contrast=contrast, noise=noise)).quality
     tolerance = max(BLUR_TOLERANCE_PX, BLUR_TOLERANCE * sigma)
     assert worth.blur_px == pytest.approx(sigma, abs=tolerance)
     assert worth.contrast == pytest.approx(contrast, rel=CONTRAST_TOLERANCE)
@@ -133,8 +133,8 @@ def test_blur_contrast_and_noise_of_a_picture_are_measured_one_by_one(sigma, con
 )
 def test_what_one_change_would_gain_is_what_it_gains(name, bad):
     usual = {"sigma": GOOD.blur_px, "contrast": GOOD.contrast, "noise": GOOD.noise}
-    worth = count_corners(photograph(**{**usual, **bad})).worth
-    good = count_corners(photograph(**usual)).worth
+    worth = count_corners(photograph(**{**usual, **bad})).quality
+    good = count_corners(photograph(**usual)).quality
     assert worth.std_if(name) == pytest.approx(good.std_pitch, rel=STD_TOLERANCE)
     assert worth.std_pitch > 2 * good.std_pitch
     others = {"blur_px", "contrast", "noise", "side_px"} - {name}
@@ -145,7 +145,7 @@ def test_what_one_change_would_gain_is_what_it_gains(name, bad):
 
 def test_overexposed_checkers_come_first():
     image = board(12, 16, 20.0, dark=False)
-    worth = count_corners(np.clip(image.astype(int) * 2, 0, 255).astype(np.uint8)).worth
+    worth = count_corners(np.clip(image.astype(int) * 2, 0, 255).astype(np.uint8)).quality
     assert worth.saturated == pytest.approx(1.0, abs=0.05)
     assert "reduce the light" in worth.advice(0.5)[0]
 

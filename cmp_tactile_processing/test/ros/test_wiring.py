@@ -22,8 +22,8 @@ from waiting import wait_until
 
 from cmp_tactile_processing.cache.threads import ViewThreads
 from cmp_tactile_processing.ros.wiring import (
-    Given,
     Input,
+    LazyResult,
     Output,
     WiredNode,
     Wiring,
@@ -36,7 +36,7 @@ def _to_msg(value: int, header: Header) -> Image:
     return Image(header=header, width=value)
 
 
-def _of(given: Given) -> int:
+def _of(given: LazyResult) -> int:
     value = given.value
     return int(value.width) if isinstance(value, Image) else int(value)
 
@@ -97,7 +97,7 @@ class Stage:
         self.end = Input(self._begin)
         node.connect_input(self.end, Image, topic, QoSProfile(depth=depth, **qos))
 
-    def _begin(self, given: Given) -> Any:
+    def _begin(self, given: LazyResult) -> Any:
         self.threads.append(threading.get_ident())
         self.gate.wait()
         return lambda: (self.values.append(given.value), self.seen.append(_of(given)))
@@ -242,7 +242,7 @@ def test_both_views_are_begun_at_once_and_finished_in_order_on_one_thread(contai
     for view in ("left", "right"):
         node = container.wired(view)
 
-        def begin(_given: Given, view: str = view) -> Any:
+        def begin(_given: LazyResult, view: str = view) -> Any:
             both.wait(timeout=60)
             return lambda: order.append((view, threading.get_ident()))
 
@@ -294,7 +294,7 @@ def test_a_frame_that_cannot_be_used_loses_no_other(container):
     node = container.wired("stage")
     seen: list[int] = []
 
-    def begin(given: Given) -> Any:
+    def begin(given: LazyResult) -> Any:
         return lambda: seen.append(10 // _of(given))
 
     node.connect_input(Input(begin), Image, "image", 10)

@@ -18,7 +18,7 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     fit_segments,
     share_of_models,
 )
-from cmp_tactile_processing.tracking.virtual_markers.ridge import COLUMNS
+from cmp_tactile_processing.tracking.virtual_markers.ridge import MAX_COLUMNS
 
 MARKERS, LENGTH_PX, CORNER_STD, RIDGE_STD = 6, 20.0, 0.02, 0.03
 MEASURED = 9
@@ -36,7 +36,7 @@ def _fitted(t, deviation):
     """Fits of these segments, all of one length, without blur."""
     count = len(t)
     lanes = blocks_of(count) * LANES
-    columns = np.zeros((lanes // LANES, 5, COLUMNS, LANES), np.float32)
+    columns = np.zeros((lanes // LANES, 5, MAX_COLUMNS, LANES), np.float32)
     for s in range(count):
         columns[s // LANES, :3, :MEASURED, s % LANES] = (
             t[s],

@@ -58,7 +58,7 @@ STRAIN_ERROR = 0.03
 # Sideways force below this share of the normal force says nothing of sideways forces.
 LEAST_SIDEWAYS = 0.1
 # Least correlation between forces of the sensor and of the reference along the same axes.
-ALIKE = 0.8
+MIN_AXIS_CORRELATION = 0.8
 # A component of a load that is small beside it is modelled as well as this share of the load.
 CROSS_TALK = 0.2
 # How the response to a patch of 3 mm changes from Poisson's ratio 0.48 to 0.46, 6 % of it, comes
@@ -422,9 +422,9 @@ def material_estimates(
 def axis_finding(shown: Array, given: Array) -> Finding | None:
     """Does the reference point where the sensor does?  shown, given (n, 3) N; given may be NaN."""
     scale = float(np.nanmax(np.abs(given)))
-    if _likeness(shown[:, 2:], given[:, 2:], scale) < -ALIKE:
+    if _likeness(shown[:, 2:], given[:, 2:], scale) < -MIN_AXIS_CORRELATION:
         text = "The reference has the wrong sign: along z, it is opposite to the sensor's force."
-    elif _likeness(shown[:, :2], given[:, :2], scale) < ALIKE:
+    elif _likeness(shown[:, :2], given[:, :2], scale) < MIN_AXIS_CORRELATION:
         text = "The reference's sideways forces have another direction than the sensor's."
     else:
         return None

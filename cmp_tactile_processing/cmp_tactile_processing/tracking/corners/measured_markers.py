@@ -38,23 +38,40 @@ from cmp_tactile_processing.tracking.detector import NominalGrid
 # Shares of the local checker side: how far the fit may move a corner, and how far a corner may lie
 # from where its neighbours predict it.
 REFINE_REACH, COMPLETE_REACH = 0.35, 0.25
-# A corner that lies this far (in sides, and times the median of those around it) from the cubics
-# through its neighbours is pulled by a spot, if the crossing of its gridlines lies elsewhere.
-PULLED, PULLED_TIMES, ELSEWHERE = 0.05, 3.0, 0.06
-# A spot takes from the rings around a corner, or its rim spoils the fit; where they are so strong,
-# against those around, or the fit is so good, in sides, the gel bends.  What is fitted does not
-# bend as sharply: it errs by about so many px for each side that the corner is off.
-WHOLE_RING, CLEAR_STD, BENT_PX = 0.96, 0.0015, 2.0
-# Where no crossing is better, a corner off by more than this is no measurement; nor is a corner
-# beside missing ones that is off the displacement of the others by so much; in sides.
-FARTHEST_PULLED, FARTHEST_AT_RIM, RIM_TIMES = 0.15, 0.08, 5.0
+# A spot displaces a corner if it lies farther than this from the cubics through its neighbours, in
+# sides, and farther than this many times the median of the corners around it,
+MAX_SMOOTH_OFFSET_SIDES = 0.05
+MAX_SMOOTH_OFFSET_RATIO = 3.0
+# and if its gridlines cross farther away than this, in sides.
+MIN_CROSSING_OFFSET_SIDES = 0.06
+# A spot weakens the rings around a corner, or its rim spoils the fit.  If the rings are at least
+# this strong against those around, or the deviation of the fit is below this, in sides, the gel
+# bends there.
+MIN_WHOLE_RING_RATIO = 0.96
+MAX_CLEAR_STD_SIDES = 0.0015
+# The fitted model does not bend as sharply: its error in px for each side that the corner is off.
+BEND_ERROR_PX_PER_SIDE = 2.0
+# If no crossing is better, a corner that is off by more than this is no measurement, in sides.
+MAX_DISPLACED_OFFSET_SIDES = 0.15
+# Nor is a corner beside missing ones whose displacement differs from that of the others by more
+# than this, in sides, and than this many times the median difference.
+MAX_RIM_OFFSET_SIDES = 0.08
+MAX_RIM_OFFSET_RATIO = 5.0
 # Standard deviation of a corner measured as a crossing, and of one that lies between its
 # neighbours where a spot lets nothing else be measured, in sides.
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
-MAX_ROUNDS, MEND_ROUNDS, FEW_UNSEEN, MOST_UNSEEN = 8, 3, 3, 0.05
-# Beyond a border less than this share of it goes on, and fewer corners in a row: the lower part of
-# a torn image may be shifted by whole checkers.
-MOST_BEYOND, LONGEST_BEYOND, FEWEST_BEYOND = 0.5, 0.15, 3
+MAX_COMPLETION_ROUNDS = 8
+REPAIR_ROUNDS = 3
+# So few missing corners are a flaw of the print, in all or in each gap; but not if more than this
+# share of the grid is missing.
+MAX_FLAW_CORNERS = 3
+MAX_UNSEEN_SHARE = 0.05
+# The pattern continues beyond a border if this share of the border's corners does, or so long a
+# row of them (share of the border, number): the lower part of a torn image may be shifted by whole
+# checkers.
+MIN_CONTINUED_SHARE = 0.5
+MIN_CONTINUED_RUN_SHARE = 0.15
+MIN_CONTINUED_RUN = 3
 # A corner this near to a tear of the image is left out, in sides.
 NEAR_TEAR = 0.15
 
@@ -129,7 +146,7 @@ class MeasuredMarkers:
         corners = corners.copy()
         position = corners.position
         tried = np.zeros(position.shape[:2], dtype=bool)
-        for _ in range(MAX_ROUNDS):
+        for _ in range(MAX_COMPLETION_ROUNDS):
             places = predicted_places(position)
             wanted = np.isnan(position[..., 0]) & np.isfinite(places[..., 0]) & ~tried
             if not wanted.any():
@@ -148,7 +165,7 @@ class MeasuredMarkers:
     def repair_outliers(self, image: PreparedImage, corners: MeasuredCorners) -> MeasuredCorners:
         """The corners with those that a spot pulls aside measured as crossings of gridlines."""
         left = np.ones(corners.std.shape, dtype=bool)
-        for _ in range(MEND_ROUNDS):
+        for _ in range(REPAIR_ROUNDS):
             # The worst of the neighbourhood first: it makes those around it look wrong.
             guess, off = off_neighbours(corners.position, self._nominal.side_px)
             pulled = left & _pulled(off)
@@ -156,10 +173,10 @@ class MeasuredMarkers:
                 break
             corners = self._repaired_at(image, corners, guess, off, pulled)
             left &= ~pulled
-        bent = ~corners.predicted & (off > PULLED)
+        bent = ~corners.predicted & (off > MAX_SMOOTH_OFFSET_SIDES)
         if bent.any():
             corners = corners.copy()
-            corners.std[bent] = np.maximum(corners.std[bent], BENT_PX * off[bent])
+            corners.std[bent] = np.maximum(corners.std[bent], BEND_ERROR_PX_PER_SIDE * off[bent])
         return corners
 
     def _repaired_at(
@@ -178,18 +195,18 @@ class MeasuredMarkers:
         crossing = around.crossings(image, guess, pulled)
         steps = around.row_step[pulled], around.col_step[pulled]
         rings = ring_evidence(image.smooth, position[pulled], *steps)[:, 0]
-        clear = corners.modelled[pulled] & (std[pulled] < CLEAR_STD * side)
-        spoilt = ~(clear | (rings / around.amplitude[pulled] > WHOLE_RING))
+        clear = corners.modelled[pulled] & (std[pulled] < MAX_CLEAR_STD_SIDES * side)
+        spoilt = ~(clear | (rings / around.amplitude[pulled] > MIN_WHOLE_RING_RATIO))
         away = np.linalg.norm(crossing - position[pulled], axis=1) / side
         left = np.linalg.norm(crossing - guess[pulled], axis=1) / side
         better, doubtful = pulled.copy(), pulled.copy()
-        better[pulled] = spoilt & (away > ELSEWHERE) & (left < off[pulled])
+        better[pulled] = spoilt & (away > MIN_CROSSING_OFFSET_SIDES) & (left < off[pulled])
         corners.put(better, crossing[better[pulled]], CROSSING_STD * side)
         # What cannot be measured otherwise stays, with half of what it is off as its deviation,
         # or gives way to where its neighbours have it.
-        doubtful[pulled] = spoilt & ~(away <= ELSEWHERE) & ~better[pulled]
+        doubtful[pulled] = spoilt & ~(away <= MIN_CROSSING_OFFSET_SIDES) & ~better[pulled]
         std[doubtful] = np.maximum(std[doubtful], off[doubtful] * side / 2)
-        given_up = doubtful & (off > FARTHEST_PULLED)
+        given_up = doubtful & (off > MAX_DISPLACED_OFFSET_SIDES)
         corners.put(given_up, guess[given_up], std[given_up], predicted=True)
         return corners
 
@@ -206,7 +223,7 @@ class MeasuredMarkers:
         if np.isnan(off).all():
             return corners
         # On a ragged print all corners scatter.
-        limit = max(FARTHEST_AT_RIM, RIM_TIMES * float(np.nanmedian(off)))
+        limit = max(MAX_RIM_OFFSET_SIDES, MAX_RIM_OFFSET_RATIO * float(np.nanmedian(off)))
         with np.errstate(invalid="ignore"):
             rim = _beside(missing) & (off > limit)
         return corners.without(rim)
@@ -358,7 +375,9 @@ def _ends_everywhere(
             run = run + 1 if goes_on else 0
             longest = max(longest, run)
             alike += goes_on
-        if alike >= MOST_BEYOND * length or longest >= max(LONGEST_BEYOND * length, FEWEST_BEYOND):
+        if alike >= MIN_CONTINUED_SHARE * length or longest >= max(
+            MIN_CONTINUED_RUN_SHARE * length, MIN_CONTINUED_RUN
+        ):
             return False
         first += length
     return True
@@ -379,12 +398,12 @@ def _alone(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _few_in_each_place(unseen: NDArray[np.bool_]) -> bool:
     """Whether a detector missed so few corners in each place that nothing but flaws hides them."""
     count = np.count_nonzero(unseen)
-    if count <= FEW_UNSEEN:
+    if count <= MAX_FLAW_CORNERS:
         return True
-    if count > MOST_UNSEEN * unseen.size:
+    if count > MAX_UNSEEN_SHARE * unseen.size:
         return False
     _, _, places, _ = cv2.connectedComponentsWithStats(unseen.astype(np.uint8), connectivity=8)
-    return bool(places[1:, cv2.CC_STAT_AREA].max() <= FEW_UNSEEN)
+    return bool(places[1:, cv2.CC_STAT_AREA].max() <= MAX_FLAW_CORNERS)
 
 
 def _unknown_beside(known: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -394,11 +413,11 @@ def _unknown_beside(known: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 def _pulled(off: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Corners that are farther off their neighbours' curves than the 5 x 5 around them."""
-    doubtful = off > PULLED
+    doubtful = off > MAX_SMOOTH_OFFSET_SIDES
     if not doubtful.any():
         return doubtful
     worst = cv2.dilate(off, np.ones((5, 5), dtype=np.uint8))
-    return np.asarray(doubtful & (off >= worst) & (off > PULLED_TIMES * _around(off)))
+    return np.asarray(doubtful & (off >= worst) & (off > MAX_SMOOTH_OFFSET_RATIO * _around(off)))
 
 
 def _beside(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -52,18 +52,27 @@ from cmp_tactile_processing.tracking.corners.pixel_table import (
 # found from their error at so many times the final limit.
 FIRST_LIMIT = 3.0
 MOST_STEPS = 8
-# A step this short is the last.  So is a first step below FIRST_ARRIVED_PX that leaves no more than
-# CLEAN times noise and misfit, without outliers then, as the rest goes with the step's square.
-ARRIVED_PX, FIRST_ARRIVED_PX, SAME_BLUR, CLEAN = 0.004, 0.03, 0.1, 1.3
+# A step shorter than this is the last one.
+CONVERGED_PX = 0.004
+# So is a first step below this with a change of log(blur) below MAX_FIRST_BLUR_CHANGE, if it leaves
+# at most MAX_CLEAN_RATIO times noise and misfit and no outliers: the rest decreases with the square
+# of the step.
+FIRST_CONVERGED_PX = 0.03
+MAX_FIRST_BLUR_CHANGE = 0.1
+MAX_CLEAN_RATIO = 1.3
 # A corner that the model takes farther from the saddle point is none, in window radii.
 FARTHEST = 0.15
 # Where the model does not fit, dirt, a flaw or a sharp bend pulls the saddle point: by so much, in
 # sides (0.013 to 0.022 among 700 such corners of six random sensors).
 UNMODELLED = 0.02
-# The blur of a corner's edges is expected to be that of the corners before it, of which the last
-# one counts by LATEST_SHARE, within a standard deviation of its logarithm; once some are known.
-# So is the slope of the light: a blurred edge alone could as well be one.
-BLUR_SPREAD, SLOPE_LEFT, LATEST_SHARE, ENOUGH_CORNERS = 0.25, 0.4, 0.2, 4
+# Prior of a corner's blur: the mean of the corners before it, of which the latest has at least this
+# weight, with this standard deviation of log(blur).  It is used once so many corners are known.
+BLUR_PRIOR_STD = 0.25
+MIN_LATEST_WEIGHT = 0.2
+MIN_PRIOR_CORNERS = 4
+# The same of the slope of the light, with this share of its usual standard deviation: a blurred
+# edge alone could as well be a slope.
+SLOPE_PRIOR_STD_SHARE = 0.4
 MOST_TURN, LEAST_BLUR_PX = 0.2, 0.3
 # What the next gridlines, blurred into the window, move a corner by, in checker sides: times the
 # Gaussian of their distance from the window (measured on frames with 4 to 7 px of blur).
@@ -254,9 +263,9 @@ def _converge(
             break
         _update(p, step, prior.radius)
         # What is left after the first step goes with its square.
-        near = far < FIRST_ARRIVED_PX + tolerance and abs(step[BLUR]) < SAME_BLUR
-        if far < ARRIVED_PX + 0.1 * tolerance or (
-            n == 0 and near and variance < (CLEAN * scale) ** 2
+        near = far < FIRST_CONVERGED_PX + tolerance and abs(step[BLUR]) < MAX_FIRST_BLUR_CHANGE
+        if far < CONVERGED_PX + 0.1 * tolerance or (
+            n == 0 and near and variance < (MAX_CLEAN_RATIO * scale) ** 2
         ):
             return right, down, variance
         shift(pixels, count, dx, dy)
@@ -335,10 +344,10 @@ def refine_by_model(
         count = fill_up(pixels, seen, prior.radius)
         p[:] = 0
         p[P_BLUR] = p[P_USUAL] = blur
-        enough = known >= ENOUGH_CORNERS
-        p[P_SPREAD] = BLUR_SPREAD if enough else 1.0
+        enough = known >= MIN_PRIOR_CORNERS
+        p[P_SPREAD] = BLUR_PRIOR_STD if enough else 1.0
         p[P_SLOPE], p[P_SLOPE + 1] = right, down
-        p[P_LEFT] = SLOPE_LEFT if enough else 1.0
+        p[P_LEFT] = SLOPE_PRIOR_STD_SHARE if enough else 1.0
         _set_directions(hessian[n], p)
         set_profile(pixels, count, 0, p)
         set_profile(pixels, count, 1, p)
@@ -351,7 +360,7 @@ def refine_by_model(
             position[n, 1] += dy
             modelled[n] = True
             known += 1
-            share = max(1 / known, LATEST_SHARE)
+            share = max(1 / known, MIN_LATEST_WEIGHT)
             blur *= (p[P_BLUR] / blur) ** share
             right += share * (p[P_LIGHT] / p[P_HALF] - right)
             down += share * (p[P_LIGHT + 1] / p[P_HALF] - down)

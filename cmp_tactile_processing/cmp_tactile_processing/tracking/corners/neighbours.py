@@ -18,9 +18,11 @@ ARM = np.array([0.3, 0.4, 0.5, 0.6, 0.7])
 EDGE_REACH, PLACES = 0.26, 13
 # Points an arm must have for its gridline to be known.
 LEAST_ON_ARM = 2
-# Spread of the points about their gridline; slope and bend that a gridline has against the mean
-# step of its neighbours; all in steps.
-SPREAD, USUAL_SLOPE, USUAL_BEND = 0.015, 0.1, 0.03
+# Standard deviations in steps: of the points from their gridline, of a gridline's slope and of its
+# bend against the mean step of its neighbours.
+POINT_STD_STEPS = 0.015
+SLOPE_PRIOR_STD = 0.1
+BEND_PRIOR_STD = 0.03
 ROUNDS = 8
 # An edge's steepest part must rise by this share of the corner's amplitude per step of the search.
 LEAST_SLOPE = 0.1
@@ -244,11 +246,13 @@ def _robust_parabolas(place: Float, offset: Float) -> Float:
     value = np.where(known, offset, 0.0)
     terms = place[:, None] ** np.arange(3)
     products = (terms[:, :, None] * terms[:, None]).reshape(len(place), 9)
-    prior = np.diag([0.0, (SPREAD / USUAL_SLOPE) ** 2, (SPREAD / USUAL_BEND) ** 2])
+    prior = np.diag(
+        [0.0, (POINT_STD_STEPS / SLOPE_PRIOR_STD) ** 2, (POINT_STD_STEPS / BEND_PRIOR_STD) ** 2]
+    )
     fit = np.zeros((len(offset), 3))
     fit[:, 0] = np.nanmedian(offset, axis=1)
     for _ in range(ROUNDS):
-        weight = known / (1.0 + ((value - fit @ terms.T) / SPREAD) ** 2)
+        weight = known / (1.0 + ((value - fit @ terms.T) / POINT_STD_STEPS) ** 2)
         matrix = (weight @ products).reshape(-1, 3, 3) + prior
         fit = np.linalg.solve(matrix, ((weight * value) @ terms)[..., None])[..., 0]
     return fit

@@ -38,9 +38,11 @@ FIRST_BLUR_PX = 1.0
 APART_PX, APART_STD = 0.1, 4.0
 NONE_UNKNOWN = np.zeros((0, 0), np.bool_)
 
-# The window moves at most so often.  The first is wider than the others by this factor, and so are
-# those after a move of more than FAR_MOVE of the narrow window.
-MOST_STEPS, FIRST_WINDOW, FAR_MOVE = 12, 1.6, 0.35
+MAX_WINDOW_MOVES = 12
+# The first window is wider than the others by this factor, and so is one after a move of more than
+# this share of the window.
+FIRST_WINDOW_RATIO = 1.6
+MAX_NARROW_MOVE_SHARE = 0.35
 # Longest move at once, in window sizes: a flat quadratic's stationary point may be anywhere.
 LONGEST_MOVE = 0.5
 # A start is a good one where the last window moves no farther from it, in window sizes.
@@ -285,8 +287,8 @@ def _search(
     wide, window = windows
     x, y = first_x, first_y
     move = np.inf if wide > window else 0.0
-    for _ in range(MOST_STEPS):
-        near = move < FAR_MOVE * window
+    for _ in range(MAX_WINDOW_MOVES):
+        near = move < MAX_NARROW_MOVE_SHARE * window
         room = _room(image, x, y)
         if not (room >= window and np.hypot(x - first_x, y - first_y) <= reach):
             return none
@@ -329,7 +331,7 @@ def find_saddles(
         close = (start[n, 0], start[n, 1], min(reach[n], CLOSE * window))
         x, y, hxx, hxy, hyy = _search(image, close, (window, window), arrived, work)
         if np.isnan(x):
-            usual = min(FIRST_WINDOW * window, wide)
+            usual = min(FIRST_WINDOW_RATIO * window, wide)
             x, y, hxx, hxy, hyy = _search(image, place, (usual, window), arrived, work)
         if np.isnan(x):
             x, y, hxx, hxy, hyy = _search(image, place, (wide, window), arrived, work)

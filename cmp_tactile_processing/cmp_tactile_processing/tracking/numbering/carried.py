@@ -36,23 +36,36 @@ from cmp_tactile_processing.tracking.numbering.result import Numbering
 Float = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
-# Median distance of corners from where they are expected, in sides, up to which their numbers are
-# certain: those of the next possible numbers lie beyond 0.9; and where the pattern was lost.
-CARRIED, COME_BACK = 0.5, 0.25
-# Numbers are tried so far around the one that most corners vote for: so many of those that lie so
-# near, in sides, to where one is expected.
-AROUND, VOTING, NEAR = 3, 400, 1.5
-# From frame to frame most of a gel moves as a whole, turned and stretched alike, but for so much,
-# in sides, in a quick press.  More may be another number's motion, if that leaves no more than so
-# many times as much: after a jump by whole checkers the shapes do not lie on one another.  Numbers
-# of which fewer corners than such a share are on the grid are no rivals.
-USUAL_CHANGE, AS_WELL, AS_MANY = 0.02, 1.15, 0.6
+# Numbers are certain up to this median distance of corners from their expected places, in sides;
+# those of the next possible numbers are beyond 0.9.
+MAX_CARRIED_DISTANCE_SIDES = 0.5
+# The same after frames without the pattern.
+MAX_RETURN_DISTANCE_SIDES = 0.25
+# Corners vote for the shift of the numbers: at most so many of those that are near, in sides, to
+# where a corner is expected.
+MAX_VOTES = 400
+MAX_VOTE_DISTANCE_SIDES = 1.5
+# Shifts up to this many numbers around the one with the most votes are tried.
+SEARCHED_SHIFT = 3
+# From frame to frame most of a gel moves as a whole, turned and stretched alike.  In a quick press
+# up to this remains, in sides; if more does, another shift of the numbers may be the right one.
+MAX_CERTAIN_CHANGE_SIDES = 0.02
+# It is a rival if it leaves at most this many times as much.  After a jump by whole checkers the
+# shapes do not match.
+MAX_RIVAL_CHANGE_RATIO = 1.15
+# It is no rival if fewer than this share of the corners remain on the grid.
+MIN_RIVAL_CORNER_SHARE = 0.6
 ROUNDS, LEAST_LEFT = 5, 1e-4
-# On an image without a pattern corners connect by chance, up to such a share of the grid's, and to
-# so many; any further set has so many at least.
-BY_CHANCE, FEWEST, MOST_BY_CHANCE, FEWEST_MORE = 0.05, 12, 36, 4
-# A set of fewer corners than this lies at most so many checkers from those that are numbered.
-ACROSS_A_GAP, GAP = 40, 3.0
+# On an image without a pattern some corners connect by chance.  The first component has at least
+# this share of the grid's corners, within these limits.
+MIN_FIRST_SHARE = 0.05
+MIN_FIRST_CORNERS = 12
+MAX_CHANCE_CORNERS = 36
+# Each further component has at least this many corners.
+MIN_FURTHER_CORNERS = 4
+# A component with fewer corners than this is used only within MAX_GAP checkers of numbered ones.
+MIN_CORNERS_BEYOND_GAP = 40
+MAX_GAP = 3.0
 # What a number is worth that neither border nor code confirms.
 CONFIDENCE = 0.5
 
@@ -100,7 +113,7 @@ class CarriedNumbering:
         known = np.isfinite(corners[..., 0]).ravel()
         position = corners.reshape(-1, 2)[known]
         component = Component(position, self._numbers[known], self._even[known])
-        shift = self._certain(component, self._last, CARRIED)
+        shift = self._certain(component, self._last, MAX_CARRIED_DISTANCE_SIDES)
         return shift is not None and not shift.any()
 
     def number(
@@ -115,7 +128,7 @@ class CarriedNumbering:
         jumps = proven_tears(graph, torn, image, side)
         graph = cut_at(graph, jumps, side) if jumps else graph
         components, reason = self._connected.components(graph, image)
-        fewest = np.clip(BY_CHANCE * self._side.size, FEWEST, MOST_BY_CHANCE)
+        fewest = np.clip(MIN_FIRST_SHARE * self._side.size, MIN_FIRST_CORNERS, MAX_CHANCE_CORNERS)
         if not components or len(components[0].position) < fewest:
             fault = GridFault.NO_CONTRAST if reason else GridFault.NO_PATTERN
             return self._none(fault, reason or "no checker pattern seen")
@@ -132,7 +145,7 @@ class CarriedNumbering:
             turned = turned_reason(corners[known], np.argwhere(known), self._nominal)
             if turned:
                 return self._none(GridFault.TURNED, turned)
-        further = [item for item in components[1:] if len(item.position) >= FEWEST_MORE]
+        further = [item for item in components[1:] if len(item.position) >= MIN_FURTHER_CORNERS]
         self._place_beside(
             corners, [item for item in further if between[0] < item.position[0, 1] < between[1]]
         )
@@ -149,9 +162,9 @@ class CarriedNumbering:
         if self._last is None:
             return self._at_centre(component), ""
         if lost:
-            places, limit = [self._last, self._first], COME_BACK
+            places, limit = [self._last, self._first], MAX_RETURN_DISTANCE_SIDES
         else:
-            places, limit = [self._last], CARRIED
+            places, limit = [self._last], MAX_CARRIED_DISTANCE_SIDES
             if self._speed is not None:
                 places.append(self._last + self._speed)
         found = [self._certain(component, place, limit) for place in places if place is not None]
@@ -183,9 +196,11 @@ class CarriedNumbering:
         best = _nearest(tried, limit)
         if best is None:
             return None
-        change, count = best.change(), AS_MANY * len(best.number)
+        change, count = best.change(), MIN_RIVAL_CORNER_SHARE * len(best.number)
         rivals = (place for place in tried if place is not best and len(place.number) >= count)
-        if change > USUAL_CHANGE and any(rival.change() <= AS_WELL * change for rival in rivals):
+        if change > MAX_CERTAIN_CHANGE_SIDES and any(
+            rival.change() <= MAX_RIVAL_CHANGE_RATIO * change for rival in rivals
+        ):
             return None
         return best.shift
 
@@ -193,17 +208,17 @@ class CarriedNumbering:
         """Places around the one that most corners vote for, with the colours that they have."""
         size = np.array(self._side.shape)
         away, nearest = cKDTree(expected.reshape(-1, 2)).query(component.position)
-        near = np.flatnonzero(away <= NEAR * self._nominal.side_px)
+        near = np.flatnonzero(away <= MAX_VOTE_DISTANCE_SIDES * self._nominal.side_px)
         if not len(near):
             return []
-        chosen = near[np.linspace(0, len(near) - 1, min(VOTING, len(near))).astype(np.intp)]
+        chosen = near[np.linspace(0, len(near) - 1, min(MAX_VOTES, len(near))).astype(np.intp)]
         position, number = component.position[chosen], component.number[chosen]
         nearest = nearest[chosen]
         votes = np.stack(np.divmod(nearest, size[1]), axis=1) - number
         values, counts = np.unique(votes, axis=0, return_counts=True)
         voted = values[counts.argmax()]
         found = []
-        for step in product(range(-AROUND, AROUND + 1), repeat=2):
+        for step in product(range(-SEARCHED_SHIFT, SEARCHED_SHIFT + 1), repeat=2):
             shift = voted + np.array(step)
             on_even = int((number[0] + shift).sum()) % 2 == 0
             if (bool(component.even[chosen[0]]) == on_even) != self._dark_first:
@@ -221,11 +236,13 @@ class CarriedNumbering:
         around = None
         for component in components:
             expected, gap = around = around or filled(corners, self._before)
-            best = _nearest(self._tried(component, expected), CARRIED)
+            best = _nearest(self._tried(component, expected), MAX_CARRIED_DISTANCE_SIDES)
             if best is None:
                 continue
             i, j = np.clip(component.number + best.shift, 0, np.array(gap.shape) - 1).T
-            is_near = len(component.position) >= ACROSS_A_GAP or gap[i, j].min() <= GAP
+            is_near = (
+                len(component.position) >= MIN_CORNERS_BEYOND_GAP or gap[i, j].min() <= MAX_GAP
+            )
             if is_near and placed(corners, component, best.shift):
                 around = None
 

@@ -31,14 +31,15 @@ BETTER = 0.85
 TURNED_SHARE = 0.6
 # The last frame's corners speak for a place from which they moved less than this, in sides.
 LITTLE_MOTION = 0.5
-# Views whose nominal grids differ by less than this, in sides, cannot be distinguished.
-ALIKE = 0.4
+# Views with nominal grids that differ by less than this, in sides, cannot be distinguished.
+MIN_VIEW_DIFFERENCE_SIDES = 0.4
 # In a frame that is turned by half, one view may look nearly as the other one: grids that differ
 # by less than this, in sides, are the same.
-ALIKE_ACROSS = 0.15
-# A part of a grid fits another view in some of its places: where less than the first of these
-# shares is seen, the other view has to explain the corners this much better.
-NEARLY_WHOLE, SURELY_BETTER = 0.9, 0.5
+MIN_HALF_TURN_DIFFERENCE_SIDES = 0.15
+# A part of a grid also fits another view in some places.  If less than this share of the grid is
+# seen, the other view must leave this share of the difference at most.
+MIN_WHOLE_SHARE = 0.9
+MAX_OTHER_DIFFERENCE_RATIO = 0.5
 # A gel does not turn as a whole by more than this, rad: the largest of hard twists is 0.04.
 LARGEST_TURN = 0.1
 # Fewer corners have little shape.
@@ -46,34 +47,50 @@ FEWEST_CORNERS = 40
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 MIRROR = np.array([[-1.0, 0.0], [0.0, 1.0]])
 Float = NDArray[np.float64]
-# The grey values change from one row to the next by so much more than from the two rows before and
-# the two after, as a share of the contrast; or by less, if that is much of what they change there.
-# A lens spreads what lies in the scene over several rows: samples and benchmark reach 0.035, and
-# 1.6 times what is around, where a gridline lies along a row.  Twenty gridlines that jump by a
-# pixel make 0.044.
-LEAST_CHANGE, LEAST_OUTSTANDING, OUTSTANDING = 0.04, 0.025, 0.65
-# In stretches of a row of this length in which corners lie above and below it within this
-# distance, in sides, of which there are so many at least, so large a share changes by so much: an
-# edge of what covers the gel has corners on one side alone.
-STRETCH, BESIDE, FEWEST_STRETCHES, CHANGED, LEAST_LOCAL = 1.5, 1.5, 3, 0.4, 0.02
-# Corners nearer to a row than the first distance are drawn to those beyond it; those within the
-# second are compared with the nearest one beyond the row, no farther than the third.  In sides.
-DRAWN, COMPARED, APART = 0.4, 1.8, 3.0
-# Pairs of corners on the left, in the middle and on the right of a row, of which two need so many;
-# where it is torn each of these jumps by so much at least, in sides and px.  In 31,000 rows of 600
-# whole pictures, at rest, pressed, dragged and twisted, the least of them was 0.09 sides at most,
-# and 0.046 in 433 suspected ones; in torn ones the lower quarter begins at 0.15.
-PARTS, FEWEST_PAIRS, LEAST_JUMP, LEAST_JUMP_PX = 3, 3, 0.08, 0.8
-# Where a gridline lies along a row, this share of the pointers within a side of it does, to within
-# this slope.
-ALONG, LEVEL = 0.25, 0.15
+# At a tear the grey values change from one row to the next by at least this share of the contrast.
+# A lens spreads the scene over several rows: samples and benchmark reach 0.035.  Twenty gridlines
+# that jump by a pixel make 0.044.
+MIN_ROW_CHANGE = 0.04
+# The change exceeds those between the rows before and after by this share of the contrast, or by
+# this share of these changes: a gridline along a row reaches 1.6 times what is around.
+MIN_EXCESS_CHANGE = 0.025
+MIN_EXCESS_RATIO = 0.65
+# A row is tested in stretches of this length that have corners within this distance above and
+# below it, in sides: the edge of an object that covers the gel has corners on one side only.
+STRETCH_SIDES = 1.5
+MAX_CORNER_DISTANCE_SIDES = 1.5
+MIN_STRETCHES = 3
+# At a tear at least this share of the stretches changes by this share of the contrast.
+MIN_CHANGED_SHARE = 0.4
+MIN_STRETCH_CHANGE = 0.02
+# The change at a row shifts corners nearer than this, in sides; they are not compared.
+MIN_COMPARED_DISTANCE_SIDES = 0.4
+# Corners up to this far from the row are compared with the nearest one beyond it.
+MAX_COMPARED_DISTANCE_SIDES = 1.8
+# That one is at most so far away.
+MAX_PAIR_DISTANCE_SIDES = 3.0
+# Pairs of corners across a row are judged in so many parts (left, middle, right), of which two
+# need at least MIN_PAIRS pairs.
+ROW_PARTS = 3
+MIN_PAIRS = 3
+# At a tear each part jumps by at least this.  In 31,000 rows of 600 whole pictures, at rest,
+# pressed, dragged and twisted, the smallest jump of the parts was 0.09 sides at most, and 0.046 in
+# 433 suspected rows; in torn pictures the lower quarter begins at 0.15.
+MIN_JUMP_SIDES = 0.08
+MIN_JUMP_PX = 0.8
+# A gridline lies along a row if this share of the pointers within a side of it does, within this
+# slope.
+MIN_ALONG_SHARE = 0.25
+MAX_ALONG_SLOPE = 0.15
 # Change at a row over the largest at the two rows before and after it: where a gridline lies along
 # a row, a lens leaves 1.6 at most; rows that are rolled by lost bytes reach 4.8 to 15.
 MAX_LENS_RATIO = 3.0
 # A corner this near to a tear is of neither part, in sides.
 TOO_NEAR = 0.15
-# Two numbered parts belong together where corners next to each other moved alike, in sides.
-MOVED_ALIKE, NEXT = 0.3, 2
+# Two numbered parts belong together if corners up to MAX_NEIGHBOUR_DISTANCE numbers apart have
+# moved alike, within this difference, in sides.
+MAX_MOTION_DIFFERENCE_SIDES = 0.3
+MAX_NEIGHBOUR_DISTANCE = 2
 
 
 class OtherViews:
@@ -94,16 +111,20 @@ class OtherViews:
             change = np.linalg.matrix_power(QUARTER_TURN, turns)
             change = change @ MIRROR if mirrored else change
             seen, exchanged = _renumbered(nominal.corners @ change.T, nominal)
-            if self._difference(seen) > ALIKE:
+            if self._difference(seen) > MIN_VIEW_DIFFERENCE_SIDES:
                 fault = GridFault.MIRRORED if mirrored else GridFault.TURNED
                 self._others.append((fault, seen))
             elif mirrored and exchanged:
                 self.mirror_exchanges_colours = True
             if not mirrored:
                 across = [_renumbered(corners @ change.T, nominal)[0] for corners in beside]
-                self._beside += [seen for seen in across if self._difference(seen) > ALIKE_ACROSS]
+                self._beside += [
+                    seen
+                    for seen in across
+                    if self._difference(seen) > MIN_HALF_TURN_DIFFERENCE_SIDES
+                ]
         differences = [self._difference(seen) for seen in self._beside]
-        self._least_difference = min([ALIKE, *differences])
+        self._least_difference = min([MIN_VIEW_DIFFERENCE_SIDES, *differences])
 
     def _difference(self, seen: NDArray[np.float64]) -> float:
         everywhere = np.indices(seen.shape[:2]).reshape(2, -1).T
@@ -142,7 +163,7 @@ class OtherViews:
                 "the view is a mirror image of the expected one; "
                 "check views.<view>.mirror and views.<view>.roi in the sensor's description"
             )
-        sure = BETTER if share >= NEARLY_WHOLE else SURELY_BETTER
+        sure = BETTER if share >= MIN_WHOLE_SHARE else MAX_OTHER_DIFFERENCE_RATIO
         if turned < BETTER * own or across < sure * own:
             reason = "the pattern in the image is turned relative to the sensor's description"
             return GridFault.TURNED, reason
@@ -273,9 +294,9 @@ def torn_rows(image: PreparedImage) -> list[int]:
     changes = np.zeros(grey.shape[0] + 4)
     difference = cv2.absdiff(grey[1:], grey[:-1])
     changes[3:-2] = cv2.reduce(difference, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)[:, 0]
-    least = LEAST_CHANGE * image.contrast * grey.shape[1]
+    least = MIN_ROW_CHANGE * image.contrast * grey.shape[1]
     around = np.maximum.reduce([changes[:-4], changes[1:-3], changes[3:-1], changes[4:]])
-    outstanding = np.maximum(LEAST_OUTSTANDING / LEAST_CHANGE * least, OUTSTANDING * around)
+    outstanding = np.maximum(MIN_EXCESS_CHANGE / MIN_ROW_CHANGE * least, MIN_EXCESS_RATIO * around)
     found = changes[2:-2] - around > np.minimum(least, outstanding)
     return [int(row) for row in np.flatnonzero(found)]
 
@@ -349,7 +370,7 @@ def jumps_at(graph: CornerGraph, tear: float, side: float) -> bool | None:
     everywhere along a row.  None where too few corners lie on one side to tell.
     """
     start, end, axes = _pairs_across(graph, tear, side)
-    parts = min(PARTS, len(start) // FEWEST_PAIRS)
+    parts = min(ROW_PARTS, len(start) // MIN_PAIRS)
     if parts < 2:
         return None
     order = np.argsort(graph.position[start, 0])
@@ -357,7 +378,7 @@ def jumps_at(graph: CornerGraph, tear: float, side: float) -> bool | None:
     steps = np.linalg.solve(axes[order], way[..., None])[..., 0]
     jump = np.abs(steps - np.rint(steps))
     least = min(np.linalg.norm(np.median(p, axis=0)) for p in np.array_split(jump, parts))
-    return bool(least >= max(LEAST_JUMP, LEAST_JUMP_PX / side))
+    return bool(least >= max(MIN_JUMP_SIDES, MIN_JUMP_PX / side))
 
 
 def continues(one: Float, other: Float, nominal: NominalGrid) -> bool | None:
@@ -371,32 +392,36 @@ def continues(one: Float, other: Float, nominal: NominalGrid) -> bool | None:
     moved, others_moved = one - nominal.corners, other - nominal.corners
     apart = []
     for axis in (0, 1):
-        for reach in range(1, NEXT + 1):
+        for reach in range(1, MAX_NEIGHBOUR_DISTANCE + 1):
             for first, second in ((moved, others_moved), (others_moved, moved)):
                 a = np.moveaxis(first, axis, 0)[:-reach]
                 b = np.moveaxis(second, axis, 0)[reach:]
                 apart.append(np.linalg.norm(b - a, axis=-1).ravel())
     distance = np.concatenate(apart)
     distance = distance[np.isfinite(distance)] / nominal.side_px
-    return bool(np.percentile(distance, 80) <= MOVED_ALIKE) if len(distance) else None
+    return (
+        bool(np.percentile(distance, 80) <= MAX_MOTION_DIFFERENCE_SIDES) if len(distance) else None
+    )
 
 
 def _goes_through(graph: CornerGraph, row: int, image: PreparedImage, side: float) -> bool:
     """Whether the change at a row goes through what lies between the corners above and below."""
     height, width = image.grey.shape
-    length = STRETCH * side
+    length = STRETCH_SIDES * side
     stretch = (graph.position[:, 0] / length).astype(np.intp)
     from_tear = graph.position[:, 1] - row + 0.5
-    above = stretch[(from_tear < 0) & (from_tear > -BESIDE * side)]
-    between = np.intersect1d(above, stretch[(from_tear >= 0) & (from_tear < BESIDE * side)])
-    if len(between) < FEWEST_STRETCHES or not 3 <= row < height - 2:
+    above = stretch[(from_tear < 0) & (from_tear > -MAX_CORNER_DISTANCE_SIDES * side)]
+    between = np.intersect1d(
+        above, stretch[(from_tear >= 0) & (from_tear < MAX_CORNER_DISTANCE_SIDES * side)]
+    )
+    if len(between) < MIN_STRETCHES or not 3 <= row < height - 2:
         return False
     changes = np.abs(np.diff(image.grey[row - 3 : row + 3].astype(np.float64), axis=0))
     starts = (np.arange(int(width / length) + 1) * length).astype(np.intp)
     sums = np.add.reduceat(changes, starts[starts < width], axis=1)[:, between]
-    least = LEAST_LOCAL * image.contrast * length
+    least = MIN_STRETCH_CHANGE * image.contrast * length
     changed = sums[2] - sums[[0, 1, 3, 4]].max(axis=0) > least
-    return bool(np.count_nonzero(changed) >= CHANGED * len(between))
+    return bool(np.count_nonzero(changed) >= MIN_CHANGED_SHARE * len(between))
 
 
 def _runs_along(graph: CornerGraph, tear: float, side: float) -> bool:
@@ -404,8 +429,8 @@ def _runs_along(graph: CornerGraph, tear: float, side: float) -> bool:
     start, towards = np.nonzero(graph.neighbour >= 0)
     near = np.abs(graph.position[start, 1] - tear) < side
     way = graph.position[graph.neighbour[start, towards]] - graph.position[start]
-    level = np.abs(way[near, 1]) < LEVEL * np.abs(way[near, 0])
-    return bool(np.count_nonzero(level) >= ALONG * max(len(level), 1))
+    level = np.abs(way[near, 1]) < MAX_ALONG_SLOPE * np.abs(way[near, 0])
+    return bool(np.count_nonzero(level) >= MIN_ALONG_SHARE * max(len(level), 1))
 
 
 def _pairs_across(
@@ -417,7 +442,7 @@ def _pairs_across(
     have beyond either corner.
     """
     position, from_tear = graph.position, graph.position[:, 1] - tear
-    other, free = graph.neighbour, np.abs(from_tear) >= DRAWN * side
+    other, free = graph.neighbour, np.abs(from_tear) >= MIN_COMPARED_DISTANCE_SIDES * side
     above = from_tear < 0
     same = (other >= 0) & free[other] & (above[other] == above[:, None])
     ahead = np.where(same[..., None], position[other] - position[:, None], np.nan)
@@ -426,11 +451,11 @@ def _pairs_across(
     count = np.isfinite(both).sum(axis=1)
     axes = np.where(np.isnan(both), 0.0, both).sum(axis=1) / np.where(count, count, np.nan)
     usable = free & np.isfinite(axes[..., 0]).all(axis=0) & graph.merged
-    usable &= np.abs(from_tear) <= COMPARED * side
+    usable &= np.abs(from_tear) <= MAX_COMPARED_DISTANCE_SIDES * side
     start, ends = np.flatnonzero(usable & above), np.flatnonzero(usable & ~above)
     if not len(start) or not len(ends):
         return start[:0], start[:0], np.zeros((0, 2, 2))
     distance, nearest = cKDTree(position[ends]).query(position[start])
-    near = distance <= APART * side
+    near = distance <= MAX_PAIR_DISTANCE_SIDES * side
     start, end = start[near], ends[np.asarray(nearest)[near]]
     return start, end, np.moveaxis((axes[:, start] + axes[:, end]) / 2, 0, -1)

@@ -14,14 +14,20 @@ Float = NDArray[np.float64]
 Index = NDArray[np.intp]
 # Places that are tried: around the one that the nearest known displacement suggests.
 REACH = 4
-# How fast the displacement changes from a corner to the next, and how much of it no plane follows,
-# in sides: it goes on across a gap as a plane whose slope is held back accordingly.
-SLOPE, ROUGHNESS = 0.1, 0.15
-# The best place fits within this and leads by this; few corners must fit better, in sides.
-FIT, LEAD = 0.45, 0.6
-FEW, FIT_OF_FEW, GAP_OF_FEW = 6, 0.3, 3.0
+# The displacement continues across a gap as a plane.  Standard deviations of its change from one
+# corner to the next, and of what no plane follows, in sides.
+SLOPE_STD_SIDES = 0.1
+ROUGHNESS_STD_SIDES = 0.15
+# Largest misfit of the best place, and smallest lead over the second best, in sides.
+MAX_MISFIT_SIDES = 0.45
+MIN_LEAD_SIDES = 0.6
+# A component with fewer corners than this must fit better, and lie within this gap, in sides.
+MIN_CORNERS_USUAL_FIT = 6
+MAX_MISFIT_OF_FEW_SIDES = 0.3
+MAX_GAP_OF_FEW_SIDES = 3.0
 # Distances between numbered corners of a line, as shares of the nominal ones.
-NEAREST, FARTHEST = 0.4, 1.6
+MIN_SPACING_RATIO = 0.4
+MAX_SPACING_RATIO = 1.6
 
 # A corner lies within this share of a side, and what detected corners are off by in px, of where
 # its neighbours put it.
@@ -50,11 +56,13 @@ def joined(
     best.sort(key=lambda place: place[0])
     misfit, shift = best[0]
     number = component.number + shift
-    few = len(number) < FEW
+    few = len(number) < MIN_CORNERS_USUAL_FIT
     gap = np.abs(known[:, None] - number).sum(axis=-1).min()
-    if misfit > (FIT_OF_FEW if few else FIT) or (few and gap > GAP_OF_FEW):
+    if misfit > (MAX_MISFIT_OF_FEW_SIDES if few else MAX_MISFIT_SIDES) or (
+        few and gap > MAX_GAP_OF_FEW_SIDES
+    ):
         return None
-    if len(best) > 1 and best[1][0] - misfit < LEAD:
+    if len(best) > 1 and best[1][0] - misfit < MIN_LEAD_SIDES:
         return None
     if np.isfinite(corners[number[:, 0], number[:, 1], 0]).any():
         return None
@@ -98,7 +106,7 @@ def _in_order(corners: Float, nominal: Float) -> bool:
                     at_rest = nominal[i, j, d] - nominal[i, last, d]
                     along += (corners[i, j, d] - corners[i, last, d]) * at_rest
                     length += at_rest * at_rest
-                if not NEAREST * length <= along <= FARTHEST * length:
+                if not MIN_SPACING_RATIO * length <= along <= MAX_SPACING_RATIO * length:
                     return False
             last = j
     return True
@@ -138,8 +146,8 @@ def _misfit(
     terms = np.column_stack([np.ones(len(place)), offset])
     side = nominal.side_px
     normal = (terms * weight[:, None]).T @ terms
-    normal[1, 1] += weight.max() * (ROUGHNESS / SLOPE) ** 2
-    normal[2, 2] += weight.max() * (ROUGHNESS / SLOPE) ** 2
+    normal[1, 1] += weight.max() * (ROUGHNESS_STD_SIDES / SLOPE_STD_SIDES) ** 2
+    normal[2, 2] += weight.max() * (ROUGHNESS_STD_SIDES / SLOPE_STD_SIDES) ** 2
     plane = np.linalg.solve(normal, (terms * weight[:, None]).T @ displacement)
     at_rest = nominal.corners[number[:, 0], number[:, 1]]
     expected = at_rest + plane[0] + (number - centre) @ plane[1:]

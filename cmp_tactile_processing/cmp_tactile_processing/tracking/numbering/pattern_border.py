@@ -21,9 +21,11 @@ LEAST_CONTRAST, LEAST_CONTRAST_NOISE = 2.0, 0.6
 # Share of a line's cells, and number in a row, that must show the same.
 LEAST_SHARE, LEAST_RUN = 0.4, 6
 FIRM_SHARE = 0.6
-# The edge of the outermost checkers lies one cell out: how far the mean may be off (corners are
-# known to a pixel or two), by how much it may run aslant, and how it may scatter; in cells.
-EDGE_OFF, EDGE_ASLANT, EDGE_SCATTER = 0.35, 0.5, 0.25
+# The edge of the outermost checkers lies one cell out.  Largest error of its mean (corners are
+# known to a pixel or two), of its slope, and its scatter; in cells.
+MAX_EDGE_OFFSET_CELLS = 0.35
+MAX_EDGE_SLOPE_CELLS = 0.5
+MAX_EDGE_SCATTER_CELLS = 0.25
 
 # Grey levels per cell along the outermost line: of the checker within, then of this profile
 # outwards; depths in cells from the line.
@@ -110,8 +112,8 @@ class _Counts(NamedTuple):
 
     def has_edge(self, least: float) -> bool:
         """Whether so many checkers end one cell out, along the line, with little scatter."""
-        near = abs(self.mean - 1) <= EDGE_OFF
-        along = self.aslant <= EDGE_ASLANT and self.scatter <= EDGE_SCATTER
+        near = abs(self.mean - 1) <= MAX_EDGE_OFFSET_CELLS
+        along = self.aslant <= MAX_EDGE_SLOPE_CELLS and self.scatter <= MAX_EDGE_SCATTER_CELLS
         return self.edges >= least and near and along
 
 

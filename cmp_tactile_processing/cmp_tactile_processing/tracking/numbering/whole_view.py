@@ -62,9 +62,11 @@ FEWEST_PIECE = 9
 # A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
 # of the whole; of the whole see `faulty_view.py`.
 LARGEST_TURN_OF_PART = 0.25
-# What is left of the confidence for each side at which the pattern was not seen to end, where the
-# corners lie far from the nominal projection, and where components were joined across a gap.
-UNSEEN_SIDE, FAR_FROM_NOMINAL, JOINED = 0.95, 0.9, 0.9
+# Factors of the confidence: for each side where the end of the pattern was not seen, for corners
+# far from the nominal projection, and for components joined across a gap.
+UNSEEN_SIDE_CONFIDENCE = 0.95
+FAR_FROM_NOMINAL_CONFIDENCE = 0.9
+JOINED_CONFIDENCE = 0.9
 # And where rows or columns rest on one border alone, the other one out of sight: something along a
 # gridline that is as bright as the margin looks the same.
 ONE_BORDER = 0.5
@@ -341,7 +343,7 @@ class GridNumbering:
         if np.isnan(corners).any():
             drop_loose_corners(corners, self._nominal.corners)
         other = max((len(item.position) for item in left if self._is_other(item)), default=0)
-        return self._judged(corners, other, confidence * (JOINED if joins else 1.0))
+        return self._judged(corners, other, confidence * (JOINED_CONFIDENCE if joins else 1.0))
 
     def _is_other(self, component: Component) -> bool:
         """Whether a component's checkers differ from those of the pattern where it lies.
@@ -375,10 +377,10 @@ class GridNumbering:
     def _confidence(anchors: list[Anchor]) -> float:
         """By the sides at which one of the placed components or another was seen to end."""
         ends = np.any([anchor.ends for anchor in anchors], axis=0)
-        found = float(UNSEEN_SIDE ** (4 - np.count_nonzero(ends)))
+        found = float(UNSEEN_SIDE_CONFIDENCE ** (4 - np.count_nonzero(ends)))
         if any(_rests_on_one_border(anchors, axis) for axis in (0, 1)):
             found *= ONE_BORDER
-        return found * (FAR_FROM_NOMINAL if anchors[0].unlikely else 1.0)
+        return found * (FAR_FROM_NOMINAL_CONFIDENCE if anchors[0].unlikely else 1.0)
 
 
 def _rests_on_one_border(anchors: list[Anchor], axis: int) -> bool:

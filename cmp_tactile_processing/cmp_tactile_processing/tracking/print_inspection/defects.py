@@ -32,9 +32,12 @@ SKIRT, LEAST_AREA_PX = 0.6, 4
 LEAST_OPACITY = 0.25
 # On an edge: a gradient of this share of the steepest.
 ON_EDGE = 0.5
-# No flaw of the print makes skin lighter than bare skin: what does by more than this, where light
-# is expected by more than that, is glare, and so far around it, in checkers, nothing is judged.
-GLARE, ON_SKIN, GLARE_REACH = 0.2, 0.5, 1.5
+# No flaw of the print makes skin lighter than bare skin.  Glare is what exceeds it by more than
+# MIN_GLARE where a level above MIN_SKIN_LEVEL is expected.
+MIN_GLARE = 0.2
+MIN_SKIN_LEVEL = 0.5
+# Around glare nothing is judged, in checkers.
+GLARE_MARGIN_CHECKERS = 1.5
 
 
 class DefectKind(str, Enum):
@@ -172,8 +175,8 @@ def find_spots(departure: Departure, usable: Mask, tolerance: Image, side_px: fl
     straying = _straying(amount, gradient, usable)
     steepest = _steepest_within(gradient, straying)
     least = LEAST_AMOUNT + noise + straying * tolerance * steepest
-    on_skin = usable & (expected > ON_SKIN)
-    glare = _glare(amount - (1 - expected), GLARE + noise, on_skin, side_px)
+    on_skin = usable & (expected > MIN_SKIN_LEVEL)
+    glare = _glare(amount - (1 - expected), MIN_GLARE + noise, on_skin, side_px)
     covered, spots = np.zeros(usable.shape, bool), []
     for kind, sign in ((DefectKind.MISSING_INK, 1), (DefectKind.DIRT, -1)):
         allowed = usable & ~glare if sign > 0 else usable
@@ -224,7 +227,7 @@ def _glare(beyond: Image, least: Image, on_skin: Mask, side_px: float) -> Mask:
     if not seeds.any():
         return seeds.astype(bool)
     away = cv2.distanceTransform(1 - seeds, cv2.DIST_L2, 3)
-    return np.asarray(away < GLARE_REACH * side_px)
+    return np.asarray(away < GLARE_MARGIN_CHECKERS * side_px)
 
 
 def _connected(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage, sample
+from cmp_tactile_processing.image.prepared import MIN_SMOOTHING_PX, PreparedImage, sample
 from cmp_tactile_processing.tracking.corners.neighbours import predicted_places
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ class FlawedCorners:
         whole[whole] = np.linalg.matrix_rank(normal[whole], hermitian=True) == normal.shape[1]
         known[known] = whole
         solution = np.linalg.solve(normal[whole], weighted[whole])
-        gain = _gains(max(smoothing_px, LEAST_SMOOTHING_PX), way[whole], solution[:, :2])
+        gain = _gains(max(smoothing_px, MIN_SMOOTHING_PX), way[whole], solution[:, :2])
         basis, solution = basis[whole].astype(np.float32), solution.astype(np.float32)
         return cls(known, basis, solution, gain, aside[whole])
 

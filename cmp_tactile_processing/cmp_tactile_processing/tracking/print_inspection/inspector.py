@@ -30,9 +30,11 @@ from cmp_tactile_processing.tracking.print_inspection.view import (
     side_of_checkers,
 )
 
-# A segment is a defect of its own where it strays so many times as far as the others and so far,
-# seen in so many markers.
-RAGGED_RATIO, LEAST_RAGGED_PX, LEAST_MARKERS = 2.5, 0.3, 3
+# A segment is a defect if its markers stray this many times as far as those of the others, and by
+# this, over at least so many markers.
+MIN_RAGGED_RATIO = 2.5
+MIN_RAGGED_PX = 0.3
+MIN_RAGGED_MARKERS = 3
 # If the edges stray by more than this (px, rms), every corner is flawed; else one whose standard
 # deviation is so many times the median.
 RAGGED_PX, FAR_OFF = 0.08, 4.0
@@ -155,8 +157,8 @@ def _ragged_edges(
     found = []
     for scatter, (down, right) in zip(scatters, ((0.0, 0.5), (0.5, 0.0)), strict=True):
         with np.errstate(invalid="ignore"):
-            ragged = scatter.raggedness > max(RAGGED_RATIO * usual, LEAST_RAGGED_PX)
-        for i, j in np.argwhere(ragged & (scatter.count >= LEAST_MARKERS)):
+            ragged = scatter.raggedness > max(MIN_RAGGED_RATIO * usual, MIN_RAGGED_PX)
+        for i, j in np.argwhere(ragged & (scatter.count >= MIN_RAGGED_MARKERS)):
             row, col = i + down, j + right
             centre = seen.lattice.at(np.array([row]), np.array([col]))[0, 0] + first
             strength = float(scatter.raggedness[i, j])

@@ -31,9 +31,13 @@ RIM = 0.6
 RIM_STRAYING = 2.0
 # A hole of up to two missing corners across is part of what is inspected: a spot made it.
 HOLE = 3
-# Half the width of the Gaussian window in which a spot spoils a corner, as a share of the side,
-# and at least, px; and the shares of that window whose loss weakens and destroys the corner.
-CORNER_WINDOW, LEAST_WINDOW_PX, WEAKENED, DESTROYED = 0.12, 1.2, 0.05, 0.3
+# A spot spoils a corner within a Gaussian window: half its width, as a share of the side and in px
+# at least.
+CORNER_WINDOW_SIDES = 0.12
+MIN_CORNER_WINDOW_PX = 1.2
+# Shares of the window whose loss begins to weaken the corner, and destroys it.
+WEAKENED_LOSS_SHARE = 0.05
+DESTROYED_LOSS_SHARE = 0.3
 # A corner so many typical deviations from the smooth lattice begins to lose weight.
 CORNER_DEVIATIONS, LEAST_DEVIATION_PX = 4.0, 0.05
 # So many neighbours that stray together by this share of a side do so because something presses on
@@ -121,11 +125,16 @@ class PrintView:
 
     def corner_weight(self) -> NDArray[np.float64]:
         """Weight of each corner (rows, cols), 0 to 1."""
-        window = max(LEAST_WINDOW_PX, CORNER_WINDOW * self.side_px)
+        window = max(MIN_CORNER_WINDOW_PX, CORNER_WINDOW_SIDES * self.side_px)
         covered = self.spots.covered.astype(np.float32)
         lost = np.asarray(cv2.GaussianBlur(covered, (0, 0), window), dtype=np.float32)
         smooth = self.lattice.corners(*self.corners.shape[:2])
-        weight = np.clip((DESTROYED - sampled(lost, smooth)) / (DESTROYED - WEAKENED), 0, 1)
+        weight = np.clip(
+            (DESTROYED_LOSS_SHARE - sampled(lost, smooth))
+            / (DESTROYED_LOSS_SHARE - WEAKENED_LOSS_SHARE),
+            0,
+            1,
+        )
         astray, judged = _astray(self.corners, self.lattice), self.judged_corners
         weight = np.where(judged, weight / np.maximum(astray, 1), 1.0)
         # Not found at rest, amid others that were: there is nothing to measure.

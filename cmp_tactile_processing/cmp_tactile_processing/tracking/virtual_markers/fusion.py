@@ -35,11 +35,14 @@ EXPECTATION_ROUNDS = 12
 # A measurement further from the fit than this many standard deviations is dirt.
 OUTLIER = 4.0
 LEAST_COLUMNS = 3
-# Corners and ridges share pixels: the variance of their noise is so many times that of independent
-# measurements.  The deviation of a corner's own fit allows for the bias of straight edges, px, and
-# so do the fits here; the gridlines take it out, of a corner and of a virtual marker by so much.
-# Measured with noise of 1 to 16 grey levels, blur and little light (benchmarks/tracking/bound.py).
-SHARED_PIXELS, CORNER_BIAS_PX, MARKER_BIAS_PX = 1.2, 3e-3, 3.5e-3
+# Corners and ridges share pixels: the variance of their noise is this many times that of
+# independent measurements.
+SHARED_PIXELS_VARIANCE_RATIO = 1.2
+# The deviation of a corner's own fit allows for the bias of straight edges, and so do the fits
+# here.  The gridlines remove this much of it from a corner and from a virtual marker.  Measured
+# with noise of 1 to 16 grey levels, blur and little light (benchmarks/tracking/bound.py).
+CORNER_BIAS_PX = 3e-3
+MARKER_BIAS_PX = 3.5e-3
 # Segments that are fitted side by side, a block.  They are stored in single precision, which halves
 # the time and moves no marker of the sample grasp by more than 2e-7 px.
 LANES = 64
@@ -409,8 +412,8 @@ def _mix(fits: Fits) -> None:
 
 @kernel_part(forceinline=True)
 def true_std(variance: float, bias: float) -> float:
-    """Standard deviation of a fit that has a variance in px^2, bias in px: see SHARED_PIXELS."""
-    return math.sqrt(SHARED_PIXELS * max(variance - bias * bias, variance / 4))
+    """Standard deviation of a fit that has a variance in px^2, bias in px, with pixels shared."""
+    return math.sqrt(SHARED_PIXELS_VARIANCE_RATIO * max(variance - bias * bias, variance / 4))
 
 
 @kernel

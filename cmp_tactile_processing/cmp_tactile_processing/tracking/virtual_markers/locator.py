@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import InputError
-from cmp_tactile_processing.image.prepared import LEAST_SMOOTHING_PX, PreparedImage
+from cmp_tactile_processing.image.prepared import MIN_SMOOTHING_PX, PreparedImage
 from cmp_tactile_processing.measured import GridShape, Status
 from cmp_tactile_processing.tracking.virtual_markers.corner_fusion import (
     LINE_ENTRIES,
@@ -34,9 +34,9 @@ from cmp_tactile_processing.tracking.virtual_markers.fusion import (
 )
 from cmp_tactile_processing.tracking.virtual_markers.ridge import (
     BOX,
-    COLUMNS,
     LEAST_SIGNAL,
-    WINDOW,
+    MAX_COLUMNS,
+    MIN_WINDOW_PX,
     Edges,
     Pixels,
     Segments,
@@ -213,9 +213,9 @@ def _edges(image: PreparedImage, blur: float, side: float, gradient: NDArray[np.
     """
     noise = max(image.noise, QUANTISATION)
     window = window_of(blur, image.smoothing_px, side)
-    flatter = math.sqrt((blur + BOX + WINDOW**2) / (blur + BOX + window**2))
+    flatter = math.sqrt((blur + BOX + MIN_WINDOW_PX**2) / (blur + BOX + window**2))
     across = math.sqrt(image.smoothing_px**2 + BOX + window**2)
-    along = max(image.smoothing_px, LEAST_SMOOTHING_PX)
+    along = max(image.smoothing_px, MIN_SMOOTHING_PX)
     return Edges(
         blur=blur,
         gradient=flatter * _median(np.abs(gradient)),
@@ -230,7 +230,7 @@ def _edges(image: PreparedImage, blur: float, side: float, gradient: NDArray[np.
 
 def _zone(image: PreparedImage, edges: Edges) -> Zone:
     """What the local zones of the correction must show in an image with such edges."""
-    smoothing = max(image.smoothing_px, LEAST_SMOOTHING_PX)
+    smoothing = max(image.smoothing_px, MIN_SMOOTHING_PX)
     # Correlation of smoothed noise two and four pixels apart.
     near, far = math.exp(-((1 / smoothing) ** 2)), math.exp(-((2 / smoothing) ** 2))
     smoothed = max(image.noise, QUANTISATION) / (2 * math.sqrt(math.pi) * smoothing)
@@ -260,7 +260,7 @@ class _Gridlines:
         blocks = blocks_of(segments)
         self._size, self._end_std = np.ones((2, 2, blocks * LANES))
         self._counts = np.zeros(blocks * LANES, dtype=np.int64)
-        self._columns = np.zeros((blocks, 5, COLUMNS, LANES), dtype=np.float32)
+        self._columns = np.zeros((blocks, 5, MAX_COLUMNS, LANES), dtype=np.float32)
         self._basis = MarkerBasis.from_count(n)
         self._fits = Fits.from_shape(segments, n)
         self._work = FitScratch.new()

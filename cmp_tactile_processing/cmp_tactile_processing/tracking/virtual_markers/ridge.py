@@ -18,13 +18,16 @@ from cmp_tactile_processing.cache.kernels import NAN_SAFE, kernel, kernel_part
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# Columns of a segment at most.  In a segment longer than CLOSE px only every second one is
-# measured: the smoothed image holds no more.
-COLUMNS, CLOSE = 24, 8.0
-# The peak is that of the gradient smoothed by a Gaussian of at least WINDOW px.  Wide ones leave
-# less noise where edges are blurred: at best sqrt(5) times the blur, with what the image was
-# smoothed by.  Bends and the next gridline, whose distance is the side, allow less.
-WINDOW, WINDOW_PER_BLUR, WINDOW_PER_SIDE = 1.2, 1.6, 0.17
+MAX_COLUMNS = 24
+# In a longer segment only every second column is measured: the smoothed image holds no more.
+SUBSAMPLED_ABOVE_PX = 8.0
+# Standard deviation of the Gaussian that smooths the gradient before its peak is taken, px at
+# least.  Wide ones leave less noise where edges are blurred.
+MIN_WINDOW_PX = 1.2
+# In units of the blur; sqrt(5) would be best, with what the image was smoothed by.
+WINDOW_PER_BLUR = 1.6
+# Bends and the next gridline allow this share of the checker's side at most.
+MAX_WINDOW_PER_SIDE = 0.17
 REACH_PER_WINDOW = 2.7
 PHASES = 16
 # Variance of the central difference's box, px^2.
@@ -44,7 +47,9 @@ WEAKEST_GRADIENT, LEAST_SIGNAL = 0.12, 4.0
 SEARCH_PX, SEARCH_SHARE = 2.5, 0.25
 # Of more segments than this every second one shows enough of blur and strength.
 MANY_SEGMENTS = 128
-ROUNDS, LONGEST_STEP, SHORT_STEP = 4, 1.5, 0.3
+PEAK_ROUNDS = 4
+MAX_PEAK_STEP_PX = 1.5
+CONVERGED_PEAK_STEP_PX = 0.3
 # A column is left out where the crossing gridline flattens the peak to less than this share.
 LEAST_PEAK = 0.3
 STEPS_PER_UNIT = 64
@@ -96,10 +101,10 @@ def window_of(blur: float, smoothing: float, side: float) -> float:
     between checkers of that side, px.
     """
     wanted = WINDOW_PER_BLUR**2 * (blur - smoothing**2) - smoothing**2 - BOX
-    if not (wanted > WINDOW**2 and side > 0):
-        return WINDOW
+    if not (wanted > MIN_WINDOW_PX**2 and side > 0):
+        return MIN_WINDOW_PX
     # Steps, so that a few tables serve all frames.
-    return max(WINDOW, round(10 * min(math.sqrt(wanted), WINDOW_PER_SIDE * side)) / 10)
+    return max(MIN_WINDOW_PX, round(10 * min(math.sqrt(wanted), MAX_WINDOW_PER_SIDE * side)) / 10)
 
 
 @lru_cache(maxsize=32)
@@ -126,7 +131,7 @@ def _bell_table() -> Array:
     return np.stack([np.exp(-(w**2) / 2) / math.sqrt(2 * math.pi), step], axis=1)
 
 
-NARROW_TAPS, BELL = window_taps(WINDOW), _bell_table()
+NARROW_TAPS, BELL = window_taps(MIN_WINDOW_PX), _bell_table()
 
 
 @kernel_part(forceinline=True)
@@ -200,7 +205,7 @@ def _peak(
     if axis == 1:
         size, stride, base = pixels.width, 1, along * pixels.width
     place, reach = start, taps.shape[1] // 2 + 1
-    for _ in range(ROUNDS):
+    for _ in range(PEAK_ROUNDS):
         if not (place >= reach and place < size - reach - 1):
             break
         row = math.floor(place + 0.5)
@@ -209,9 +214,9 @@ def _peak(
         if gradient == 0.0:
             break
         centroid = first / gradient
-        step = min(max(gain * centroid, -LONGEST_STEP), LONGEST_STEP)
+        step = min(max(gain * centroid, -MAX_PEAK_STEP_PX), MAX_PEAK_STEP_PX)
         place = row + phase / PHASES - 0.5 + step
-        if abs(step) < SHORT_STEP:
+        if abs(step) < CONVERGED_PEAK_STEP_PX:
             return place, gradient
     return math.nan, 0.0
 
@@ -241,8 +246,8 @@ def look_half_way(pixels: Pixels, curve: Array, turned: Array, result: Array) ->
                 continue
             result[0, i, j] = gradient if (i + j) % 2 == 0 else -gradient
             variance = _profile_variance(pixels, axis, along, place)
-            if 0.0 < variance < 0.97 * WINDOW**2:
-                profile = variance * WINDOW**2 / (WINDOW**2 - variance) - BOX
+            if 0.0 < variance < 0.97 * MIN_WINDOW_PX**2:
+                profile = variance * MIN_WINDOW_PX**2 / (MIN_WINDOW_PX**2 - variance) - BOX
                 result[1, i, j] = profile / (1 + (speed_across / speed_along) ** 2)
 
 
@@ -356,7 +361,7 @@ def _measure_column(
         return nothing
     profile = edges.blur * (1 + slope * slope) + extra
     gain = profile / edges.window**2
-    if edges.window == WINDOW:
+    if edges.window == MIN_WINDOW_PX:
         # A constant table, which takes less time: most frames are sharp.
         ridge, gradient = _peak(pixels, NARROW_TAPS, axis, along, (across + known, gain))
     else:
@@ -389,7 +394,7 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
     _set_normals(segments, i, j, axis, normals)
     begin, end = segments.corners[i, j, axis], segments.corners[i, j + 1, axis]
     span, direction = abs(end - begin), 1 if end > begin else -1
-    step = max(2 if span > CLOSE else 1, int(span / COLUMNS) + 1)
+    step = max(2 if span > SUBSAMPLED_ABOVE_PX else 1, int(span / MAX_COLUMNS) + 1)
     search = min(SEARCH_PX, SEARCH_SHARE * span)
     size = pixels.height if axis == 1 else pixels.width
     # The columns lie evenly about the segment's middle.
@@ -406,7 +411,7 @@ def _measure_segment(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler w
         t, deviation, variance, flattening, lean, found = _measure_column(
             pixels, edges, turned, normals, (axis, here, guess, known, sign)
         )
-        if variance == 0.0 or abs(found) > search or count == COLUMNS:
+        if variance == 0.0 or abs(found) > search or count == MAX_COLUMNS:
             continue
         known = found
         columns[0, count, lane] = t
@@ -426,10 +431,10 @@ def measure(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
     """Measure how far every gridline runs from its curve, in pixel columns along it.
 
     scratch: (4, 2) and (2, 3).  Results: counts (s,): measured columns of segment s; columns
-    (blocks, 5, COLUMNS, lanes), s = block * lanes + lane: parameter t on the curve, deviation of
-    the gridline along the column px, its weight 1 / px^2, how much blur flattens sin(k pi t) over
-    k^2, how much the measured deviation grows with the true one's derivative by t; the weight is 0
-    past the last one.
+    (blocks, 5, MAX_COLUMNS, lanes), s = block * lanes + lane: parameter t on the curve, deviation
+    of the gridline along the column px, its weight 1 / px^2, how much blur flattens sin(k pi t)
+    over k^2, how much the measured deviation grows with the true one's derivative by t; the
+    weight is 0 past the last one.
     """
     turned, normals = scratch
     columns[:, 2] = 0.0
