@@ -27,9 +27,10 @@ Array = NDArray[np.float64]
 # the lower peak: what the limited resolution makes of a gap between two contacts is lower, what
 # noise makes of one contact's pressure is higher.
 MERGE_RATIO = 0.4
-# A hill is a contact where its normal force reaches this share of the strongest contact's, below
-# which it may be an error of the reconstruction, and so many of its own standard deviations.
-LEAST_SHARE, LEAST_DEVIATIONS = 0.01, 3.0
+# A hill is a contact if its normal force is at least this share of the strongest contact's (smaller
+# ones may be errors of the reconstruction), and this many of its own standard deviations.
+MIN_CONTACT_SHARE = 0.01
+MIN_CONTACT_DEVIATIONS = 3.0
 
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
@@ -235,7 +236,7 @@ class ContactRegions:
         grid = pressure.reshape(self._shape)
         numbers, passes = basins(grid, mask.reshape(self._shape), MERGE_RATIO)
         owner, pressing = _owner(numbers, grid, loaded.reshape(self._shape), force, len(passes))
-        large = np.flatnonzero(pressing > LEAST_SHARE * pressing.max(initial=0.0))
+        large = np.flatnonzero(pressing > MIN_CONTACT_SHARE * pressing.max(initial=0.0))
         nodes = [np.flatnonzero(owner == hill + 1) for hill in large]
         return Hills(nodes, pressing[large], passes[large], force, place, mask, grid)
 
@@ -258,7 +259,7 @@ class ContactRegions:
         """
         force, place, found = hills.force, hills.place, []
         for k, (nodes, (noise, more)) in enumerate(zip(hills.nodes, covariances, strict=True)):
-            if hills.pressing[k] ** 2 < LEAST_DEVIATIONS**2 * noise[2, 2]:
+            if hills.pressing[k] ** 2 < MIN_CONTACT_DEVIATIONS**2 * noise[2, 2]:
                 continue
             shape = _shape(
                 force, place, hills.mask, hills.pressure, nodes, self._area, hills.passes[k]

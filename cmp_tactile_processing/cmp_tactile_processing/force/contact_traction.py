@@ -36,29 +36,34 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Value = TypeVar("Value")
 
-# The tangential traction is never expected to be less than this share of the normal one.
-MIN_TANGENTIAL, MIN_NORMAL_N = 0.02, 1e-9
+# The expected tangential traction is at least this share of the normal one.
+MIN_TANGENTIAL_SHARE = 0.02
+MIN_NORMAL_N = 1e-9
 # Weights of the smoothness are taken from this grid, in decades: a fifth of a size, which changes
 # the forces by a fraction of their deviations, so that a factor serves many frames.
 WEIGHT_STEP = 0.4
 # Standard deviation of a weight's logarithm: what the grid and one step of MacKay's rule leave.
-WEIGHT_DOUBT = 0.5
-# MacKay's rule goes some half of the way to the likeliest size where the data say little, and all
-# of it where they say much.
-OVERSHOOT = 1.4
+LOG_WEIGHT_STD = 0.5
+# MacKay's rule goes about half of the way to the likeliest size if the data say little, and all of
+# it if they say much.
+MACKAY_STEP_FACTOR = 1.4
 # Steps on the grid below which weights stay as they are: that is about their doubt.
 NEAR_STEPS = 1.0
-# How many numbers the data determine is worked out in full on so many nodes, or where more than
-# this share of the data is missing, and else as if the whole surface were in contact and seen.
-MOST_TRACED, MANY_MISSING = 100, 0.05
-# Nodes come into a mask and leave it in threes, as neighbours of one that stands out.
-TOGETHER = 3.0
-# Masks of more than this share of the nodes are solved by what is beside them, if not more data
-# than this share of the unknowns are missing.
-WIDE, FEW_MISSING = 0.5, 0.15
-# Factors that are kept, for masks that come and go, and bytes of inverses, for a press that grows
-# and falls: twenty of 20 x 20 nodes.
-KEPT_FACTORS, KEPT_BYTES = 8, 90e6
+# The number of well determined parameters is computed in full on at most this many nodes, or if
+# more than this share of the data is missing; else as if the whole surface were in contact and
+# seen.
+MAX_TRACED_NODES = 100
+MAX_UNTRACED_MISSING_SHARE = 0.05
+# Variance factor of nodes that enter or leave a mask: they do so in threes, as neighbours.
+JOINT_NODE_FACTOR = 3.0
+# Masks of more than this share of the nodes are solved by their complement,
+MIN_WIDE_SHARE = 0.5
+# if fewer data than this share of the unknowns are missing.
+MAX_WIDE_MISSING_SHARE = 0.15
+# Factors that are kept, for masks that come and go.
+KEPT_FACTORS = 8
+# Bytes of inverses that are kept, for a press that grows and falls: twenty of 20 x 20 nodes.
+KEPT_BYTES = 90e6
 
 
 class Weights(NamedTuple):
@@ -112,10 +117,10 @@ class TractionPosterior:
         count = len(functionals)
         at, pull = self._edge_pull
         joint, rows = self.factor.joint(np.hstack([functionals.T, self.drift]), at)
-        of_weights = WEIGHT_DOUBT * joint[:count, count:]
+        of_weights = LOG_WEIGHT_STD * joint[:count, count:]
         # How functionals change where a node of the edge is free of traction.
         lost = (rows[:, :count] * pull[:, None]).reshape(-1, 3, count).sum(axis=1)
-        doubt = of_weights @ of_weights.T + TOGETHER * lost.T @ lost
+        doubt = of_weights @ of_weights.T + JOINT_NODE_FACTOR * lost.T @ lost
         return self.noise_squared * joint[:count, :count], doubt
 
     @cached_property
@@ -152,7 +157,7 @@ class ContactTraction:
 
     def is_wide(self, nodes: NDArray[np.intp]) -> bool:
         """Whether nodes (k,) are most of the surface, so that less is beside them."""
-        return len(nodes) > WIDE * len(self._smoothness)
+        return len(nodes) > MIN_WIDE_SHARE * len(self._smoothness)
 
     def weights(self, scale: TractionScale, noise_squared: float) -> Weights:
         """Weights for coefficients of an expected size, the nearest on the grid."""
@@ -162,7 +167,7 @@ class ContactTraction:
     def _steps(self, scale: TractionScale, noise_squared: float) -> Array:
         """Where on the grid the two weights are for coefficients of an expected size, (2,)."""
         normal = max(scale.normal, MIN_NORMAL_N)
-        sizes = np.array([max(scale.tangential, MIN_TANGENTIAL * normal), normal])
+        sizes = np.array([max(scale.tangential, MIN_TANGENTIAL_SHARE * normal), normal])
         return np.asarray(np.log10(noise_squared / sizes**2 / self._spectrum.scale) / WEIGHT_STEP)
 
     def seen(self, data: Array, known: Mask) -> SeenData:
@@ -205,7 +210,7 @@ class ContactTraction:
             determined = determined * len(nodes) / len(self._smoothness)
         sizes = np.sqrt(energy / np.maximum(determined, 1.0))
         before = np.sqrt(posterior.noise_squared / np.array(posterior.weights))
-        sizes = before * (sizes / before) ** OVERSHOOT
+        sizes = before * (sizes / before) ** MACKAY_STEP_FACTOR
         return TractionScale(float(sizes[1]), float(sizes[0]))
 
     def again(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
@@ -238,7 +243,7 @@ class ContactTraction:
     def _new_factor(self, nodes: NDArray[np.intp], weights: Weights, seen: SeenData) -> Factor:
         unknowns = unknowns_of(nodes)
         gone = self._response[np.frombuffer(seen.missing, np.intp)]
-        if self.is_wide(nodes) and len(gone) < FEW_MISSING * len(unknowns):
+        if self.is_wide(nodes) and len(gone) < MAX_WIDE_MISSING_SHARE * len(unknowns):
             whole = self._inverses.get(weights, lambda: WholeSurface(self._spectrum, *weights))
             return ComplementFactor(whole, unknowns, gone)
         of_contact = gone.take(unknowns, axis=1)
@@ -276,7 +281,7 @@ class ContactTraction:
 
 def _is_traced(nodes: NDArray[np.intp], seen: SeenData) -> bool:
     """Whether a trace of the inverse itself is needed."""
-    return len(nodes) <= MOST_TRACED or seen.missing_share > MANY_MISSING
+    return len(nodes) <= MAX_TRACED_NODES or seen.missing_share > MAX_UNTRACED_MISSING_SHARE
 
 
 class _Kept(Generic[Value]):

@@ -45,8 +45,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 HIDDEN_SHARE = 0.2
 # A node is seen where so large a share of the markers around it is.
 MOSTLY_SEEN = 0.5
-# The fit is poor where it leaves so large a share of the displacement, and so many times the noise.
-POOR_SHARE, POOR_NOISE = 0.2, 3.0
+# The fit is poor if its residual exceeds this share of the displacement and this many times the
+# noise.
+MAX_RESIDUAL_SHARE = 0.2
+MAX_RESIDUAL_NOISE = 3.0
 # Of what model_error says, so much is in directions in which no force acts: near the border the
 # mesh takes 0.06 % of a press for a force along the surface.
 LEAK_SHARE = 0.2
@@ -55,18 +57,20 @@ ONE_VIEW_SHARE = 0.3, 0.3, 1.0
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-# Pressed in by more than this share of the thickness, a gel is not linear.  One that is described
-# as neo-Hookean then shows 1 % too little Fz or more; one that is described as linear is believed
-# up to where any rubber would show 4 to 7 % too little.
-LARGE_PRESS_RATIO, LARGE_PRESS_RATIO_LINEAR = 0.023, 0.15
+# Depth over the thickness above which a gel is not linear.  A neo-Hookean gel then shows at least
+# 1 % too little Fz.
+LARGE_PRESS_RATIO = 0.023
+# The linear description is used up to where any rubber shows 4 to 7 % too little.
+LARGE_PRESS_RATIO_LINEAR = 0.15
 # A press that the correction could not follow is tried again when it is so much less.
 RETRY_SHARE = 0.97
 # Data that differ by less than this share are solved for on the same nodes, for the same scale.
 SAME_SHARE = 0.01
 # Pressed in by less than this share of the thickness, the linear model is off by 0.3 % of Fz.
 SMALL_PRESS_RATIO = 1.5e-3
-# Spheres and flats pressed in by 2 to 12 % of the thickness lose 0.3 to 0.5 of that share.
-LINEAR_DOUBT = 0.5
+# Relative standard deviation of a linear force over the depth ratio: spheres and flats pressed in
+# by 2 to 12 % of the thickness lose 0.3 to 0.5 of that share.
+LINEAR_STD_PER_DEPTH_RATIO = 0.5
 
 
 class FieldBuilder:
@@ -195,7 +199,7 @@ class FieldBuilder:
             flags |= ForceFlag.AT_BORDER
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
         left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
-        if left > POOR_NOISE and left > POOR_SHARE * whole:
+        if left > MAX_RESIDUAL_NOISE and left > MAX_RESIDUAL_SHARE * whole:
             flags |= ForceFlag.POOR_FIT
         return flags
 
@@ -466,7 +470,7 @@ class ForceModel:
         field = self._field(linear, measured, moved, flag)
         if self._sensor.elastomer.model == "linear":
             return field
-        return doubted(field, LINEAR_DOUBT * self._depth_of(linear))
+        return doubted(field, LINEAR_STD_PER_DEPTH_RATIO * self._depth_of(linear))
 
     def reset(self) -> None:
         """Forget where a large press has settled; all else is of one frame alone."""

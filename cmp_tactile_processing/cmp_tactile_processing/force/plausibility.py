@@ -42,22 +42,29 @@ from cmp_tactile_processing.sensor.parts import Pattern
 
 Array = NDArray[np.float64]
 
-# How far a marker may move, over the thickness of the gel at the apex.  The base does not give way,
-# so nothing is pressed deeper than to it.  A gel that is described as linear has no such end: by
-# its law small indenters and scaled loads of 50 N reach 1.7, and their force is what was put on.
-FARTHEST, FARTHEST_LINEAR = 1.0, 2.0
-# Markers that hardly sink stay in their order: presses, drags and twists as far as friction holds
-# change their distance along the line that joins them to 0.5 to 1.6 of what it was.  Markers that
-# change places have 0 or less, and a marker that is taken for the next one leaves 2 on its other
-# side.  Deeper in, steep flanks part them farther.
-MOST_CHANGED, SHALLOW = 0.8, 0.15
-# What no force explains, over the distance of the markers: of all together (root mean square), and
-# between two neighbours.  Contacts leave 0.01, hand-made fields that no gel shows 0.03; a numbering
-# that is off by one leaves 0.1 to 0.4 of the whole, and up to 1 where it begins.
-UNEXPLAINED, UNEXPLAINED_STEP = 0.1, 1 / 3
-# A gel that is bonded to its base tears open inside at a tension of 5/6 of Young's modulus (Gent
-# and Lindley 1958), and what holds on to it by suction lets go at the pressure of the air.
-TEARS_AT, AIR_PA = 5 / 6, 101325.0
+# Largest displacement of a marker over the thickness of the gel at the apex.  The base is rigid, so
+# nothing is pressed deeper.
+MAX_DISPLACEMENT_RATIO = 1.0
+# A gel that is described as linear has no such limit: by its law small indenters and scaled loads
+# of 50 N reach 1.7, and their force is right.
+MAX_LINEAR_DISPLACEMENT_RATIO = 2.0
+# Markers that hardly sink stay in their order: presses, drags and twists up to the limit of
+# friction change the distance of neighbours, along their line, to 0.5 to 1.6 of what it was.
+# Exchanged markers have 0 or less, and a marker taken for the next one leaves 2 on its other side.
+MAX_DISTANCE_CHANGE = 0.8
+# Depth over the thickness below which this holds: steep flanks separate deeper markers.
+MAX_SHALLOW_RATIO = 0.15
+# Residual that no force explains, over the distance of the markers: root mean square of all.
+# Contacts leave 0.01, invented fields that no gel shows 0.03; a numbering that is off by one leaves
+# 0.1 to 0.4.
+MAX_RESIDUAL_PITCHES = 0.1
+# Between two neighbours; a numbering that is off by one leaves up to 1 where it begins.
+MAX_RESIDUAL_STEP_PITCHES = 1 / 3
+# A gel that is bonded to its base tears inside at this tension over Young's modulus (Gent and
+# Lindley 1958).
+TEARING_TENSION_RATIO = 5 / 6
+# An object that adheres by suction lets go at the pressure of the air, Pa.
+AIR_PRESSURE_PA = 101325.0
 
 # To be raised with every change that alters the arrays of the same sensor.
 VERSION = 4
@@ -73,15 +80,17 @@ SMOOTHING_LENGTH = 1.5e-3
 MOST_MARKERS = 20
 # Ways in which loads outside move the markers that count; later ones are a tenth as strong.
 MODES = 40
-# Variances of the forces inside and outside that are tried, each times its largest response.
-INSIDE, OUTSIDE = np.logspace(1, 8, 8), np.logspace(1, 9, 17)
+# Prior variances that are tried for the forces inside and outside, each times its largest response.
+INSIDE_VARIANCES = np.logspace(1, 8, 8)
+OUTSIDE_VARIANCES = np.logspace(1, 9, 17)
 # Of a rigid motion less than this share is rounding: it belongs to one parity alone.
 LEAST_RIGID = 1e-9
 # Share of the displacements without which it is not determined.
 LEAST_KNOWN = 0.7
-# Logarithm of how much likelier a force outside must make the frame.  Noise alone reaches 1 in
-# 100 frames; the mesh is wrong by a share of the displacement, which loads outside explain in part.
-LEAST_EVIDENCE, MODEL_ERROR = 10.0, 2e-3
+# Log Bayes factor from which a force outside is reported.  Noise alone reaches 1 in 100 frames.
+MIN_LOG_EVIDENCE = 10.0
+# Error of the mesh as a share of the displacement, which loads outside explain in part.
+MODEL_ERROR_SHARE = 2e-3
 
 
 class Plausibility:
@@ -94,15 +103,19 @@ class Plausibility:
         elastomer, pattern = sensor.elastomer, sensor.pattern
         thickness = elastomer.size[2]
         linear = elastomer.model == "linear"
-        self._farthest = float(thickness * (FARTHEST_LINEAR if linear else FARTHEST))
-        self._shallow = float(thickness * SHALLOW)
+        self._farthest = float(
+            thickness * (MAX_LINEAR_DISPLACEMENT_RATIO if linear else MAX_DISPLACEMENT_RATIO)
+        )
+        self._shallow = float(thickness * MAX_SHALLOW_RATIO)
         self._pitch = float(pattern.pitch)
         self._rest = _rest(pattern, markers)
         area = float(np.prod(markers.extent))
         # Gent's stiffness of a bonded layer: pressed on all over, it gives way all through at this.
         wide = np.sqrt(area) / (4 * thickness)
         self._most_pressed = float(elastomer.young * (1 + 2 * wide**2) * area)
-        self._most_pulled = float(min(TEARS_AT * elastomer.young, AIR_PA) * area)
+        self._most_pulled = float(
+            min(TEARING_TENSION_RATIO * elastomer.young, AIR_PRESSURE_PA) * area
+        )
         # Compiled here, before the first frame.
         nothing = np.zeros_like(self._rest)
         self.allows_displacement(nothing)
@@ -134,7 +147,7 @@ def _keeps_order(moved: Array, rest: Array, farthest: float, shallow: float) -> 
     """As Plausibility.allows_displacement; rest (rows, cols, 3) m."""
     # Of one view the depth is not known, nor is it needed here; but without the depth steep flanks
     # are not known either: only what changes places is refused.
-    most = 1.0 if np.isnan(moved[..., 2]).all() else MOST_CHANGED
+    most = 1.0 if np.isnan(moved[..., 2]).all() else MAX_DISTANCE_CHANGE
     rows, cols = moved.shape[:2]
     for i in range(rows):
         for j in range(cols):
@@ -185,7 +198,7 @@ def _can_bear(
 def _is_explained(unexplained: Array, pitch: float) -> bool:
     """Whether little is left of the displacement, of all together and between neighbours."""
     rows, cols = unexplained.shape[:2]
-    total, count, most = 0.0, 0, UNEXPLAINED_STEP * pitch
+    total, count, most = 0.0, 0, MAX_RESIDUAL_STEP_PITCHES * pitch
     for i in range(rows):
         for j in range(cols):
             for c in range(3):
@@ -198,7 +211,7 @@ def _is_explained(unexplained: Array, pitch: float) -> bool:
                     return False
                 if c < 2 and j + 1 < cols and abs(unexplained[i, j + 1, c] - left) > most:
                     return False
-    return total <= (UNEXPLAINED * pitch) ** 2 * count
+    return total <= (MAX_RESIDUAL_PITCHES * pitch) ** 2 * count
 
 
 def _rest(pattern: Pattern, markers: SurfaceGrid) -> Array:
@@ -251,8 +264,8 @@ class BorderContact:
         names = [f"basis_{number}" for number in range(len(folds))]
         shapes: dict[str, tuple[int, ...]] = {
             "inside": (total,),
-            "modes": (len(INSIDE), self._modes, total),
-            "outside": (len(INSIDE), self._modes),
+            "modes": (len(INSIDE_VARIANCES), self._modes, total),
+            "outside": (len(INSIDE_VARIANCES), self._modes),
         }
         for name, rows, fold in zip(names, free, folds, strict=True):
             shapes[name] = rows, fold.shape[1]
@@ -269,8 +282,8 @@ class BorderContact:
             shape=(len(self._rows), 3 * elastic.markers.rows * elastic.markers.cols),
         )
         self._fold = SparseRows(sparse.hstack(folds).T @ in_noise)
-        inside = 1 + INSIDE[:, None] * arrays["inside"]
-        outside_part = OUTSIDE[:, None, None] * arrays["outside"]
+        inside = 1 + INSIDE_VARIANCES[:, None] * arrays["inside"]
+        outside_part = OUTSIDE_VARIANCES[:, None, None] * arrays["outside"]
         # Rounded to 1e-7 of the displacement, a thousandth of the noise.
         self._explanations = _Explanations(
             tuple(arrays[name].astype(np.float32) for name in names),
@@ -325,7 +338,9 @@ class BorderContact:
             inside = np.concatenate(strength)
             inside = np.maximum(inside / inside.max(), 0.0)
             response = np.concatenate(moved)
-            modes = [_strongest(response, 1 + size * inside, self._modes) for size in INSIDE]
+            modes = [
+                _strongest(response, 1 + size * inside, self._modes) for size in INSIDE_VARIANCES
+            ]
         of_modes = np.stack([part for _, part in modes])
         return {
             **bases,
@@ -354,7 +369,7 @@ def _is_outside_likelier(folded: Array, weighed: _Explanations) -> bool:
     alone = _log_evidence(misfit, weighed.volume, len(parts)).max()
     volume = weighed.volume + weighed.more_volume
     both = _log_evidence(misfit - explained, volume, len(parts)).max()
-    return bool(both - alone > LEAST_EVIDENCE + 0.5 * MODEL_ERROR**2 * squares.sum())
+    return bool(both - alone > MIN_LOG_EVIDENCE + 0.5 * MODEL_ERROR_SHARE**2 * squares.sum())
 
 
 def _log_evidence(misfit: Array, volume: Array, count: int) -> Array:

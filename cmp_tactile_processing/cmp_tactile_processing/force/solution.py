@@ -39,17 +39,21 @@ ANY_DIRECTION = 5 / 3
 
 Grid = TypeVar("Grid", NDArray[np.float64], NDArray[np.bool_])
 
-# Steps from the scale of the first pass to the contact's own, mostly none or one; that of a wide
-# contact is nearly the first pass's.
-SCALE_STEPS, WIDE_STEPS = 3, 1
-# Of the largest force around a node, what the shape of the hats leaves open of its own along z, as
-# contacts solved on finer nodes show it, and of that the share along x and y.
-UNSEEN_SHARE, UNSEEN_COMPONENTS = 0.02, (0.5, 0.5, 1.0)
+# Steps from the scale of the first pass to the contact's own; mostly none or one is needed.
+MAX_SCALE_STEPS = 3
+# That of a wide contact is nearly the first pass's.
+WIDE_SCALE_STEPS = 1
+# The hats leave a node's own force open: its standard deviation along z as a share of the largest
+# force around the node, from contacts solved on finer nodes, and factors of that along x, y, z.
+NODE_STD_SHARE = 0.02
+NODE_STD_BY_AXIS = (0.5, 0.5, 1.0)
 # Weight of the first pass that the deviations of a wrench at rest hold for.
 REST_WEIGHT = 1e-6
-# The second pass has left something out where it leaves so many times the first one's misfit,
-# squared; else it is mostly below 1.1.  What it left out is added so often at most.
-LEFT_OUT, ADDED = 1.2, 2
+# The second pass lacks nodes if it leaves more than this many times the first pass's squared
+# misfit; else the ratio is mostly below 1.1.
+MAX_SECOND_PASS_RATIO = 1.2
+# So often nodes are added at most.
+MAX_ADDITIONS = 2
 # Markers that no force has moved, as those of another reference, are explained by weak loads on the
 # whole surface; so is a gel that does not quite follow the model.  So nodes are added only if
 # - the second pass leaves at most this share of the displacement beside the noise,
@@ -271,7 +275,7 @@ class ForceSolver:
     def _with_its_scale(self, posterior: TractionPosterior, seen: SeenData) -> TractionPosterior:
         """The posterior for the sizes and the noise that it shows itself."""
         wide = self._second.is_wide(posterior.nodes)
-        for _ in range(WIDE_STEPS if wide else SCALE_STEPS):
+        for _ in range(WIDE_SCALE_STEPS if wide else MAX_SCALE_STEPS):
             weights = self._second.likelier(posterior, seen)
             if weights == posterior.weights:
                 break
@@ -288,8 +292,8 @@ class ForceSolver:
         leaves over does not ring, and shows them.
         """
         second_pass = posterior
-        for _ in range(ADDED):
-            if posterior.noise_squared <= LEFT_OUT * first.noise_squared:
+        for _ in range(MAX_ADDITIONS):
+            if posterior.noise_squared <= MAX_SECOND_PASS_RATIO * first.noise_squared:
                 return posterior
             mask = self._with_more(first, posterior, seen)
             if mask is None:
@@ -394,7 +398,7 @@ def _deviations(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants 
     for n in range(len(force)):
         for c in range(3):
             known = noise_squared * variance[n, c] if near[n] else alone[n] ** 2
-            std[n, c] = np.sqrt(known + (UNSEEN_SHARE * around[n] * UNSEEN_COMPONENTS[c]) ** 2)
+            std[n, c] = np.sqrt(known + (NODE_STD_SHARE * around[n] * NODE_STD_BY_AXIS[c]) ** 2)
     return std
 
 

@@ -40,8 +40,9 @@ TANGENTIAL_SHARE = 0.5
 
 # Weights that are tried, relative to the largest eigenvalue.
 WEIGHTS = np.logspace(-9, 1, 51)
-# Missing data: the filled-in values settle in so many steps at most, to this share of the noise.
-FILL_STEPS, FILL_TOLERANCE = 40, 0.05
+# Steps in which the values filled in for missing data settle, to this share of the noise.
+MAX_FILL_STEPS = 40
+FILL_TOLERANCE_NOISE = 0.05
 
 
 def nodal_force_matrix(nodes: SurfaceGrid) -> NDArray[np.float64]:
@@ -305,8 +306,8 @@ def _left_out(in_modes: NDArray[np.float32], gain: Array, modes: Array) -> NDArr
     single = gain.astype(np.float32)
     residual = direction = in_modes @ (gain * modes).astype(np.float32)
     power, filled = float(residual @ residual), np.zeros_like(residual)
-    enough = FILL_TOLERANCE**2 * len(residual)
-    for _ in range(FILL_STEPS):
+    enough = FILL_TOLERANCE_NOISE**2 * len(residual)
+    for _ in range(MAX_FILL_STEPS):
         if power <= enough:
             break
         image = direction - in_modes @ (single * (direction @ in_modes))

@@ -33,9 +33,11 @@ ITERATIONS = 12
 CONVERGED = 1e-4
 # Of the pressure's peak: levels below which the pressure belongs to the sliding rim.
 LEVELS = np.concatenate([np.linspace(0.1, 0.9, 17), [0.94, 0.97, 0.99, 1.0]])
-# Under Hertz's pressure half of the normal force slides where a shear is spread so widely; below
-# 0.35 of it a pressure is no longer like his (0.5 to 0.6 under balls and rods, 0.2 under a box).
-HALF_WIDTH, LEAST_AT_HALF = 1.18, 0.35
+# Under Hertz's pressure half of the normal force slides where a shear is spread so widely.
+HERTZ_HALF_WIDTH = 1.18
+# Below this slip ratio there, the pressure is not like Hertz's: balls and rods have 0.5 to 0.6, a
+# box 0.2.
+MIN_HERTZ_SLIP_RATIO = 0.35
 TINY = 1e-12
 
 # Fewer nodes than these have no rim that could be distinguished from a core.
@@ -97,7 +99,9 @@ class SlipProfile:
 
         Under a flat face it does not: the traction of a stuck one is spread like its pressure.
         """
-        return float(np.interp(-HALF_WIDTH, -self.width, self.slip_ratio)) > LEAST_AT_HALF
+        return (
+            float(np.interp(-HERTZ_HALF_WIDTH, -self.width, self.slip_ratio)) > MIN_HERTZ_SLIP_RATIO
+        )
 
 
 @dataclass(frozen=True)

@@ -30,37 +30,40 @@ MIN_NORMAL_GROWTH = 1.05
 MAX_STICKING_STEEPNESS_RATIO = 1.2
 # A larger change of the ratio starts the test again.
 MAX_RATIO_CHANGE = 0.05
-# What was taken for sliding was none where the friction used rises beyond it by this share.
-EXCEEDED = 0.1
-# A load has turned, and sliding has ended, where so much of the friction used is given back.
-GIVEN_BACK = 0.07
-# Spread of traction over that of pressure, below which nothing explains it.
-LEAST_WIDTH = 0.8
-# A traction that is so much wider or narrower than the pressure is not in one ratio everywhere.
-UNEVEN = 0.15
-# Frames over which the friction used must have stopped to rise, and by what share it may rise.
-STEADY_FRAMES, STEADY_SHARE = 3, 0.02
+# Sliding is revoked if the friction ratio later rises by more than this share: a sliding contact
+# cannot carry more.
+REVOKED_ABOVE_SHARE = 0.1
+# Sliding has ended and the load has reversed if the friction ratio falls by this share.
+MIN_RELEASED_SHARE = 0.07
+# Spread of traction over that of pressure; a smaller ratio is not explained by slip.
+MIN_WIDTH_RATIO = 0.8
+# The ratio of traction to pressure is not uniform if their widths differ by more than this share.
+MAX_UNIFORM_WIDTH_DIFFERENCE = 0.15
+# The friction ratio is steady if over so many frames it rises by at most this share.
+STEADY_FRAMES = 3
+MAX_STEADY_RISE = 0.02
 # Radii by which a contact may travel over the gel before its history is no longer its own.
 FARTHEST = 0.5
-# Sliding frames that the friction coefficient is taken from.
-REMEMBERED = 30
-# Share by which the friction coefficient may be wrong for reasons other than noise: of what
-# slides as a whole, and as foreseen while a core sticks.
-SLIDING_ERROR, FORESEEN_ERROR = 0.025, 0.1
+# Sliding frames that the friction coefficient is computed from.
+MAX_SLIDING_FRAMES = 30
+# Relative error of the friction coefficient beside noise: of a contact that slides as a whole,
+SLIDING_ERROR_SHARE = 0.025
+# and predicted while its core sticks.
+PREDICTED_ERROR_SHARE = 0.1
 # Slip ratio above which the friction coefficient of the rim is reported.
-FORESEEN_FROM = 0.5
+MIN_PREDICTED_SLIP_RATIO = 0.5
 DEVIATIONS = 3.0
 
 UNKNOWN = SlipEstimate()
 
-# Share of nodes that a contact must have in common with an earlier one to be the same.
-SAME_SHARE = 0.3
-# Frames in which a contact, or the whole surface, may be lost and its history is kept.
-FORGOTTEN_AFTER = 5
+# Contacts are the same if they have at least this share of their nodes in common.
+MIN_COMMON_NODES_SHARE = 0.3
+# The history of a contact is kept over at most this many frames without it, or without the surface.
+MAX_MISSED_FRAMES = 5
 # Share of the measured markers around a contact's nodes below which its slip is not determined.
 LEAST_KNOWN = 0.7
-# Contacts with less of the normal force than this do not make all of them unknown.
-SLIGHT_SHARE = 0.1
+# An unknown contact with less than this share of the normal force does not make all unknown.
+MAX_IGNORED_FORCE_SHARE = 0.1
 
 
 class ContactTrack:
@@ -84,7 +87,7 @@ class ContactTrack:
         self._peak: tuple[float, float, TractionRecord] | None = None
         self._recent: deque[float] = deque(maxlen=STEADY_FRAMES)
         self._sliding = False
-        self._slid: deque[float] = deque(maxlen=REMEMBERED)
+        self._slid: deque[float] = deque(maxlen=MAX_SLIDING_FRAMES)
         self._friction = float("nan")
 
     def judge(self, patch: ContactPatch | None) -> SlipEstimate:
@@ -121,17 +124,17 @@ class ContactTrack:
         return self._estimate(patch, reach)
 
     def _friction_kept(self, patch: ContactPatch) -> float:
-        return (1 - GIVEN_BACK) * self._friction - DEVIATIONS * patch.ratio_std
+        return (1 - MIN_RELEASED_SHARE) * self._friction - DEVIATIONS * patch.ratio_std
 
     def _friction_at_most(self, patch: ContactPatch) -> float:
-        return (1 + EXCEEDED) * self._friction + DEVIATIONS * patch.ratio_std
+        return (1 + REVOKED_ABOVE_SHARE) * self._friction + DEVIATIONS * patch.ratio_std
 
     def _slides(self, patch: ContactPatch) -> SlipEstimate:
         self._sliding = True
         self._slid.append(patch.use.ratio)
         self._friction = median(self._slid)
         scatter = 1.4826 * median(abs(ratio - self._friction) for ratio in self._slid)
-        error = SLIDING_ERROR * self._friction
+        error = SLIDING_ERROR_SHARE * self._friction
         std = hypot(scatter / sqrt(len(self._slid)), patch.ratio_std, error)
         self._peak = patch.use.ratio, 0.0, patch.record()
         return SlipEstimate(SlipState.FULL, 1.0, 0.0, self._friction, std)
@@ -153,7 +156,7 @@ class ContactTrack:
             rise = float(np.linalg.norm(patch.along.sum(axis=0) - along))
             steepness = rise / (patch.normal_force - normal)
             if steepness < MAX_STICKING_STEEPNESS_RATIO * max(patch.use.ratio, least):
-                below = patch.use.ratio < (1 - GIVEN_BACK) * self._friction
+                below = patch.use.ratio < (1 - MIN_RELEASED_SHARE) * self._friction
                 self._anchor_at(patch, known=self._known or bool(below))
             self._level_at(patch)
         elif patch.normal_force < normal or abs(patch.use.ratio - ratio) > MAX_RATIO_CHANGE:
@@ -164,7 +167,7 @@ class ContactTrack:
         if self._peak is None:
             return False
         ratio, load, record = self._peak
-        lost = max(GIVEN_BACK * ratio, DEVIATIONS * patch.ratio_std)
+        lost = max(MIN_RELEASED_SHARE * ratio, DEVIATIONS * patch.ratio_std)
         enough = ratio > self._parameters.min_traction_ratio
         turned = enough and reach.ratio < ratio - lost and reach.ratio * patch.normal_force < load
         if turned:
@@ -179,7 +182,7 @@ class ContactTrack:
         if patch.use.ratio >= self._friction_kept(patch):
             return self._slides(patch)
         if reach.ratio < max(self._parameters.min_traction_ratio, DEVIATIONS * patch.ratio_std):
-            uneven = abs(patch.use.width - 1) > UNEVEN
+            uneven = abs(patch.use.width - 1) > MAX_UNIFORM_WIDTH_DIFFERENCE
             known = self._known or uneven
             return SlipEstimate(SlipState.STICK, 0.0) if known else UNKNOWN
         if not self._shows(patch, reach):
@@ -194,10 +197,10 @@ class ContactTrack:
                 return SlipEstimate(SlipState.STICK, slip_ratio)
         friction = std = float("nan")
         if np.isfinite(self._friction):
-            friction, std = self._friction, SLIDING_ERROR * self._friction
-        elif slip_ratio >= FORESEEN_FROM and self._from_nothing:
+            friction, std = self._friction, SLIDING_ERROR_SHARE * self._friction
+        elif slip_ratio >= MIN_PREDICTED_SLIP_RATIO and self._from_nothing:
             friction = reach.ratio / used
-            std = float(np.hypot(FORESEEN_ERROR * friction, patch.ratio_std))
+            std = float(np.hypot(PREDICTED_ERROR_SHARE * friction, patch.ratio_std))
         return SlipEstimate(SlipState.INCIPIENT, slip_ratio, 0.0, friction, std)
 
     @property
@@ -210,13 +213,13 @@ class ContactTrack:
         anchor = self._anchor
         travelled = 0.0 if anchor is None else float(np.linalg.norm(patch.centre - anchor.centre))
         near = travelled < FARTHEST * patch.radius
-        return near and patch.profile.is_rounded and reach.width > LEAST_WIDTH
+        return near and patch.profile.is_rounded and reach.width > MIN_WIDTH_RATIO
 
     def _is_steady(self, patch: ContactPatch) -> bool:
         """Whether the friction used no longer rises and, where it once slid, is as high as then."""
         if len(self._recent) < STEADY_FRAMES or patch.use.ratio < self._friction_kept(patch):
             return False
-        limit = max(STEADY_SHARE * patch.use.ratio, DEVIATIONS * patch.ratio_std)
+        limit = max(MAX_STEADY_RISE * patch.use.ratio, DEVIATIONS * patch.ratio_std)
         return patch.use.ratio - min(self._recent) < limit
 
 
@@ -289,7 +292,7 @@ class SlipObserver:
         free, found = list(self._tracks), []
         for contact in contacts:
             shares = [_overlap(track.mask, contact.nodes) for track in free]
-            if shares and max(shares) >= SAME_SHARE:
+            if shares and max(shares) >= MIN_COMMON_NODES_SHARE:
                 track = free.pop(int(np.argmax(shares)))
             else:
                 track = ContactTrack(self._parameters)
@@ -305,7 +308,7 @@ class SlipObserver:
     def _lose(self, tracks: Sequence[ContactTrack]) -> None:
         for track in tracks:
             track.missed += 1
-        self._tracks = [track for track in tracks if track.missed <= FORGOTTEN_AFTER]
+        self._tracks = [track for track in tracks if track.missed <= MAX_MISSED_FRAMES]
 
 
 def _overlap(mask: NDArray[np.bool_] | None, nodes: NDArray[np.intp]) -> float:
@@ -339,7 +342,7 @@ def _summed(slips: Sequence[SlipEstimate], normal_force: NDArray[np.float64]) ->
     known = states != SlipState.UNKNOWN
     sliding = (states == SlipState.FULL) | (states == SlipState.INCIPIENT)
     if not known.any() or (
-        weight[~known].sum() > SLIGHT_SHARE * weight.sum() and not sliding.any()
+        weight[~known].sum() > MAX_IGNORED_FORCE_SHARE * weight.sum() and not sliding.any()
     ):
         state = SlipState.UNKNOWN
     elif (states[known] == SlipState.FULL).all():

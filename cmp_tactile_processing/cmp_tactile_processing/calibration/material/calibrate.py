@@ -35,7 +35,7 @@ from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.contact_regions import material_covariance
-from cmp_tactile_processing.force.model import LINEAR_DOUBT, ForceModel
+from cmp_tactile_processing.force.model import LINEAR_STD_PER_DEPTH_RATIO, ForceModel
 from cmp_tactile_processing.measured import ForceField, Status
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -462,11 +462,11 @@ def load_findings(sensor: SensorDescription, samples: Sequence[LoadSample]) -> l
     depth = max(float(np.nanmax(np.abs(sample.displacement[..., 2]))) for sample in samples)
     share = depth / sensor.elastomer.size[2]
     corrected = choice == "on" or (choice == "auto" and neo_hookean)
-    if not corrected and LINEAR_DOUBT * share > STRAIN_ERROR:
+    if not corrected and LINEAR_STD_PER_DEPTH_RATIO * share > STRAIN_ERROR:
         text = (
             f"Loads press the gel by up to {depth * 1e3:.2g} mm, {share:.1%} of its thickness, and "
             "the gel is modelled as linear. If it is rubber-like, forces are wrong by up to "
-            f"{LINEAR_DOUBT * share:.0%} (limit {STRAIN_ERROR:.0%})."
+            f"{LINEAR_STD_PER_DEPTH_RATIO * share:.0%} (limit {STRAIN_ERROR:.0%})."
         )
         advice = (
             "For a silicone gel set elastomer.model to neo_hookean and do not set "
