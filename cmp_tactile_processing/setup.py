@@ -14,7 +14,13 @@ node_classes = {
 }
 
 # Only what has no rosdep key; package.xml names the rest.
-requirements = ["scikit-fem>=10", "simplejpeg>=1.7", "threadpoolctl>=3"]
+requirements = [
+    "filelock>=3.13",
+    "platformdirs>=4",
+    "scikit-fem>=10",
+    "simplejpeg>=1.7",
+    "threadpoolctl>=3",
+]
 excluded = ["test", "test.*"]
 index = [
     ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),

@@ -44,8 +44,10 @@ COME_WITH = {"llvmlite": "numba"}
 WITHOUT_ROSDEP_KEY = {
     "linuxpy": "linuxpy",
     "distributed": "distributed",
+    "filelock": "filelock",
     "joblib": "joblib",
     "mcap": "mcap",
+    "platformdirs": "platformdirs",
     "pyarrow": "pyarrow",
     "simplejpeg": "simplejpeg",
     "skfem": "scikit-fem",

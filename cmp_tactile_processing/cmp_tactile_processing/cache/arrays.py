@@ -1,13 +1,12 @@
 """Arrays that take long to compute, kept in the user's cache folder.
 
-Nothing is taken from a cache that another user has written, or may have.
+Nothing is taken from a folder that another user can write.
 """
 
 from __future__ import annotations
 
 import json
 import logging
-import os
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
@@ -22,7 +21,7 @@ from cmp_tactile_processing.cache import files
 LOGGER = logging.getLogger(__name__)
 
 Arrays = dict[str, NDArray[np.float64]]
-# What reading a damaged, stale or foreign file raises.
+# What reading a damaged or stale file raises.
 UNUSABLE = (OSError, EOFError, ValueError, KeyError, MemoryError, zipfile.BadZipFile)
 
 
@@ -43,8 +42,7 @@ def cached_arrays(
     folder = files.default_cache_dir() if folder is None else Path(folder)
     path = folder / f"{name}-{files.digest(text)[:32]}.npz"
     try:
-        if reason := files.own_folder(folder):
-            LOGGER.warning("%s: %s: removed the access of other users", folder, reason)
+        files.own_folder(folder)
     except OSError as error:
         LOGGER.warning("%s: not cached, will be built again next time: %s", folder, error)
         return build()
@@ -69,11 +67,8 @@ def cached_arrays(
 
 
 def _read(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> Arrays:
-    with path.open("rb") as file:
-        if reason := files.why_foreign(os.fstat(file.fileno())):
-            raise ValueError(reason)
-        with np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in shapes}
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in shapes}
     for name, array in arrays.items():
         if (array.shape, array.dtype) != (shapes[name], np.dtype(np.float64)):
             msg = f"{name}: found {array.dtype} {array.shape}, expected float64 {shapes[name]}"

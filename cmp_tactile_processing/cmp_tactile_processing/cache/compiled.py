@@ -69,7 +69,7 @@ def use_cache_of_these_sources() -> None:
     try:
         # What numba keeps is code, which is run.
         if installed is not None or not _is_safely_made_later(folder):
-            files.own_contents(folder)
+            files.own_folder(folder)
             folder.touch()
             _remove_oldest(folder.parent)
     except OSError as error:

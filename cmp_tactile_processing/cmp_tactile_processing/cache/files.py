@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import functools
 import hashlib
-import logging
 import math
 import os
 import secrets
 import shutil
 import stat
 import tempfile
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+
+import platformdirs
+from filelock import FileLock
 
 from cmp_tactile_processing.errors import InputError
 
-LOGGER = logging.getLogger(__name__)
-
 READ_BYTES = 1 << 20
-SECONDS_BETWEEN_TRIES = 0.05
 
 
 def default_cache_dir() -> Path:
@@ -30,23 +27,21 @@ def default_cache_dir() -> Path:
 
     A user without a home (`docker run --user 2000`) has a folder below that of temporary files.
     """
-    return _own_folder("XDG_CACHE_HOME", ".cache")
+    return _user_folder(platformdirs.user_cache_path)
 
 
 def config_dir() -> Path:
     """$XDG_CONFIG_HOME/cmp_tactile, or ~/.config/cmp_tactile; without a home as for the cache."""
-    return _own_folder("XDG_CONFIG_HOME", ".config")
+    return _user_folder(platformdirs.user_config_path)
 
 
-def _own_folder(variable: str, in_home: str) -> Path:
-    base = Path(os.environ.get(variable, ""))
-    # The XDG specification says that a relative path is to be ignored.
-    if not base.is_absolute():
-        try:
-            base = Path.home() / in_home
-        except RuntimeError:
-            base = folder_without_home()
-    return base / "cmp_tactile"
+def _user_folder(path_for: Callable[[str], Path]) -> Path:
+    with contextlib.suppress(RuntimeError):
+        folder = path_for("cmp_tactile")
+        # Old versions return a relative path where there is no home folder.
+        if folder.is_absolute():
+            return folder
+    return folder_without_home() / "cmp_tactile"
 
 
 def expanded_path(path: str | Path) -> Path:
@@ -83,17 +78,12 @@ def split_paths(text: str) -> list[Path]:
 @functools.cache
 def folder_without_home() -> Path:
     """A folder of this user's among temporary files, where others may have made one of its name."""
-    base = Path(tempfile.gettempdir()) / f"cmp_tactile_{os.geteuid()}"
-    try:
-        with contextlib.suppress(FileExistsError):
-            base.mkdir(0o700)
-        status = base.lstat()
-        is_own = status.st_uid == os.geteuid() and not status.st_mode & 0o022
-        if stat.S_ISDIR(status.st_mode) and is_own:
-            return base
-        return Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
-    except OSError:
-        return base  # who writes there reports it
+    folder = Path(tempfile.gettempdir()) / f"cmp_tactile_{os.geteuid()}"
+    with contextlib.suppress(OSError):
+        if not folder.is_symlink():
+            own_folder(folder)
+            return folder
+    return Path(tempfile.mkdtemp(prefix="cmp_tactile_"))
 
 
 @contextlib.contextmanager
@@ -142,24 +132,11 @@ def locked(path: Path, wait_s: float = math.inf) -> Iterator[None]:
 
     Raises TimeoutError where another process still holds it after wait_s.
     """
-    last_s = time.monotonic() + wait_s
-    while True:
-        with path.open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() >= last_s:
-                    msg = f"{path}: locked by another process"
-                    raise TimeoutError(msg) from None
-            else:
-                # Where its last holder has removed the file, this locks nothing.
-                if os.fstat(file.fileno()).st_nlink:
-                    try:
-                        yield
-                    finally:
-                        path.unlink(missing_ok=True)
-                    return
-        time.sleep(SECONDS_BETWEEN_TRIES)
+    with FileLock(path, timeout=wait_s):
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
 
 
 def digest(content: str | bytes) -> str:
@@ -178,8 +155,18 @@ def files_digest(files: Iterable[tuple[str, Path]]) -> str:
     return total.hexdigest()
 
 
+def own_folder(folder: Path) -> None:
+    """Make a folder for this user alone.
+
+    Raises OSError where it cannot be made, PermissionError where others can write into it.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if reason := why_foreign(folder.stat()):
+        raise PermissionError(f"{reason}: not used as a cache")
+
+
 def why_foreign(status: os.stat_result) -> str:
-    """Why a file or folder is not this user's alone; empty where it is.
+    """Why a folder is not this user's alone; empty where it is.
 
     What root owns is trusted, and so is the user's own group, in which nobody else is as a rule.
     """
@@ -187,44 +174,5 @@ def why_foreign(status: os.stat_result) -> str:
         return f"belongs to user {status.st_uid}"
     others = stat.S_IWOTH | (0 if status.st_gid == os.getegid() else stat.S_IWGRP)
     if status.st_mode & others:
-        return f"can be written by others (mode {stat.S_IMODE(status.st_mode):o})"
+        return f"can be written by others (mode {stat.S_IMODE(status.st_mode):o}; use chmod go-w)"
     return ""
-
-
-def own_folder(folder: Path) -> str:
-    """Make a folder for this user alone, or close one of this user's that others could write.
-
-    Returns why others could write there until now, so that what it holds may be theirs; else
-    nothing.  Raises OSError where it cannot be made, PermissionError where another user owns it.
-    """
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    status = folder.stat()
-    reason = why_foreign(status)
-    if reason and status.st_uid != os.geteuid():
-        msg = f"{reason}: not used as a cache"
-        raise PermissionError(msg)
-    if reason:
-        folder.chmod(status.st_mode & 0o700)
-    return reason
-
-
-def own_contents(folder: Path) -> None:
-    """As `own_folder`; empty where others may have written anything that it holds."""
-    reason = own_folder(folder)
-    # Nobody else gets into a folder that was made here.
-    if not reason and folder.stat().st_mode & 0o011:
-        reason = next(filter(None, map(_why_foreign_file, folder.rglob("*"))), "")
-    if reason:
-        LOGGER.warning("%s: %s: removed the access of other users and emptied it", folder, reason)
-        shutil.rmtree(folder)
-        folder.mkdir(mode=0o700)
-    elif folder.stat().st_uid == os.geteuid():
-        folder.chmod(0o700)
-
-
-def _why_foreign_file(path: Path) -> str:
-    try:
-        reason = why_foreign(path.stat()) if path.is_file() else ""
-    except FileNotFoundError:  # renamed or removed meanwhile
-        return ""
-    return reason and f"{path.name} {reason}"

@@ -18,7 +18,7 @@ from cmp_tactile_processing.cache.files import (
     expanded_path,
     folder_without_home,
     locked,
-    own_contents,
+    own_folder,
     split_paths,
 )
 from cmp_tactile_processing.errors import InputError
@@ -63,7 +63,7 @@ def test_a_lock_is_held_by_one_waited_for_and_removed(tmp_path):
     thread = threading.Thread(target=hold)
     thread.start()
     held.wait()
-    with pytest.raises(TimeoutError, match="lock: locked by another process"), locked(path, 0.0):
+    with pytest.raises(TimeoutError, match="lock"), locked(path, 0.0):
         pass
     began = time.monotonic()
     with locked(path):
@@ -85,22 +85,12 @@ def test_the_lock_of_a_process_that_was_killed_is_free(tmp_path):
         pass
 
 
-@pytest.mark.parametrize(
-    ("folder", "file", "kept"),
-    [(0o755, 0o644, 1), (0o700, 0o666, 1), (0o755, 0o666, 0), (0o777, 0o644, 0)],
-)
-def test_contents_that_others_may_have_written_are_removed(tmp_path, folder, file, kept, caplog):
-    place = tmp_path / "compiled" / "version"
-    own_contents(place)
-    assert place.stat().st_mode & 0o777 == 0o700
-    (place / "module").mkdir()
-    (place / "module" / "code").write_text("code")
-    (place / "module" / "code").chmod(file)
-    place.chmod(folder)
-    own_contents(place)
-    assert len(list(place.iterdir())) == kept
-    assert place.stat().st_mode & 0o777 == 0o700
-    assert len(caplog.records) == 1 - kept
+def test_a_folder_that_others_can_write_is_refused(tmp_path):
+    own_folder(tmp_path / "new" / "own")
+    assert (tmp_path / "new" / "own").stat().st_mode & 0o777 == 0o700
+    tmp_path.chmod(0o777)
+    with pytest.raises(PermissionError, match="mode 777; use chmod go-w"):
+        own_folder(tmp_path)
 
 
 def test_folder_follows_the_xdg_specification(monkeypatch, tmp_path):

@@ -233,7 +233,7 @@ def recording_of(
     place = (cache_dir or files.default_cache_dir()) / "recordings" / _key(scene)
     folder = place / scene.name
     try:
-        files.own_contents(place)
+        files.own_folder(place)
     except OSError as error:
         msg = f"{place}: {error}"
         raise OutputError(msg) from None
