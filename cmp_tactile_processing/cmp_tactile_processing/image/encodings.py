@@ -7,10 +7,9 @@ can, and read as cameras send it.
 from __future__ import annotations
 
 import logging
-import math
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -27,18 +26,11 @@ START_OF_IMAGE = b"\xff\xd8"
 IMAGE_STARTS = (START_OF_IMAGE, b"\x89PNG")
 END_OF_IMAGE = b"\xff\xd9"
 START_OF_SCAN = 0xDA
-RESTART_INTERVAL = 0xDD
-# Of baseline and extended sequential JPEG, which cameras send.
-SEQUENTIAL_FRAMES = (0xC0, 0xC1)
-BLOCK_PX = 8
 # The version of a TIFF with 64-bit offsets, and the tag of how to turn it for viewing.
 BIG_TIFF, ORIENTATION = 43, 274
-# Restart markers and the end of the image: what ends pixels.
-PIXEL_ENDS = (*range(0xD0, 0xD8), 0xD9)
-# Of pixels in reverse: bytes 0xff of their stream (0x00 follows each), or 0x00.
-FILL = re.compile(rb"(?:\x00\xff)+|\x00+(?!\xff)")
-# So many of the pixels' own last bytes can look like fill: two blocks without colour are 0x00.
-MOST_KEPT = 2
+# A byte 0xff of the pixels (0x00 follows each) is never the last of a picture in colour. Two bytes
+# 0x00 can be: two blocks without colour.
+FILL = re.compile(rb"(?:\xff\x00)+(?=\xff+[\xd0-\xd7\xd9])|(?<=\x00\x00)\x00+(?=\xff+\xd9)")
 
 # OpenCV names a mosaic by its second row, ROS by its first.
 BAYER = {
@@ -269,49 +261,26 @@ def decode_jpeg(
         raise FrameError(msg)
     target = "CMYK" if space in ("CMYK", "YCCK") else "GRAY" if grey or space == "Gray" else "BGR"
     try:
-        image = _decode_strictly(content, target)
-    except ValueError as error:
-        msg = f"{origin}: found a damaged JPEG of {len(content)} bytes ({error})"
-        raise FrameError(msg) from None
+        image = simplejpeg.decode_jpeg(content, target, strict=True)
+    except ValueError:
+        try:
+            image = simplejpeg.decode_jpeg(_without_fill(content), target, strict=True)
+        except ValueError as error:
+            msg = f"{origin}: found a damaged JPEG of {len(content)} bytes ({error})"
+            raise FrameError(msg) from None
     if target == "CMYK":
         flags = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
         flags |= cv2.IMREAD_IGNORE_ORIENTATION
         return np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), flags), np.uint8)
-    return image[..., 0] if target == "GRAY" else image
+    return np.asarray(image[..., 0] if target == "GRAY" else image, np.uint8)
 
 
-def _decode_strictly(content: bytes, target: str) -> NDArray[np.uint8]:
-    """Raises ValueError where libjpeg warns, also of the content without fill."""
-    problem = ""
-    for reading in _readings(content):
-        image, problem = _decoded(reading, target)
-        if image is not None:
-            return image
-    raise ValueError(problem)
+def _without_fill(content: bytes) -> bytes:
+    """The JPEG with its end, and without the bytes that fill up.
 
-
-def _decoded(content: bytes, target: str) -> tuple[NDArray[np.uint8] | None, str]:
-    """The image, or what libjpeg warns of first."""
-    try:
-        return np.asarray(simplejpeg.decode_jpeg(content, target, strict=True), np.uint8), ""
-    except ValueError as error:
-        return None, str(error)
-
-
-def _readings(content: bytes) -> Iterator[bytes]:
-    """As it is; without bytes 0xff that fill up; without all that fills up."""
-    yield content
-    segments, scan = _split(content)
-    frame = _frame(segments, scan)
-    if frame is None:
-        yield b"".join([*segments, scan])
-    else:
-        yield frame.without_fill(exactly=False)
-        yield frame.without_fill(exactly=True)
-
-
-def _split(content: bytes) -> tuple[list[bytes], bytes]:
-    """Segments of the header, without the bytes between them (ITU-T T.81, B.1.1.2); the scan."""
+    These are any bytes between segments of the header (ITU-T T.81, B.1.1.2), a byte 0xff at the end
+    of pixels (Logitech's cameras), and 0x00 before the end of the image.
+    """
     segments, at = [START_OF_IMAGE], content.find(b"\xff", 2)
     while 0 <= at < len(content) - 4 and content[at + 1] != START_OF_SCAN:
         after = at + 2 + int.from_bytes(content[at + 2 : at + 4], "big")
@@ -320,107 +289,7 @@ def _split(content: bytes) -> tuple[list[bytes], bytes]:
         else:
             segments.append(content[at:after])
         at = content.find(b"\xff", after)
-    return segments, content[at:] + END_OF_IMAGE
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """What a sequential frame of one scan is made of.
-
-    segments: of the header.  index: of the frame header in them.  pixels: with restart markers.
-    unit: width and height of a minimum coded unit (MCU), px.  across, down: number of units.
-    interval: units from one restart marker to the next.
-    """
-
-    segments: list[bytes]
-    index: int
-    scan_header: bytes
-    pixels: bytes
-    unit: tuple[int, int]
-    across: int
-    down: int
-    interval: int
-
-    def without_fill(self, *, exactly: bool) -> bytes:
-        """The JPEG without what fills up before restart markers and the end of the image.
-
-        Logitech's cameras add a byte 0xff where the pixels end with a whole byte.  exactly: 0x00,
-        too, and nothing that the pixels need, which takes longer to find out.
-        """
-        parts = _pixels_and_markers(self.pixels)
-        left = self.across * self.down
-        for number in range(0, len(parts) - 1, 2):
-            units = min(self.interval, left)
-            if units < 1:
-                break
-            parts[number] = self._least(parts[number], units if exactly else 0)
-            left -= units
-        return b"".join([*self.segments, self.scan_header, *parts])
-
-    def _least(self, pixels: bytes, units: int) -> bytes:
-        """Without 0xff that fill up; where units are given, the least that is enough for them."""
-        found = FILL.match(pixels[::-1]) if pixels.endswith(b"\x00") else None
-        if found is None:
-            return pixels
-        bare, fill = pixels[: -found.end()], pixels[-found.end() :]
-        step = 1 if fill.startswith(b"\x00") else 2
-        if not units:
-            return bare if step == 2 else pixels
-        least = (bare + fill[: step * kept] for kept in range(MOST_KEPT + 1))
-        return next((part for part in least if self._is_whole(part, units)), pixels)
-
-    def _is_whole(self, pixels: bytes, units: int) -> bool:
-        columns = math.gcd(units, self.across)
-        width, height = columns * self.unit[0], units // columns * self.unit[1]
-        segments, frame = self.segments.copy(), self.segments[self.index]
-        size = height.to_bytes(2, "big") + width.to_bytes(2, "big")
-        segments[self.index] = frame[:5] + size + frame[9:]
-        content = b"".join([*segments, self.scan_header, pixels, END_OF_IMAGE])
-        return _decoded(content, "GRAY")[0] is not None
-
-
-def _pixels_and_markers(scan: bytes) -> list[bytes]:
-    """In turn, without the bytes 0xff that may stand before a marker (ITU-T T.81, B.1.1.2)."""
-    data = np.frombuffer(scan, np.uint8)
-    is_marker = (data[:-1] == 0xFF) & np.isin(data[1:], PIXEL_ENDS)
-    parts, begin = list[bytes](), 0
-    for at in np.flatnonzero(is_marker).tolist():
-        parts += [scan[begin:at].rstrip(b"\xff"), scan[at : at + 2]]
-        begin = at + 2
-    return [*parts, scan[begin:]]
-
-
-def _frame(segments: list[bytes], scan: bytes) -> _Frame | None:
-    """None where it is no frame of one scan."""
-    kinds = [segment[1] for segment in segments]
-    index = next((i for i, kind in enumerate(kinds) if kind in SEQUENTIAL_FRAMES), None)
-    if index is None or len(segments[index]) < 13 or len(scan) < 5:
-        return None
-    frame = segments[index]
-    factors = frame[11::3]
-    if scan[4] != len(factors):
-        return None
-    # The only component has units of one block, whatever its factors.
-    in_x, in_y = (max(f >> 4 for f in factors), max(f & 15 for f in factors))
-    width, height = (BLOCK_PX * in_x, BLOCK_PX * in_y) if len(factors) > 1 else (BLOCK_PX, BLOCK_PX)
-    if not width or not height:
-        return None
-    across = math.ceil(int.from_bytes(frame[7:9], "big") / width)
-    down = math.ceil(int.from_bytes(frame[5:7], "big") / height)
-    interval = 0
-    if RESTART_INTERVAL in kinds:
-        interval = int.from_bytes(segments[kinds.index(RESTART_INTERVAL)][4:6], "big")
-    begin = 2 + int.from_bytes(scan[2:4], "big")
-    return _Frame(
-        segments,
-        index,
-        scan_header=scan[:begin],
-        pixels=scan[begin:],
-        unit=(width, height),
-        across=across,
-        down=down,
-        interval=interval or across * down,
-    )
+    return b"".join([*segments, FILL.sub(b"", content[at:] + END_OF_IMAGE)])
 
 
 def decode_compressed(
