@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 _SIGN_OF_LIFE_S = 15.0
+_LAST_LINES = 5
 
 
 class SetupError(Exception):
-    """Something that the user has to put right; its text is one line that says what and how."""
+    """Something that the user has to put right; its text says what and how."""
 
 
 def say(text: str) -> None:
@@ -32,6 +33,12 @@ def run_step(
     """
     with started_command(command, log, env, cwd) as process:
         return wait_for_step(title, process)
+
+
+def failure(title: str, log: Path) -> SetupError:
+    """The error of a step that failed, with the last lines of its log."""
+    lines = log.read_text(errors="replace").splitlines()[-_LAST_LINES:]
+    return SetupError("\n".join([f"{title} failed (log: {log})", *lines]))
 
 
 @contextmanager

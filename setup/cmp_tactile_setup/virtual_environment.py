@@ -18,24 +18,6 @@ _INCLUDE_FOLDERS = """
 import json, numpy, sysconfig
 print(json.dumps([sysconfig.get_path("include"), numpy.get_include()]))
 """
-_OTHER_FILE = r"(?m)^ +(\S.*) from ([^\s#]+)\S*(?: \(.*\))?:\n +Expected sha256 "
-_NETWORK = (
-    r"NewConnectionError|NameResolutionError|Temporary failure in name resolution|ConnectTimeout"
-    r"|ReadTimeout|ConnectionResetError|Connection refused|Could not fetch URL|ProxyError|SSLError"
-)
-# What pip writes, the clearest first, and what it means; {1}, {2}: the groups.
-_PIP_FAILURES = {
-    "No space left on device": "the disk is full: free 2 GB and run this again",
-    _OTHER_FILE: "{1}: found another sha256 of {2} than the locked one; nothing of this list was "
-    "installed. Run this again; if the error remains, check the index that pip uses",
-    _NETWORK: "the Python package registry cannot be reached: check the network, proxy and index "
-    "of pip, then run this again",
-    r"No matching distribution found for (\S+)": "{1}: found no file of it for Python {python} in "
-    "the registry of pip: use another Python, for example 'make build PYTHON=python3.12', or "
-    "another registry",
-    r"(?m)^ERROR: *(.*)$": "pip could not install the wheels: {1}",
-    "": "pip could not install the wheels: no reason given",
-}
 # Only what is locked is installed, and only as wheels: to install them runs nothing of theirs.
 # The lock is complete, so nothing is resolved: what a registry serves that day changes nothing.
 # The one library that has no wheel is built with the locked setuptools, not with a newer one.
@@ -141,14 +123,6 @@ def read_requirements(path: Path) -> list[tuple[str, str]]:
     return found
 
 
-def explain_pip_failure(output: str, log: Path) -> str:
-    """One line on why pip failed, from its output."""
-    found = ((re.search(pattern, output), meaning) for pattern, meaning in _PIP_FAILURES.items())
-    match, meaning = next((match, meaning) for match, meaning in found if match)
-    reason = meaning.format(match[0], *match.groups(), python=sys.version.split()[0])
-    return f"{reason} (log: {log})"
-
-
 def _requirements(layout: Layout) -> list[Path]:
     if layout.ros is not None:
         return [layout.requirements("requirements-with-ros.txt")]
@@ -173,8 +147,7 @@ def _make_venv(layout: Layout, env: Mapping[str, str], options: Sequence[str]) -
     command = [base_python, "-m", "venv", "--clear", *options, str(layout.venv)]
     if not steps.run_step("making a virtual environment", command, log, env, layout.root):
         shutil.rmtree(layout.venv, ignore_errors=True)
-        lines = log.read_text(errors="replace").strip().splitlines() or ["no reason given"]
-        raise steps.SetupError(f"making the virtual environment failed: {lines[-1]} (log: {log})")
+        raise steps.failure("making a virtual environment", log)
     # The wheels bring package.xml files, which a 'colcon build' by hand would take for sources.
     (layout.venv / "COLCON_IGNORE").touch()
 
@@ -212,7 +185,7 @@ def _pip_install(layout: Layout, what: Sequence[str], title: str, env: Mapping[s
     options = ("--no-compile", "--progress-bar", "off")
     command = [str(layout.venv_python), "-m", "pip", "install", *options, *what]
     if not steps.run_step(title, command, log, pip_env, layout.root):
-        raise steps.SetupError(explain_pip_failure(log.read_text(errors="replace"), log))
+        raise steps.failure(title, log)
 
 
 def _output_of(layout: Layout, arguments: Sequence[str], env: Mapping[str, str]) -> str | None:

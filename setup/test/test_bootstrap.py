@@ -63,7 +63,7 @@ def test_wheels_asked_for_beside_another_ros(checkout, tmp_path):
 
 
 def test_a_registry_that_cannot_be_reached(checkout, tmp_path):
-    """With no way to any index, pip's pages of retries become one line."""
+    """With no way to any index, the last lines of pip's pages are shown."""
     root = checkout("here")
     for locked in (root / "setup").glob("locked-*.txt"):
         locked.write_text(f"cmp-tactile-no-such-library==0 --hash=sha256:{'0' * 64}\n")
@@ -75,5 +75,8 @@ def test_a_registry_that_cannot_be_reached(checkout, tmp_path):
         "PIP_RETRIES": "1",
     }
     result = bootstrap(root, **nowhere)
-    assert_one_line(result, "registry cannot be reached", str(root / "log" / "pip.log"))
+    assert result.returncode == 1
+    assert f"failed (log: {root / 'log' / 'pip.log'})" in result.stderr
+    assert "cmp-tactile-no-such-library" in result.stderr
+    assert len(result.stderr.splitlines()) <= 6
     assert not (root / ".venv" / "cmp_tactile_wheels.json").exists()

@@ -1,7 +1,8 @@
-"""When a virtual environment counts as complete, and what is said when pip fails."""
+"""When a virtual environment counts as complete, and what is installed into it."""
 
 import hashlib
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -17,7 +18,6 @@ from cmp_tactile_setup.machine import PYTHON_NEWEST, PYTHON_OLDEST
 from cmp_tactile_setup.steps import SetupError, read_record, write_record
 
 SETUP = Path(__file__).resolve().parent.parent
-LOG = Path("/checkout/log/pip.log")
 PYTHONS = [f"3.{minor}" for minor in range(PYTHON_OLDEST[1], PYTHON_NEWEST[1] + 1)]
 
 
@@ -230,11 +230,8 @@ def test_uv_looks_where_pip_is_set_to(settings, variables):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (
-            f" --hash=sha256:{'0' * 64}",
-            r"^probe==1\.0: found another sha256 of \S+/probe-1\.0-\S+\.whl",
-        ),
-        ("", r"^pip could not install .*Hashes are required"),
+        (f" --hash=sha256:{'0' * 64}", r"probe==1\.0 from \S+/probe-1\.0-\S+\.whl"),
+        ("", "Hashes are required"),
     ],
 )
 def test_a_file_that_is_not_the_locked_one_is_not_installed(complete, index, options, said):
@@ -242,9 +239,9 @@ def test_a_file_that_is_not_the_locked_one_is_not_installed(complete, index, opt
     target = complete.root / "target"
     env = {**os.environ, **pip, "PIP_TARGET": str(target)}
     complete.requirements("locked-build.txt").write_text(f"probe==1.0{options}\n")
-    with pytest.raises(SetupError, match=said) as failure:
+    with pytest.raises(SetupError, match=r"build tools failed \(log: \S+/pip\.log\)") as failure:
         virtual_environment.update_wheels(complete, env)
-    assert "\n" not in str(failure.value)
+    assert re.search(said, str(failure.value))
     assert not target.exists()
     assert not complete.venv_record.exists()
 
@@ -266,29 +263,6 @@ def test_an_interpreter_that_was_upgraded_or_removed_is_noticed(complete, tmp_pa
     complete.venv_python.symlink_to(tmp_path / name)
     assert not virtual_environment.is_current(complete)
     assert virtual_environment.needs_another(complete)
-
-
-@pytest.mark.parametrize(
-    ("output", "said"),
-    [
-        ("WARNING: Retrying after NewConnectionError\nERROR: No match", "cannot be reached"),
-        ("ERROR: OSError: [Errno 28] No space left on device", "disk is full"),
-        (
-            "Collecting x\nERROR: Cannot install a and b because of conflicts\nERROR: more",
-            "Cannot install a and b because of conflicts (log",
-        ),
-        (
-            "ERROR: Could not find a version\nERROR: No matching distribution found for x==1.0",
-            "x==1.0: found no file of it for Python 3.",
-        ),
-        ("Killed", "no reason given"),
-    ],
-)
-def test_the_reason_why_pip_failed(output, said):
-    line = virtual_environment.explain_pip_failure(output, LOG)
-    assert said in line
-    assert line.endswith(f"(log: {LOG})")
-    assert "\n" not in line
 
 
 def test_requirements_beside_ros_name_their_modules(layout):
