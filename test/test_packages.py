@@ -19,7 +19,7 @@ PYTHON_PACKAGES = (
     "cmp_tactile_simulation",
 )
 PACKAGES = (*PYTHON_PACKAGES, "cmp_tactile_msgs")
-UNDERLAY = ("composition_interfaces", "tf2_msgs", "tf2_ros_py")
+UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
 
 ROSDEP_KEYS = {
     "PIL": "python3-pil",

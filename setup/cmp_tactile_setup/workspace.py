@@ -19,7 +19,7 @@ SUITE = (
     "cmp_tactile_viewer",
     "cmp_tactile_bringup",
 )
-UNDERLAY = ("composition_interfaces", "tf2_msgs", "tf2_ros_py")
+UNDERLAY = ("composition_interfaces", "cv_bridge", "tf2_msgs", "tf2_ros_py")
 _MANIFESTS = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt")
 _INTERFACES = ("msg", "srv", "action")
 _SHARED_FOLDERS = ("config", "data", "launch", "rviz", "scenes")

@@ -98,7 +98,7 @@ def test_messages_are_built_for_cpp_from_the_time_it_is_asked_for(built, monkeyp
 
 
 def test_the_underlay_holds_only_what_ros_lacks(built, tmp_path):
-    for name in ("tf2_msgs", "tf2_ros_py"):
+    for name in ("cv_bridge", "tf2_msgs", "tf2_ros_py"):
         (tmp_path / "share" / name).mkdir(parents=True)
         (tmp_path / "share" / name / "package.xml").touch()
     other = Layout(built.root, ros=RosInstallation("jazzy", (Path("/none"), tmp_path)))

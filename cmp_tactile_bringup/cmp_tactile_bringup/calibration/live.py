@@ -17,7 +17,7 @@ from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.sources.frames import size_text
 from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
+from cmp_tactile_processing.ros.messages.conversions import image_from_topic
 from cmp_tactile_processing.ros.process import Listener
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -83,7 +83,7 @@ class LiveFrames(Listener):
 
     def _decoded(self, message: Image | CompressedImage) -> NDArray[np.uint8]:
         try:
-            image = image_from_msg(message, self._sensor.tracking.grey_weights, self._depth)
+            image = image_from_topic(message, self._sensor.tracking.grey_weights, self._depth)
         except CmpTactileError as error:
             msg = f"{self._topic}: {error}"
             raise FrameSourceError(msg) from None

@@ -43,8 +43,7 @@ from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, InputWatch, SentFrames
-from cmp_tactile_processing.ros.messages.conversions import message_class
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
+from cmp_tactile_processing.ros.messages.conversions import image_from_topic, message_class
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.wiring import Input, LazyResult
@@ -204,7 +203,7 @@ def frame_encoder(topic: str, codec: str, quality: int) -> Callable[[Image], Enc
     def encode(message: Image) -> EncodedMessage:
         if message.encoding not in ENCODED:
             return as_it_is(message)
-        done, content = cv2.imencode(suffix, image_from_msg(message), options)
+        done, content = cv2.imencode(suffix, image_from_topic(message), options)
         if not done:
             msg = (
                 f"width, height: found {message.width} x {message.height} px, expected a size that "

@@ -11,6 +11,7 @@ import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -160,31 +161,60 @@ def decode_raw(  # noqa: PLR0913  the fields of a message
     size: width, height in px.  step: bytes per row.  data: (N,) uint8; not copied where it need
     not be changed; what is beyond the image is left out.  big_endian: of samples of 16 bits.
     luminance: read YUV and Bayer as grey.  depth: of the stream; absent for an image by itself.
+    Raises FrameError as `raw_pixels`.
+    """
+    pixels = raw_pixels(size, encoding, step, data, big_endian=big_endian)
+    return convert_raw(pixels, encoding, luminance=luminance, depth=depth)
+
+
+def raw_pixels(
+    size: tuple[int, int],
+    encoding: str,
+    step: int,
+    data: NDArray[np.uint8],
+    *,
+    big_endian: bool = False,
+) -> NDArray[Any]:
+    """(H, W) or (H, W, samples) uint8 or uint16 as they were sent; all planes, one below another.
+
+    Arguments as of `decode_raw`.
     Raises FrameError naming the field, for an encoding that is not in ENCODINGS or a buffer that
     does not fit size and step.
     """
     width, height = size
-    layout = _layout(encoding, size)
+    layout = check_raw(size, encoding, step, data.size)
     lines = round(height * layout.planes)
     if layout.planes > 1 and data.size < lines * step:
-        step = min(step, width)  # some drivers count the samples of all planes in a row
-    _check_buffer(encoding, step, data, width * layout.pixel_bytes, lines)
+        step = min(step, width)
     rows = data[: lines * step].reshape(lines, step)[:, : width * layout.pixel_bytes]
+    pixels = np.ascontiguousarray(rows)
     if layout.deep:
         kind = np.dtype(">u2" if big_endian else "<u2")
-        deep = np.ascontiguousarray(rows).view(kind).astype(np.uint16, copy=False)
+        pixels = pixels.view(kind).astype(np.uint16, copy=False)
+    return pixels if layout.samples == 1 else pixels.reshape(height, width, layout.samples)
+
+
+def convert_raw(
+    pixels: NDArray[Any],
+    encoding: str,
+    *,
+    luminance: bool = False,
+    depth: BitDepth | None = None,
+) -> NDArray[np.uint8]:
+    """The image, as of `decode_raw`, of pixels as of `raw_pixels`."""
+    layout = ENCODINGS[encoding]
+    height = round(len(pixels) / layout.planes)
+    if layout.deep:
         if layout.samples == 4:
-            deep = deep.copy()
-            deep[:, 3::4] = 0  # alpha, which uses all 16 bits
-        rows = (depth or BitDepth()).to_8_bits(deep)
+            pixels = pixels.copy()
+            pixels[..., 3] = 0  # alpha, which uses all 16 bits
+        pixels = (depth or BitDepth()).to_8_bits(pixels)
     if layout.luma is not None and luminance:
         # The luminance as the camera measured it.
-        return np.ascontiguousarray(rows[:height, layout.luma :: layout.samples])
-    pixels = np.ascontiguousarray(rows)
-    if layout.samples > 1:
-        pixels = pixels.reshape(height, width, layout.samples)
+        luma = pixels[:height] if layout.samples == 1 else pixels[..., layout.luma]
+        return np.ascontiguousarray(luma)
     if encoding == "nv24":
-        pixels = _nv12_of_nv24(pixels, width, height)
+        pixels = _nv12_of_nv24(pixels, pixels.shape[1], height)
     code = layout.to_grey if luminance and layout.to_grey is not None else layout.to_bgr
     return pixels if code is None else np.asarray(cv2.cvtColor(pixels, code), np.uint8)
 
@@ -203,7 +233,8 @@ def _nv12_of_nv24(lines: NDArray[np.uint8], width: int, height: int) -> NDArray[
     return np.concatenate([lines[:height], chroma.reshape(-1, width)])
 
 
-def _layout(encoding: str, size: tuple[int, int]) -> PixelLayout:
+def check_raw(size: tuple[int, int], encoding: str, step: int, length: int) -> PixelLayout:
+    """The layout of an image of `length` bytes; raises FrameError as `raw_pixels`."""
     layout = ENCODINGS.get(encoding)
     if layout is None:
         msg = (
@@ -221,18 +252,17 @@ def _layout(encoding: str, size: tuple[int, int]) -> PixelLayout:
     if layout.planes > 1 and height % 2:
         msg = f"height: found {height} px, expected an even number for {encoding}"
         raise FrameError(msg)
-    return layout
-
-
-def _check_buffer(
-    encoding: str, step: int, data: NDArray[np.uint8], least: int, lines: int
-) -> None:
-    if step < least:
+    lines = round(height * layout.planes)
+    if layout.planes > 1 and length < lines * step:
+        step = min(step, width)  # some drivers count the samples of all planes in a row
+    if step < width * layout.pixel_bytes:
+        least = width * layout.pixel_bytes
         msg = f"step: found {step} bytes, expected at least {least} for {encoding}"
         raise FrameError(msg)
-    if data.size < lines * step:
-        msg = f"data: found {data.size} bytes, expected {lines * step} ({lines} rows of {step})"
+    if length < lines * step:
+        msg = f"data: found {length} bytes, expected {lines * step} ({lines} rows of {step})"
         raise FrameError(msg)
+    return layout
 
 
 def decode_jpeg(

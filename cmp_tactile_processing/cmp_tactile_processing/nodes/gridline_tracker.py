@@ -19,9 +19,13 @@ from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.nodes.health import GridHealth
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, Answer, FrameService, StageNode
-from cmp_tactile_processing.ros.messages.conversions import grid_to_msg, header_at, image_to_msg
+from cmp_tactile_processing.ros.messages.conversions import (
+    grid_to_msg,
+    header_at,
+    image_from_topic,
+    image_to_msg,
+)
 from cmp_tactile_processing.ros.messages.making import view_frame
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import (
     ImageInputParameters,
     StageParameters,
@@ -117,7 +121,7 @@ class GridlineTracker(StageNode):
         )
 
     def _read(self, msg: Image) -> NDArray[np.uint8]:
-        return image_from_msg(msg, self._weights, self._depth)
+        return image_from_topic(msg, self._weights, self._depth)
 
     def _track(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Grid]:
         return image, self._tracker.track(image)

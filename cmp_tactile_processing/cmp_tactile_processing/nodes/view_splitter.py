@@ -24,7 +24,6 @@ from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.ros.base_nodes import IMAGE_DEPTH, StageNode
 from cmp_tactile_processing.ros.messages import conversions, making
 from cmp_tactile_processing.ros.messages.making import encoding_of
-from cmp_tactile_processing.ros.messages.reading import image_from_msg
 from cmp_tactile_processing.ros.parameters import ImageInputParameters, declare_parameters
 from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.ros.wiring import publish_side_by_side
@@ -153,7 +152,7 @@ class ViewSplitter(StageNode):
         return list(build_views(self.sensor).values())
 
     def _read(self, msg: Image | CompressedImage) -> NDArray[np.uint8]:
-        return image_from_msg(msg, self.sensor.tracking.grey_weights, self._depth)
+        return conversions.image_from_topic(msg, self.sensor.tracking.grey_weights, self._depth)
 
     def _split(self, frame: NDArray[np.uint8], header: Header) -> None:
         check_image(frame, *self.sensor.frame_size, "image")
