@@ -168,12 +168,7 @@ def decode_raw(  # noqa: PLR0913  the fields of a message
 
 
 def raw_pixels(
-    size: tuple[int, int],
-    encoding: str,
-    step: int,
-    data: NDArray[np.uint8],
-    *,
-    big_endian: bool = False,
+    size: tuple[int, int], encoding: str, step: int, data: NDArray[np.uint8], *, big_endian: bool
 ) -> NDArray[Any]:
     """(H, W) or (H, W, samples) uint8 or uint16 as they were sent; all planes, one below another.
 
@@ -195,11 +190,7 @@ def raw_pixels(
 
 
 def convert_raw(
-    pixels: NDArray[Any],
-    encoding: str,
-    *,
-    luminance: bool = False,
-    depth: BitDepth | None = None,
+    pixels: NDArray[Any], encoding: str, *, luminance: bool, depth: BitDepth | None
 ) -> NDArray[np.uint8]:
     """The image, as of `decode_raw`, of pixels as of `raw_pixels`."""
     layout = ENCODINGS[encoding]

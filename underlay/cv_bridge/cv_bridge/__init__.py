@@ -5,13 +5,12 @@ from __future__ import annotations
 import array
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 
 from cmp_tactile_processing.errors import FrameError
-from cmp_tactile_processing.image.encodings import MAX_BITS, BitDepth, convert_raw, raw_pixels
+from cmp_tactile_processing.image.encodings import raw_pixels
 
 __all__ = ["CvBridge", "CvBridgeError"]
 
@@ -24,26 +23,19 @@ class CvBridge:
     """Images of messages, and messages of images."""
 
     def imgmsg_to_cv2(self, img_msg: Any, desired_encoding: str = "passthrough") -> NDArray[Any]:
-        """The pixels (H, W) or (H, W, channels), as they were sent, or as "mono8" or "bgr8".
+        """The pixels (H, W) or (H, W, channels) as they were sent.
 
-        Raises CvBridgeError for any other encoding, or a buffer that is too small.
+        Raises CvBridgeError for an encoding that is not known or another one that is desired, and
+        for a buffer that is too small.
         """
         encoding, data = img_msg.encoding, np.frombuffer(img_msg.data, np.uint8)
         size, big_endian = (img_msg.width, img_msg.height), bool(img_msg.is_bigendian)
+        if desired_encoding not in ("passthrough", encoding):
+            raise CvBridgeError(f"found {desired_encoding!r}, expected 'passthrough'")
         try:
-            pixels = raw_pixels(size, encoding, img_msg.step, data, big_endian=big_endian)
+            return raw_pixels(size, encoding, img_msg.step, data, big_endian=big_endian)
         except FrameError as error:
             raise CvBridgeError(str(error)) from None
-        if desired_encoding in ("passthrough", encoding):
-            return pixels
-        if desired_encoding not in ("mono8", "bgr8"):
-            raise CvBridgeError(f"found {desired_encoding!r}, expected mono8 or bgr8")
-        to_grey, depth = desired_encoding == "mono8", BitDepth()
-        depth.bits = MAX_BITS
-        image = convert_raw(pixels, encoding, luminance=to_grey, depth=depth)
-        if (image.ndim == 2) == to_grey:
-            return image
-        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY if to_grey else cv2.COLOR_GRAY2BGR)
 
     def cv2_to_imgmsg(self, cvim: NDArray[Any], encoding: str, header: Any = None) -> Any:
         """The message of pixels (H, W) or (H, W, channels) of 8 or 16 bits."""
