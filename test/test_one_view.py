@@ -1,16 +1,15 @@
-"""Sensors with one view, and with two cameras, from frame to force, as a library and as a graph."""
+"""Sensors with one view, and with two cameras, from frame to surface.
 
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+Nodes of one view: cmp_tactile_processing/test/nodes/test_chain.py.
+"""
 
-import cv2
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
-from cmp_tactile_processing.sensor.description import load_sensor, write_sensor_description
 from cmp_tactile_processing.sensor.parts import (
     Camera,
     ImageSize,
@@ -35,9 +34,6 @@ SLIDE = (Zone(0.0, 0.0, 9e-3, shift=(6e-4, -3e-4)),)
 PRESS = (Zone(5e-4, 0.0, 3.6e-3, depth=6e-4, spread=0.09),)
 # A twentieth of a pixel of 35 um: what the tracker is allowed on such frames.
 IN_PLANE_M = 2e-6
-# The first start of a version compiles the trackers.
-START_TIMEOUT_S = 400.0
-DATA = Path(__file__).parent.parent / "cmp_tactile_processing" / "test" / "data"
 
 
 def _looking_from(*centre):
@@ -154,88 +150,3 @@ def test_a_coded_sheet_beyond_the_view_is_measured_after_a_slide_by_checkers(rig
     shift = 2 * sensor.pattern.pitch, -sensor.pattern.pitch
     found, truth = measured(sensor, (Zone(radius=1.0, shift=shift),))
     assert _errors(found, truth)[..., :2].mean() < 2 * IN_PLANE_M
-
-
-@dataclass(frozen=True)
-class Played:
-    """Messages of a replay that is repeated by topic, and how the container ended."""
-
-    messages: dict[str, list[Any]]
-    exit_code: int | None
-    log: str
-
-
-def _play(name, arguments, count, log):
-    from sensor_msgs.msg import PointCloud2
-    from visualization_msgs.msg import MarkerArray
-
-    from cmp_tactile_bringup.demo import RESULTS, Collector, ContainerProcess
-
-    messages = {"surface_points": [], "markers": []}
-    with (
-        Collector(f"/{name}") as collector,
-        ContainerProcess("replay", {**arguments, "loop": "true"}, log) as container,
-    ):
-        for topic, kind in (("surface_points", PointCloud2), ("markers", MarkerArray)):
-            collector.node.create_subscription(kind, topic, messages[topic].append, 20)
-
-        def all_came():
-            topics = ("surface", "wrench", "force_field", "surface_points")
-            for topic in RESULTS:
-                messages[topic] = [item.message for item in collector.arrivals(topic)]
-            stamps = [set(map(_stamp_of, messages[topic])) for topic in topics]
-            drawn = {_stamp_of(item) for array in messages["markers"] for item in array.markers}
-            return all(len(items) == count and items <= drawn for items in stamps)
-
-        # What is sent before all have found one another is sent again.
-        container.wait_for(all_came, START_TIMEOUT_S, "the results")
-    return Played(messages, container.exit_code, log.read_text())
-
-
-def _stamp_of(message):
-    return message.header.stamp.sec, message.header.stamp.nanosec
-
-
-@pytest.mark.ros
-def test_a_sensor_with_one_view_runs_as_a_graph(tmp_path):
-    """The sample rig's left mirror alone."""
-    pytest.importorskip("rclpy", reason="ROS 2 is not there")
-    from cmp_tactile_processing.ros.messages.reading import force_field_from_msg, surface_from_msg
-
-    sample, description = load_sensor("sample_rig"), tmp_path / "one_eyed.yaml"
-    optics, views = replace(sample.optics, type="monocular"), {"left": sample.views["left"]}
-    sensor = replace(sample, name="one_eyed", optics=optics, views=views)
-    write_sensor_description(description, sensor)
-    frames = tmp_path / "frames"
-    frames.mkdir()
-    names = ("rest", "rest", "slide")
-    for number, name in enumerate(names):
-        cv2.imwrite(str(frames / f"{number}.png"), cv2.imread(str(DATA / f"{name}.png"), 0))
-    arguments = {"input": str(frames), "sensor": str(description), "frame_rate": "5.0"}
-    played = _play("one_eyed", arguments, len(names), tmp_path / "container.log")
-    assert played.exit_code == 0, played.log
-    assert not played.messages["right/grid"]
-    rest, slide = (
-        surface_from_msg(choose(played.messages["surface"], key=_stamp_of), sensor.pattern.shape)
-        for choose in (min, max)
-    )
-    with np.load(DATA / "slide.npz", allow_pickle=False) as stored:
-        truth = stored["corners_m"] - sensor.pattern.corners()
-    assert (slide.status == Status.MEASURED).all()
-    assert np.isnan(slide.displacement[..., 2]).all()
-    assert np.abs(rest.displacement[..., :2]).mean() < IN_PLANE_M
-    # The slide sinks by up to 1 mm, and the left mirror looks at a slant.
-    along = np.sum(slide.displacement[..., :2] * truth[..., :2]) / np.sum(truth[..., :2] ** 2)
-    assert 0.5 < along < 1.5
-    cloud = max(played.messages["surface_points"], key=_stamp_of)
-    values = np.frombuffer(cloud.data, np.float32).reshape(20, 20, 6)
-    assert not cloud.is_dense
-    assert np.isnan(values[..., [2, 5]]).all()
-    assert np.isfinite(values[..., [0, 1, 3, 4]]).all()
-    field = force_field_from_msg(max(played.messages["force_field"], key=_stamp_of))
-    assert np.isfinite(field.wrench).all()
-    drawn = [marker for array in played.messages["markers"] for marker in array.markers]
-    points = {marker.ns: len(marker.points) for marker in sorted(drawn, key=_stamp_of)}
-    # Two triangles a cell; the ends of a shaft and two barbs an arrow.
-    assert points["surface"] == 6 * 19 * 19
-    assert points["displacement"] > 6 * 300

@@ -1,4 +1,4 @@
-"""Views go in over DDS; grids and overlays come out.  Of the grids: test/test_system_replay.py."""
+"""Views go in over DDS; grids and overlays come out.  Of the grids: test_chain.py."""
 
 from __future__ import annotations
 

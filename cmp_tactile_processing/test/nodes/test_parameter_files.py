@@ -13,8 +13,7 @@ import yaml
 pytest.importorskip("rclpy")
 
 from builtin_interfaces.msg import Time
-from rcl_interfaces.msg import ParameterType
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import Image
 
@@ -24,7 +23,6 @@ from cmp_tactile_processing.nodes.gridline_tracker import GridlineTracker
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.nodes.view_splitter import ViewSplitter
-from cmp_tactile_processing.ros.parameters import unit_of
 from cmp_tactile_processing.sensor.description import load_sensor
 
 pytestmark = pytest.mark.ros
@@ -89,29 +87,6 @@ def test_a_dump_loads_again_unchanged(ros, tmp_path, node_class, overrides):
     )
     assert again.get_name() == name
     assert _values(ros, name) == before
-
-
-@pytest.mark.parametrize("node_class", [node_class for node_class, _ in NODES])
-def test_every_descriptor_has_type_meaning_unit_and_range(ros, node_class):
-    """The unit stands in brackets at the end of the description, and nothing else stands so."""
-    node = ros.start(node_class)
-    names = [
-        name
-        for name in _values(ros, node.get_name())
-        if not name.startswith(("qos_overrides.", "use_sim_time", "start_type_description"))
-    ]
-    service = f"{ros.namespace}/{node.get_name()}/describe_parameters"
-    answer = ros.call(DescribeParameters, service, DescribeParameters.Request(names=names))
-    assert [item.name for item in answer.descriptors] == names
-    for item in answer.descriptors:
-        assert item.description, item.name
-        assert item.type != ParameterType.PARAMETER_NOT_SET, item.name
-        assert unit_of(item) in {"", "m", "s", "Hz", "Pa", "N", "d", "px", "m/N", "rad"} | {
-            "m/(N m)"
-        }, item.name
-        reported = item.floating_point_range or item.integer_range or item.additional_constraints
-        number = item.type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
-        assert reported or not number, f"{item.name}: no range"
 
 
 REFUSED: list[tuple[str, Any, str]] = [

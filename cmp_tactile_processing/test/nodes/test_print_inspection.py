@@ -86,19 +86,6 @@ def test_a_moving_gel_is_not_inspected(ros, sample):
     assert "the gel must be at rest" in answer.result().message
 
 
-def test_flicker_is_reported(ros, sample):
-    rig = Rig(ros, print_frames=2)
-    answer = rig.inspect_later()
-    for k in range(2):
-        frame = sample("rest").frame.copy()
-        for first in range(100 * k, 768, 200):
-            frame[first : first + 100] = frame[first : first + 100] * 0.7
-        rig.send(frame)
-    ros.wait(answer.done, "the answer", 60)
-    assert answer.result().success
-    assert "the light flickers" in answer.result().message
-
-
 def test_dots_that_are_not_described_stand_in_the_diagnostics(ros, sample):
     rig, rest = Rig(ros), sample("rest")
     frame, corners = rest.frame.copy(), rest.truth["corners_left_px"]

@@ -22,6 +22,7 @@ from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, S
 from cmp_tactile_processing.nodes.surface_visualizer import SurfaceVisualizer
 from cmp_tactile_processing.ros.messages.conversions import force_field_to_msg, surface_to_msg
 from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.surface.dense import interpolate
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
 pytestmark = pytest.mark.ros
@@ -127,6 +128,14 @@ def test_mesh_spans_the_markers_and_leaves_out_the_missing(ros):
     corners = PATTERN.corners().astype(np.float32)[seen]
     used = np.unique(_points(mesh).astype(np.float32), axis=0)
     np.testing.assert_array_equal(used, np.unique(corners, axis=0))
+
+
+def test_a_surface_without_depth_is_drawn_flat(ros):
+    """As one view measures it."""
+    markers = Scene(ros).show(_surface(np.array([1e-4, 0.0, np.nan])))
+    # Two triangles a cell; the ends of a shaft and two barbs an arrow.
+    assert len(markers["surface"].points) == 6 * (ROWS - 1) * (COLS - 1)
+    assert len(markers["displacement"].points) == 6 * ROWS * COLS
 
 
 def test_mesh_colour_shows_the_indentation(ros):
@@ -265,8 +274,8 @@ def test_the_newest_surface_and_force_are_drawn_unless_one_of_them_is_old(ros):
         assert all(marker.header == message.header for marker in (first, *markers))
 
 
-def test_nothing_is_computed_while_nobody_looks(ros):
-    node = ros.start(SurfaceVisualizer)
+def test_nothing_is_computed_while_nobody_looks_and_markers_vanish_if_not_renewed(ros):
+    node = ros.start(SurfaceVisualizer, lifetime=1.5)
     publisher = ros.publisher(SurfaceMsg, "surface")
     surface = _surface()
     # Would be refused if it were read.
@@ -276,15 +285,6 @@ def test_nothing_is_computed_while_nobody_looks(ros):
     arrays = ros.listen(MarkerArray, "markers")
     ros.wait_subscribed(node, "markers")
     publisher.publish(surface_to_msg(surface, HEADER))
-    ros.wait(lambda: arrays, "markers")
-
-
-def test_markers_vanish_if_they_are_not_renewed(ros):
-    node = ros.start(SurfaceVisualizer, lifetime=1.5)
-    arrays = ros.listen(MarkerArray, "markers")
-    ros.wait_subscribed(node, "markers")
-    surface = _surface()
-    ros.publisher(SurfaceMsg, "surface").publish(surface_to_msg(surface, HEADER))
     ros.wait(lambda: arrays, "markers")
     lifetimes = {(m.lifetime.sec, m.lifetime.nanosec) for m in arrays[0].markers[1:]}
     assert lifetimes == {(1, 500_000_000)}
@@ -353,36 +353,26 @@ def _read_cloud(cloud: PointCloud2) -> np.ndarray:
     return np.frombuffer(cloud.data, layout).reshape(cloud.height, cloud.width)
 
 
-def test_dense_points_have_position_displacement_and_status(ros):
-    """Regular where the gel is at rest, a lost corner bridged, beyond the rim marked."""
-    pitch = PATTERN.pitch
-    node = ros.start(SurfaceVisualizer, dense_spacing=pitch / 4, dense_margin=pitch / 2)
+def test_dense_points_are_those_of_the_core(ros):
+    """That these are right: surface/test_dense.py.  A lost corner is bridged, the rim marked."""
+    spacing, margin = PATTERN.pitch / 4, PATTERN.pitch / 2
+    node = ros.start(SurfaceVisualizer, dense_spacing=spacing, dense_margin=margin)
     clouds = ros.listen(PointCloud2, "dense_points")
     ros.wait_subscribed(node, "dense_points")
-    publisher = ros.publisher(SurfaceMsg, "surface")
     seen = np.ones(SHAPE.corners, bool)
     seen[5, 9] = False
     x, y, _ = np.moveaxis(PATTERN.corners(), -1, 0)
-    displacement = np.stack([0.05 * x, 1e-4 + 0 * y, 0.02 * y - 3e-4], axis=-1)
-    publisher.publish(surface_to_msg(_surface(displacement, seen), HEADER))
+    surface = _surface(np.stack([0.05 * x, 1e-4 + 0 * y, 0.02 * y - 3e-4], axis=-1), seen)
+    ros.publisher(SurfaceMsg, "surface").publish(surface_to_msg(surface, HEADER))
     ros.wait(lambda: clouds, "dense points")
     (cloud,) = clouds
     assert cloud.header == HEADER
     assert cloud.is_dense
-    points = _read_cloud(cloud)
-    assert points.shape == (4 * (ROWS - 1) + 5, 4 * (COLS - 1) + 5)
-    at_rest_x = points["x"] - points["dx"]
-    at_rest_y = points["y"] - points["dy"]
-    np.testing.assert_allclose(np.diff(at_rest_x, axis=1), pitch / 4, atol=1e-8)
-    np.testing.assert_allclose(np.diff(at_rest_y, axis=0), pitch / 4, atol=1e-8)
-    # float32 of lengths up to 0.01 m.
-    np.testing.assert_allclose(points["dx"], 0.05 * at_rest_x, atol=2e-9)
-    np.testing.assert_allclose(points["dy"], 1e-4, atol=2e-9)
-    np.testing.assert_allclose(points["dz"], 0.02 * at_rest_y - 3e-4, atol=2e-9)
-    beyond = np.ones(points.shape, bool)
-    beyond[2:-2, 2:-2] = False
-    np.testing.assert_array_equal(points["status"] == 3, beyond)
-    bridged = np.zeros(points.shape, bool)
-    bridged[2 + 4 * 4 + 1 : 2 + 4 * 6, 2 + 4 * 8 + 1 : 2 + 4 * 10] = True
-    np.testing.assert_array_equal(points["status"] == 2, bridged)
+    points, expected = _read_cloud(cloud), interpolate(surface, spacing, margin)
+    np.testing.assert_array_equal(points["status"], expected.status)
+    for axis, name in enumerate("xyz"):
+        # float32 of lengths up to 0.01 m.
+        np.testing.assert_allclose(points[name], expected.position[..., axis], atol=2e-9)
+        moved = expected.displacement[..., axis]
+        np.testing.assert_allclose(points[f"d{name}"], moved, atol=2e-9)
     assert node.diagnostics.sent.frames == 1

@@ -119,13 +119,18 @@ MOUNT = {
 
 
 def test_mounting_is_a_urdf_origin_of_the_gel_frame(ros):
-    """xyz and rpy: about fixed axes, roll first.  Latched, with the sensor's other frames."""
-    ros.start(ViewSplitter, **MOUNT)
+    """xyz and rpy: about fixed axes, roll first.  Latched, with the sensor's other frames.
+
+    All frames begin with the name of the sensor: two of one description share none.
+    """
+    ros.start(ViewSplitter, sensor_name="thumb", **MOUNT)
     statics = ros.listen(TFMessage, "/tf_static", latched=True)
     ros.wait(lambda: statics, "static tf")
     transforms = {item.child_frame_id: item for item in statics[0].transforms}
-    assert len(transforms) == 4
-    mounted = transforms["sample_rig_gel_frame"]
+    optical = [f"thumb_{eye}_optical_frame" for eye in ("camera", "left", "right")]
+    assert sorted(transforms) == [optical[0], "thumb_gel_frame", *optical[1:]]
+    assert {transforms[eye].header.frame_id for eye in optical} == {"thumb_gel_frame"}
+    mounted = transforms["thumb_gel_frame"]
     assert mounted.header.frame_id == "left_finger_tip"
     assert mounted.header.stamp.sec > 0
     roll, pitch, yaw = (

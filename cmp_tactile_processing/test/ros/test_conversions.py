@@ -212,7 +212,7 @@ def _returned(sent: Grid | Surface | ForceField) -> Grid | Surface | ForceField:
 
 
 def test_what_is_sent_is_read_with_its_nan(grid, surface, field):
-    """That DDS carries it: test/test_system_replay.py."""
+    """That DDS carries it: nodes/test_chain.py."""
     assert np.isnan(grid.corners).any()
     assert np.isnan(surface.position).any()
     for sent in (grid, surface, field):
@@ -234,9 +234,10 @@ def test_what_is_not_known_of_a_grid_is_not_known_when_it_is_read(grid):
         ("fault", "tired", r"^fault: found 'tired', expected one of '', 'dark', "),
         ("corner_status", array("B", [3] * 35), r"^corner_status: found code 3, expected one of 0"),
         ("row_line_status", array("B", [3] * 90), r"^row_line_status: found code 3, expected one"),
+        ("rows", 7, r"rows, cols.*found 7, 7, 3, expected 5, 7, 3"),
     ],
 )
-def test_impossible_codes_of_a_grid_are_refused(grid, name, value, message):
+def test_impossible_codes_of_a_grid_and_another_shape_are_refused(grid, name, value, message):
     msg = grid_to_msg(grid, HEADER)
     setattr(msg, name, value)
     with pytest.raises(InputError, match=message):
@@ -272,12 +273,6 @@ def test_every_flag_has_its_bit_in_the_message_and_those_of_a_newer_sender_are_k
     read = force_field_from_msg(msg)
     assert ForceFlag.AT_BORDER in read.flags
     assert force_field_to_msg(read, HEADER).flags == msg.flags
-
-
-def test_grid_of_another_sensor_is_refused(grid):
-    other = GridShape(7, 5, 3)
-    with pytest.raises(InputError, match=r"rows, cols.*found 5, 7, 3, expected 7, 5, 3"):
-        grid_from_msg(grid_to_msg(grid, HEADER), other)
 
 
 @pytest.mark.parametrize(
