@@ -35,6 +35,7 @@ LUMINANCE = 0.299 * RED + 0.587 * GREEN + 0.114 * BLUE
 YUV_TOLERANCE = 3
 # Of 16 bits to 8, with a factor in single precision, in grey levels.
 ROUNDING = 0.501
+FLOATS = cv2.imencode(".tiff", np.full((4, 4), 1000, np.float32))[1].tobytes()
 
 
 def _packed(encoding: str) -> np.ndarray:
@@ -153,33 +154,26 @@ def test_the_scale_is_that_of_the_bits_that_are_used(bits):
     assert np.abs(found - ramp * (255 / (2**bits - 1))).max() <= ROUNDING
 
 
-def test_the_scale_stays_where_frames_are_darker_and_is_said_once():
+@pytest.mark.parametrize(
+    ("frames", "ahead", "times_said"),
+    [
+        # It stays where frames are darker.
+        ([(4000, 12), (900, 12), (30, 12), (4095, 12), (2100, 12)], None, 1),
+        # What is ahead sets that of a dark beginning; what is brighter is not cut off.
+        ([(300, 12)], 12, 1),
+        ([(900, 10), (3000, 12), (900, 12)], None, 2),
+    ],
+)
+def test_a_stream_has_one_scale_which_is_said(frames, ahead, times_said):
     said: list[str] = []
-    depth = BitDepth("/cam/image_raw", said.append)
-    for largest in (4000, 900, 30, 4095, 2100):
-        frame = np.full((HEIGHT, WIDTH), largest, np.uint16)
-        found = _decode(frame, "mono16", depth=depth)
-        assert np.abs(found - largest * (255 / 4095)).max() <= ROUNDING
-    assert len(said) == 1
-    assert "/cam/image_raw" in said[0]
-    assert "12 of 16 bits" in said[0]
-
-
-def test_what_is_ahead_sets_the_scale_of_a_dark_beginning():
-    depth = BitDepth(say=lambda _: None, look_ahead=lambda: 12)
-    dark = np.full((HEIGHT, WIDTH), 300, np.uint16)
-    assert np.abs(_decode(dark, "mono16", depth=depth) - 300 * 255 / 4095).max() <= ROUNDING
-    assert depth.bits == 12
-
-
-def test_brighter_than_the_beginning_is_not_cut_off_and_said():
-    said: list[str] = []
-    depth = BitDepth(say=said.append)
-    for largest, bits in ((900, 10), (3000, 12), (900, 12)):
-        frame = np.full((HEIGHT, WIDTH), largest, np.uint16)
-        found = _decode(frame, "mono16", depth=depth)
+    depth = BitDepth("/cam/image_raw", said.append, *([lambda: ahead] if ahead else []))
+    for largest, bits in frames:
+        found = _decode(np.full((HEIGHT, WIDTH), largest, np.uint16), "mono16", depth=depth)
         assert np.abs(found - largest * (255 / (2**bits - 1))).max() <= ROUNDING
-    assert len(said) == 2
+        assert depth.bits == bits
+    assert len(said) == times_said
+    assert "/cam/image_raw" in said[-1]
+    assert "12 of 16 bits" in said[-1]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tiff"])
@@ -279,14 +273,9 @@ def test_wrong_fields_are_named(size, encoding, step, length, message):
         ("h264", b"\0\0\0\1\x67", "format: found 'h264', expected png or jpeg"),
         ("png", b"abc", "data: found 3 bytes that are not a readable image"),
         ("jpeg", b"", "data: found 0 bytes"),
+        ("png", FLOATS, "found float32 pixels, expected uint8 or uint16"),
     ],
 )
 def test_unusable_compressed_data_are_named(format_text, data, message):
     with pytest.raises(FrameError, match=message):
         decode_compressed(format_text, np.frombuffer(data, np.uint8))
-
-
-def test_floating_point_is_refused():
-    data = cv2.imencode(".tiff", np.full((4, 4), 1000, np.float32))[1].ravel()
-    with pytest.raises(FrameError, match="found float32 pixels, expected uint8 or uint16"):
-        decode_image(data, "data")

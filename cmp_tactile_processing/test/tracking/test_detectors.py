@@ -1,4 +1,4 @@
-"""The steps of contour stitching, each against a known grid."""
+"""The detectors: which corners of a known grid they see, and what joins them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.tracking.contour_stitching.stitcher import ContourStitching, largest_set
+from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from cmp_tactile_processing.tracking.numbering.components import traverse
 
@@ -17,14 +18,16 @@ from cmp_tactile_processing.tracking.numbering.components import traverse
 CAPTURE = 0.3
 
 
-def rig_of(sensor, view):
+def rig_of(sensor, view, name="contour_stitching"):
     """Nominal grid in view pixels, the detector as the tracker calls it, whether dark is first."""
     geometry = build_views(sensor)[view]
     place = geometry.placement
     nominal = NominalGrid.of_view(sensor.pattern, geometry)
     dark_first = sensor.pattern.corner_checker == "dark"
-    detector = ContourStitching(nominal, dark_first)
-    prefilter = Prefilter((place.height, place.width), nominal.side_px)
+    shape = place.height, place.width
+    stitching = name == "contour_stitching"
+    detector = ContourStitching(nominal, dark_first) if stitching else SaddleLattice(nominal, shape)
+    prefilter = Prefilter(shape, nominal.side_px)
     return nominal, lambda image: detector.corner_graph(prefilter.prepare(image)), dark_first
 
 
@@ -97,14 +100,32 @@ def test_most_corners_of_a_flawed_image_hang_together(sensor, stills, view_image
     assert seen(detect(image), truth, dark_first).mean() >= share
 
 
-@pytest.mark.parametrize(
-    ("rows", "cols", "corner_checker"), [(4, 4, "dark"), (5, 12, "light"), (60, 60, "dark")]
-)
-def test_any_count_and_either_colour(plane_rig, render_rest, rows, cols, corner_checker):
+DETECTORS = ("contour_stitching", "saddle_lattice")
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+@pytest.mark.parametrize("pattern", [(4, 4, "dark"), (5, 12, "light"), (60, 60, "dark")], ids=str)
+def test_any_count_and_either_colour(plane_rig, render_rest, name, pattern):
     """At 60 x 60 checkers are 5 px wide and are magnified."""
-    rig = plane_rig(rows, cols, corner_checker)
-    nominal, detect, dark_first = rig_of(rig, "right")
+    rig = plane_rig(*pattern)
+    nominal, detect, dark_first = rig_of(rig, "right", name)
     assert seen(detect(render_rest(rig, "right")), nominal.corners, dark_first).all()
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+@pytest.mark.parametrize("change", [(18, 1.25, 0.0), (0, 1.0, 0.25)], ids=str)
+def test_a_grid_that_is_turned_and_stretched_or_sheared(plane_rig, render_rest, name, change):
+    degrees, stretch, shear = change
+    rig = plane_rig(9, 9)
+    nominal, detect, dark_first = rig_of(rig, "left", name)
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    way = np.array([[c, -s], [s, c]]) @ [[stretch, shear], [0.3 * shear, 1 / stretch]]
+    middle = nominal.corners.mean(axis=(0, 1))
+    shift, image = middle - way @ middle, render_rest(rig, "left")
+    moved = cv2.warpAffine(
+        image, np.c_[way, shift], image.shape[::-1], borderMode=cv2.BORDER_REPLICATE
+    )
+    assert seen(detect(moved), nominal.corners @ way.T + shift, dark_first).all()
 
 
 def test_a_hidden_part_and_clutter_cost_no_more_than_themselves(sensor, stills, view_image):
