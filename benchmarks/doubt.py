@@ -12,14 +12,15 @@ markers are projected and get noise; then all runs as in `cmp_tactile process`.
 
 from __future__ import annotations
 
-import argparse
+import operator
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.elastic.model import ElasticModel
 from cmp_tactile_processing.errors import CmpTactileError
@@ -63,101 +64,62 @@ PRESSES = (
 )
 
 
-def changed(sensor: SensorDescription, part: str, **values: object) -> SensorDescription:
-    """With other values in one part, "camera" or "pattern.surface"."""
-    first, _, rest = part.partition(".")
-    if rest:
-        inner = changed(getattr(sensor, first), rest, **values)  # type: ignore[arg-type]
-        return replace(sensor, **{first: inner})
-    return replace(sensor, **{first: replace(getattr(sensor, first), **values)})
+def changed(owner: Any, path: str, change: Callable[[Any], Any]) -> Any:
+    """With the value at a path changed: "camera.fx", "elastomer.size.0", "views.left"."""
+    name, _, rest = path.partition(".")
+    if not name:
+        return change(owner)
+    if isinstance(owner, tuple):
+        number = int(name)
+        new = changed(owner[number], rest, change)
+        return (*owner[:number], new, *owner[number + 1 :])
+    if isinstance(owner, dict):
+        return owner | {name: changed(owner[name], rest, change)}
+    return replace(owner, **{name: changed(getattr(owner, name), rest, change)})
 
 
-def scaled(part: str, *keys: str) -> Change:
-    """Values of a part by a relative error."""
+def with_value(path: str, change: Callable[[Any, float], Any]) -> Change:
+    """A value changed by an error."""
+    return lambda sensor, error: changed(sensor, path, lambda value: change(value, error))
+
+
+def scaled(*paths: str) -> Change:
+    """Values by a relative error."""
 
     def change(sensor: SensorDescription, error: float) -> SensorDescription:
-        owner = sensor
-        for name in part.split("."):
-            owner = getattr(owner, name)
-        return changed(sensor, part, **{key: getattr(owner, key) * (1 + error) for key in keys})
+        for path in paths:
+            sensor = changed(sensor, path, lambda value: value * (1 + error))
+        return sensor
 
     return change
 
 
-def with_size(axis: int) -> Change:
-    """A side of the gel."""
-
-    def change(sensor: SensorDescription, error: float) -> SensorDescription:
-        size = list(sensor.elastomer.size)
-        size[axis] *= 1 + error
-        return changed(sensor, "elastomer", size=tuple(size))
-
-    return change
-
-
-def with_young(sensor: SensorDescription, error: float) -> SensorDescription:
-    """The modulus of gel and skin."""
-    sensor = scaled("elastomer", "young")(sensor, error)
-    return scaled("elastomer.shading_layer", "young")(sensor, error)
-
-
-def with_poisson(sensor: SensorDescription, error: float) -> SensorDescription:
-    """Poisson's ratio, below 0.5."""
-    poisson = min(sensor.elastomer.poisson * (1 + error), 0.4995)
-    return changed(sensor, "elastomer", poisson=poisson)
-
-
-def with_centre(key: str) -> Change:
+def with_centre(key: str, side: str) -> Change:
     """The principal point, by a share of half the frame."""
-
-    def change(sensor: SensorDescription, error: float) -> SensorDescription:
-        half = sensor.image.width / 2 if key == "cx" else sensor.image.height / 2
-        return changed(sensor, "camera", **{key: getattr(sensor.camera, key) + error * half})
-
-    return change
-
-
-def with_distortion(number: int) -> Change:
-    """A coefficient of the lens."""
-
-    def change(sensor: SensorDescription, error: float) -> SensorDescription:
-        values = list(sensor.camera.distortion)
-        values[number] += error
-        return changed(sensor, "camera", distortion=tuple(values))
-
-    return change
+    return lambda sensor, error: changed(
+        sensor, f"camera.{key}", lambda value: value + error * getattr(sensor.image, side) / 2
+    )
 
 
 def with_pose(axis: int, *, turned: bool) -> Change:
     """The gel, turned in rad or shifted by shares of RIG_M."""
+    step = np.eye(3)[axis]
 
-    def change(sensor: SensorDescription, error: float) -> SensorDescription:
-        pose = sensor.optics.T_camera_gel.copy()
-        step = np.eye(3)[axis] * error
+    def move(pose: Array, error: float) -> Array:
+        moved = np.eye(4)
         if turned:
-            pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(step).as_matrix()
+            moved[:3, :3] = Rotation.from_rotvec(error * step).as_matrix()
         else:
-            pose[:3, 3] += pose[:3, :3] @ (RIG_M * step)
-        return changed(sensor, "optics", T_camera_gel=pose)
+            moved[:3, 3] = RIG_M * error * step
+        return pose @ moved
 
-    return change
+    return with_value("optics.T_camera_gel", move)
 
 
-def with_mirror(*, tilted: bool) -> Change:
-    """The left mirror."""
-
-    def change(sensor: SensorDescription, error: float) -> SensorDescription:
-        mirror = sensor.views["left"].mirror
-        if tilted:
-            normal = mirror.normal + np.array([error, 0.0, 0.0])
-            mirror = replace(mirror, normal=normal / np.linalg.norm(normal))
-        else:
-            mirror = replace(mirror, distance=mirror.distance * (1 + error))
-        views = dict(sensor.views)
-        views["left"] = replace(views["left"], mirror=mirror)
-        return replace(sensor, views=views)
-
-    return change
+def tilted(normal: Array, error: float) -> Array:
+    """The normal of a mirror."""
+    normal = normal + np.array([error, 0.0, 0.0])
+    return np.asarray(normal / np.linalg.norm(normal))
 
 
 def with_index(sensor: SensorDescription, error: float) -> SensorDescription:
@@ -165,36 +127,40 @@ def with_index(sensor: SensorDescription, error: float) -> SensorDescription:
     base = sensor.elastomer.shading_layer.thickness - sensor.elastomer.size[2]
     layers = sensor.optics.layers or (RefractingLayer(base, 1.0),)
     last = replace(layers[-1], index=max(layers[-1].index * (1 + error), 1.0))
-    return changed(sensor, "optics", layers=(*layers[:-1], last))
+    return replace(sensor, optics=replace(sensor.optics, layers=(*layers[:-1], last)))
+
+
+def flat(sensor: SensorDescription) -> SensorDescription:
+    """With a flat surface."""
+    return replace(sensor, pattern=replace(sensor.pattern, surface=PatternSurface("plane")))
 
 
 def thin(sensor: SensorDescription) -> SensorDescription:
     """Flat, with half the gel, which hardly changes its volume."""
-    sensor = changed(sensor, "pattern", surface=PatternSurface("plane"))
-    width, length, thickness = sensor.elastomer.size
-    return changed(sensor, "elastomer", size=(width, length, thickness / 2), poisson=0.495)
+    sensor = scaled("elastomer.size.2")(flat(sensor), -0.5)
+    return replace(sensor, elastomer=replace(sensor.elastomer, poisson=0.495))
 
 
 CHANGES: dict[str, Change] = {
-    "focal length": scaled("camera", "fx", "fy"),
-    "fx alone": scaled("camera", "fx"),
-    "cx": with_centre("cx"),
-    "cy": with_centre("cy"),
-    "k1": with_distortion(0),
-    "k2": with_distortion(1),
+    "focal length": scaled("camera.fx", "camera.fy"),
+    "fx alone": scaled("camera.fx"),
+    "cx": with_centre("cx", "width"),
+    "cy": with_centre("cy", "height"),
+    "k1": with_value("camera.distortion.0", operator.add),
+    "k2": with_value("camera.distortion.1", operator.add),
     **{f"gel turned about {axis}": with_pose(k, turned=True) for k, axis in enumerate("xyz")},
     **{f"gel shifted along {axis}": with_pose(k, turned=False) for k, axis in enumerate("xyz")},
-    "mirror distance": with_mirror(tilted=False),
-    "mirror tilt": with_mirror(tilted=True),
+    "mirror distance": scaled("views.left.mirror.distance"),
+    "mirror tilt": with_value("views.left.mirror.normal", tilted),
     "index": with_index,
-    "pitch": scaled("pattern", "pitch"),
-    "surface radius": scaled("pattern.surface", "radius"),
-    "young": with_young,
-    "poisson": with_poisson,
-    "size x": with_size(0),
-    "thickness": with_size(2),
-    "skin thickness": scaled("elastomer.shading_layer", "thickness"),
-    "skin young": scaled("elastomer.shading_layer", "young"),
+    "pitch": scaled("pattern.pitch"),
+    "surface radius": scaled("pattern.surface.radius"),
+    "young": scaled("elastomer.young", "elastomer.shading_layer.young"),
+    "poisson": with_value("elastomer.poisson", lambda nu, error: min(nu * (1 + error), 0.4995)),
+    "size x": scaled("elastomer.size.0"),
+    "thickness": scaled("elastomer.size.2"),
+    "skin thickness": scaled("elastomer.shading_layer.thickness"),
+    "skin young": scaled("elastomer.shading_layer.young"),
 }
 
 
@@ -324,11 +290,10 @@ def rendered_rows() -> Iterator[str]:
     """A row for each fault: the last frame."""
     rig = load_sensor("sample_rig")
     plain, glass = rendered(rig), rendered(with_index(rig, 0.45))
-    flat = changed(rig, "pattern", surface=PatternSurface("plane"))
     cases: list[tuple[str, SensorDescription, tuple[list[NDArray[np.uint8]], Array]]] = [
         ("nothing", rig, plain),
         ("layer of glass not described", rig, glass),
-        ("flat described for a cap", flat, plain),
+        ("flat described for a cap", flat(rig), plain),
         ("diameter for radius", CHANGES["surface radius"](rig, 1.0), plain),
         ("all lengths in cm", in_centimetres(rig), plain),
         ("modulus assumed", assumed_young(rig), plain),
@@ -365,33 +330,25 @@ def _rendered_row(
 
 def in_centimetres(sensor: SensorDescription) -> SensorDescription:
     """All lengths ten times as large: the images are the same."""
-    pose = sensor.optics.T_camera_gel.copy()
-    pose[:3, 3] *= 10
-    sensor = changed(sensor, "optics", T_camera_gel=pose)
-    sensor = changed(sensor, "pattern", pitch=10 * sensor.pattern.pitch)
-    sensor = CHANGES["surface radius"](sensor, 9.0)
-    size = tuple(10 * side for side in sensor.elastomer.size)
-    sensor = changed(sensor, "elastomer", size=size)
-    views = {
-        name: replace(view, mirror=replace(view.mirror, distance=10 * view.mirror.distance))
-        for name, view in sensor.views.items()
-    }
-    return replace(CHANGES["skin thickness"](sensor, 9.0), views=views)
+    paths = [f"elastomer.size.{axis}" for axis in range(3)]
+    paths += [f"views.{name}.mirror.distance" for name in sensor.views]
+    paths += ["pattern.pitch", "pattern.surface.radius", "elastomer.shading_layer.thickness"]
+    away = np.array([[1, 1, 1, 10], [1, 1, 1, 10], [1, 1, 1, 10], [1, 1, 1, 1]])
+    sensor = changed(sensor, "optics.T_camera_gel", lambda pose: pose * away)
+    return scaled(*paths)(sensor, 9.0)
 
 
 def assumed_young(sensor: SensorDescription) -> SensorDescription:
     """A modulus that nobody measured and that is 38 % too large, as of `cmp_tactile init`."""
     known = Uncertainty({"elastomer.young": 0.5}, assumed=("elastomer.young",))
-    return replace(with_young(sensor, 0.38), uncertainty=known)
+    return replace(CHANGES["young"](sensor, 0.38), uncertainty=known)
 
 
 def main() -> None:
     """Print what the options ask for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--rows", action="store_true", help="rendered presses, one fault each")
-    parser.add_argument("--count", type=int, default=0, help="descriptions with a random error")
+    parser = CommandLine(__doc__)
+    parser.option("--rows", "rendered presses, one fault each", False)
+    parser.option("--count", "descriptions with a random error", 0)
     options = parser.parse_args()
     for text in rendered_rows() if options.rows else ():
         print(text, flush=True)

@@ -10,7 +10,6 @@ anything differs.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -18,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_processing.errors import CmpTactileError
@@ -69,9 +68,7 @@ def _difference(old: NDArray[np.generic], new: NDArray[np.generic]) -> str:
 
 def main() -> int:
     """Process and compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = CommandLine(__doc__)
     parser.add_argument("old", type=Path, metavar="OLD_CHECKOUT")
     parser.add_argument("inputs", nargs="+", metavar="INPUT", help="packaged scene or recording")
     parser.add_argument("--sensor", help="sensor description of recordings that have none")

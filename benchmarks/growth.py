@@ -9,7 +9,6 @@ elapsed time, with both views tracked at once. A part of each time does not depe
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import pipeline_speed as speed
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from pipeline_speed import WARM_UP, Chain, Times
+from tables import CommandLine
 
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
@@ -107,11 +107,9 @@ def draw(result: dict[str, dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     """Measure, print, and keep."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=5, help="repetitions (default: %(default)d)")
-    parser.add_argument(
-        "--output", type=Path, default=RESULTS, help="folder for growth.json and growth.png"
-    )
+    parser = CommandLine(__doc__)
+    parser.option("--rounds", "repetitions", 5)
+    parser.option("--output", "folder for growth.json and growth.png", RESULTS, type=Path)
     arguments = parser.parse_args()
     gel, moved = presses()
     rigs = {str(side): pattern_rig(side, side) for side in SIDES}

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from tables import CommandLine
 
 from cmp_tactile_bringup.recordings import library
 from cmp_tactile_driver.bags.reader import RecordedFrame
@@ -58,15 +59,11 @@ class Input:
                 yield item.image, item.stamp_ns
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: CommandLine) -> None:
     """The options --input and --sensor."""
-    parser.add_argument(
-        "--input", nargs="+", default=DEFAULT, metavar="INPUT",
-        help="packaged scenes, scenes of benchmarks/scenes, and recordings (default: %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--sensor", metavar="FILE", help="sensor description of recordings that have none"
-    )
+    text = "packaged scenes, scenes of benchmarks/scenes, and recordings"
+    parser.option("--input", text, DEFAULT, type=str, nargs="+", metavar="INPUT")
+    parser.option("--sensor", "sensor description of recordings that have none", metavar="FILE")
 
 
 def chosen(options: argparse.Namespace) -> list[Input]:

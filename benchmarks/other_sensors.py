@@ -9,13 +9,12 @@ flag is set.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
@@ -215,9 +214,9 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 def main() -> None:
     """Measure the sensors that the options ask for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--first", type=int, default=0, help="number of the first (default: 0)")
-    parser.add_argument("--count", type=int, default=10, help="how many (default: 10)")
+    parser = CommandLine(__doc__)
+    parser.option("--first", "number of the first", 0)
+    parser.option("--count", "how many", 10)
     options = parser.parse_args()
     print(head(*COLUMNS))
     for number in range(options.first, options.first + options.count):

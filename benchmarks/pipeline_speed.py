@@ -11,7 +11,6 @@ all kernels on one core.
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import tempfile
@@ -25,9 +24,7 @@ import cv2
 import numpy as np
 from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
-from tables import add_json_option, keep
+from tables import CommandLine, head, keep, line
 from tracking.detectors import Ours, Peer, children_time, peers
 
 from cmp_tactile_processing.force.stage import ForceStage
@@ -234,38 +231,26 @@ def _prepared(sensor: str, folder: str) -> float:
     return children_time() - before
 
 
-def _show(name: str, rows: Mapping[str, Mapping[str, float]], console: Console) -> None:
-    table = Table("", "median ms", "99 % ms", "ratio to OpenCV", "frames", title=name)
-    for row, values in rows.items():
-        table.add_row(
-            row, f"{values['median_ms']:.2f}", f"{values['p99_ms']:.2f}",
-            f"{values['ratio']:.2f}", str(values["frames"]),
-        )  # fmt: skip
-    console.print(table)
-
-
 def main() -> None:
     """Measure, print, and keep."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser = CommandLine(__doc__.partition("\n\n")[0])
     add_options(parser)
-    parser.add_argument("--rounds", type=int, default=3, help="repetitions (default: %(default)d)")
-    parser.add_argument(
-        "--peers", action="store_true", help="measure all detectors, not only OpenCV's classic one"
-    )
-    parser.add_argument(
-        "--compile", action="store_true", help="also measure the time to compile all kernels"
-    )
-    add_json_option(parser)
-    arguments = parser.parse_args()
-    console, inputs = Console(), chosen(arguments)
+    parser.option("--rounds", "repetitions", 3)
+    parser.option("--peers", "measure all detectors, not only OpenCV's classic one", False)
+    parser.option("--compile", "also measure the time to compile all kernels", False)
+    parser.add_json()
+    arguments, columns = parser.parse_args(), ("median_ms", "p99_ms", "ratio", "frames")
+    inputs = chosen(arguments)
     for given in inputs:
         rows = measure(given, arguments.rounds, with_peers=arguments.peers)
-        _show(given.name, rows, console)
+        print(head(given.name, "median ms", "99 % ms", "ratio to OpenCV", "frames"))
+        for row, values in rows.items():
+            print(line(row, *(values[column] for column in columns)))
         if arguments.json:
             keep(arguments.json, {given.name: rows})
     if arguments.compile:
         found = compiling(inputs[0].sensor_file)
-        console.print(found)
+        print(found)
         if arguments.json:
             keep(arguments.json, {"compiling": found})
 

@@ -63,11 +63,25 @@ def missed(limits: Iterable[Limit]) -> int:
     return sum(limit.met is False for limit in limits)
 
 
-def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """The option --json."""
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures into this file"
-    )
+class CommandLine(argparse.ArgumentParser):
+    """That of a benchmark, described by its module."""
+
+    def __init__(self, description: str | None) -> None:
+        style = argparse.RawDescriptionHelpFormatter
+        super().__init__(description=description, formatter_class=style)
+
+    def option(self, name: str, text: str, default: Any = None, **given: Any) -> None:
+        """An option of the type of its default, which the help names; False: a switch."""
+        if default is False:
+            given |= {"action": "store_true"}
+        elif default is not None:
+            given = {"type": type(default), "default": default, **given}
+            text += " (default: %(default)s)"
+        self.add_argument(name, help=text, **given)
+
+    def add_json(self) -> None:
+        """The option --json."""
+        self.option("--json", "write the figures into this file", type=Path, metavar="FILE")
 
 
 def keep(path: Path, figures: Mapping[str, Any]) -> None:

@@ -8,7 +8,6 @@ install calculix-ccx. Takes some minutes.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 import sys
@@ -16,9 +15,11 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from errors import NOISE_M, surface_of
 from numpy.typing import NDArray
+from tables import CommandLine
 
 from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.advice import flag_names
@@ -217,15 +218,9 @@ def line(name: str, outside: float, true: Array, fields: list[ForceField]) -> st
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--sensor",
-        default="sample_rig",
-        help="sensor description: name or file (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--frames", type=int, default=20, help="noisy frames of each case (default: %(default)s)"
-    )
+    parser = CommandLine(__doc__)
+    parser.option("--sensor", "sensor description: name or file", "sample_rig")
+    parser.option("--frames", "noisy frames of each case", 20)
     arguments = parser.parse_args()
     if shutil.which("ccx") is None:
         sys.exit("ccx is missing: apt-get install calculix-ccx")

@@ -8,7 +8,6 @@ cache folder.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -18,7 +17,7 @@ from time import perf_counter
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
 from limits import ForceRun
-from tables import Limit, head, line, missed
+from tables import CommandLine, Limit, head, line, missed
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_processing.sensor.description import load_sensor
@@ -56,40 +55,15 @@ def _text(name: str) -> str:
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
-OUTPUT = Path("benchmark_output")
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    given = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    given.add_argument(
-        "--limits", action="store_true", help="print a row for each limit, write no tables"
-    )
-    given.add_argument(
-        "--part",
-        action="append",
-        choices=ForceRun.PARTS,
-        help="measure only this part; may be repeated (default: all)",
-    )
-    given.add_argument(
-        "--frames", type=int, default=20, help="noisy frames of each load (default: %(default)s)"
-    )
-    given.add_argument(
-        "--sensor",
-        default="sample_rig",
-        help="sensor description: name or file (default: %(default)s)",
-    )
-    given.add_argument(
-        "--output", type=Path, default=OUTPUT, help="folder for the tables (default: %(default)s)"
-    )
-    return given
-
-
 def main() -> int:
     """Measure what the options ask for; 1 where a limit is missed."""
-    arguments = parser().parse_args()
+    given, parts = CommandLine(__doc__), ForceRun.PARTS
+    given.option("--limits", "print a row for each limit, write no tables", False)
+    given.option("--part", "only this part; repeatable", action="append", choices=parts)
+    given.option("--frames", "noisy frames of each load", 20)
+    given.option("--sensor", "sensor description: name or file", "sample_rig")
+    given.option("--output", "folder for the tables", Path("benchmark_output"), type=Path)
+    arguments = given.parse_args()
     sensor = load_sensor(arguments.sensor)
     with threadpool_limits(1):
         run = ForceRun(sensor, arguments.frames)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partialmethod
 from typing import ClassVar
 
 import numpy as np
@@ -38,6 +38,9 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 JUDGED_DEPTH, LARGE_PRESS_SHARE = 0.44e-3, 0.025
 
 
+Sweep = Callable[[ForceModel, list[ForceCase], int], Iterator[Point]]
+
+
 @dataclass
 class ForceRun(LimitRun):
     """Measures all parts."""
@@ -58,23 +61,38 @@ class ForceRun(LimitRun):
     def _cases(self) -> list[ForceCase]:
         return load_cases(self.sensor)
 
-    def _case(self) -> Iterator[Limit]:
-        yield from self._judged(by_case(self._model, self._cases, self.frames))
+    def _judged(self, sweep: Sweep) -> Iterator[Limit]:
+        for point in sweep(self._model, self._cases, self.frames):
+            limits = point.limits
+            if limits is None:
+                continue
+            missed, case = limits.missed(point.errors), point.case
+            limit = f"Fz {limits.fz:.3f} Ft {limits.ft:.3f} N"
+            limit += "" if np.isnan(limits.torque) else f" {1e3 * limits.torque:g} N mm"
+            limit += "" if np.isnan(limits.l2) else f" L2 {100 * limits.l2:g} %"
+            text = _text(point.errors, case)
+            if not np.isnan(point.outlined):
+                text += f" (of the true node forces {100 * point.outlined:+.0f} %)"
+            l2, fz = point.oracle
+            text += "" if np.isnan(l2) else f" (oracle: Fz {fz:.4f} N L2 {100 * l2:.1f} %)"
+            text += f", missed: {', '.join(missed)}" if missed else ""
+            text += " (by the oracle as well)" if l2 > limits.l2 or fz > limits.fz else ""
+            yield Limit(f"{case.name}, {case.newton:g} N", limit, text, not missed, point.sweep)
 
-    def _load(self) -> Iterator[Limit]:
-        yield from self._judged(by_load(self._model, self._cases, self.frames))
+    def _informed(self, sweep: Sweep) -> Iterator[Limit]:
+        for point in sweep(self._model, self._cases, self.frames):
+            case = point.case
+            name = f"{case.name}, {case.newton:g} N, {point.condition}"
+            yield Limit(name, "-", _text(point.errors, case), None, point.sweep)
 
-    def _noise(self) -> Iterator[Limit]:
-        yield from self._informed(by_noise(self._model, self._cases, self.frames))
-
-    def _smoothing(self) -> Iterator[Limit]:
-        yield from self._informed(by_smoothing(self._model, self._cases, self.frames))
-
-    def _missing(self) -> Iterator[Limit]:
-        yield from self._informed(by_missing(self._model, self._cases, self.frames))
+    _case = partialmethod(_judged, by_case)
+    _load = partialmethod(_judged, by_load)
+    _noise = partialmethod(_informed, by_noise)
+    _smoothing = partialmethod(_informed, by_smoothing)
+    _missing = partialmethod(_informed, by_missing)
 
     def _description(self) -> Iterator[Limit]:
-        yield from self._informed(by_description(self.sensor, self._cases, self.frames))
+        yield from self._informed(lambda _, *given: by_description(self.sensor, *given))
 
     def _large_press(self) -> Iterator[Limit]:
         """A neo-Hookean gel."""
@@ -129,30 +147,6 @@ class ForceRun(LimitRun):
             )
             name, limit = f"{error.name}, {error.newton:g} N", f"Fz {error.limit:.3f} N"
             yield Limit(name, limit, measured, bool(error.fz <= error.limit), "rendered")
-
-    def _judged(self, points: Iterable[Point]) -> Iterator[Limit]:
-        for point in points:
-            limits = point.limits
-            if limits is None:
-                continue
-            missed, case = limits.missed(point.errors), point.case
-            limit = f"Fz {limits.fz:.3f} Ft {limits.ft:.3f} N"
-            limit += "" if np.isnan(limits.torque) else f" {1e3 * limits.torque:g} N mm"
-            limit += "" if np.isnan(limits.l2) else f" L2 {100 * limits.l2:g} %"
-            text = _text(point.errors, case)
-            if not np.isnan(point.outlined):
-                text += f" (of the true node forces {100 * point.outlined:+.0f} %)"
-            l2, fz = point.oracle
-            text += "" if np.isnan(l2) else f" (oracle: Fz {fz:.4f} N L2 {100 * l2:.1f} %)"
-            text += f", missed: {', '.join(missed)}" if missed else ""
-            text += " (by the oracle as well)" if l2 > limits.l2 or fz > limits.fz else ""
-            yield Limit(f"{case.name}, {case.newton:g} N", limit, text, not missed, point.sweep)
-
-    def _informed(self, points: Iterable[Point]) -> Iterator[Limit]:
-        for point in points:
-            case = point.case
-            name = f"{case.name}, {case.newton:g} N, {point.condition}"
-            yield Limit(name, "-", _text(point.errors, case), None, point.sweep)
 
 
 def _shares(name: str, values: np.ndarray) -> Limit:

@@ -54,9 +54,7 @@ CONTACT_NODES = 20
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--quick", action="store_true", help="only the first part, without contacts"
-    )
+    parser.add_argument("--quick", action="store_true", help="only the first part")
     quick = parser.parse_args().quick
     print("Largest error in % of the largest true force. loop: width of the hysteresis loop")
     columns = ["weight 30 s", "released", "pressed 30 s", "ramp 10 s"]
@@ -81,12 +79,12 @@ def main() -> None:
 
 def wrong_ones(gel: GelRelaxation) -> dict[str, GelRelaxation]:
     """The gel as it would be described with errors of WRONG."""
-    more, less = 1 + WRONG, 1 - WRONG
     return {
-        f"share {100 * WRONG:+.0f} %": replace(gel, share=gel.share * more),
-        f"share {-100 * WRONG:+.0f} %": replace(gel, share=gel.share * less),
-        f"time {100 * WRONG:+.0f} %": replace(gel, time=gel.time * more),
-        f"time {-100 * WRONG:+.0f} %": replace(gel, time=gel.time * less),
+        f"{key} {100 * sign * WRONG:+.0f} %": replace(
+            gel, **{key: getattr(gel, key) * (1 + sign * WRONG)}
+        )
+        for key in ("share", "time")
+        for sign in (1, -1)
     }
 
 

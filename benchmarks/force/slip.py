@@ -207,12 +207,8 @@ def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--noise", type=float, default=1.0, help="factor of the noise (default: 1)")
-    parser.add_argument(
-        "--nodes", type=int, default=40, help="contact nodes along a side (default: 40)"
-    )
-    parser.add_argument(
-        "--only", default="", help="measure only cases with this text in their name"
-    )
+    parser.add_argument("--nodes", type=int, default=40, help="contact nodes along a side (40)")
+    parser.add_argument("--only", default="", help="measure only cases with this in their name")
     arguments = parser.parse_args()
     sensor = load_sensor("sample_rig")
     gel = LinearElastomer(sensor, arguments.nodes)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import FrameError, InputError
+from cmp_tactile_processing.errors import FrameError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.measured import Grid, GridShape, Status, ViewPlacement
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -253,13 +253,7 @@ SEQUENCES: dict[str, Callable[[SensorDescription, int], Cases]] = {
 
 
 def sequence_of(kind: str, sensor: SensorDescription, seed: int = 0) -> Cases:
-    """The frames of that sequence, in order; lengths suit a pattern of about 14.5 mm.
-
-    Raises InputError for a kind that is not in SEQUENCES.
-    """
-    if kind not in SEQUENCES:
-        msg = f"sequence: found {kind!r}, expected one of {', '.join(SEQUENCES)}"
-        raise InputError(msg)
+    """The frames of that sequence, in order; lengths suit a pattern of about 14.5 mm."""
     return SEQUENCES[kind](sensor, seed)
 
 
@@ -296,25 +290,17 @@ def bad_views(view: NDArray[np.uint8], seed: int = 0) -> Mapping[str, NDArray[np
 def misdescribed(sensor: SensorDescription) -> Mapping[str, SensorDescription]:
     """Descriptions of the same rig with a pattern of another size or the other colours."""
     pattern = sensor.pattern
-    sizes = {
-        f"{rows} x {cols} expected": (rows, cols)
-        for rows, cols in (
-            (pattern.rows - 1, pattern.cols),
-            (pattern.rows, pattern.cols - 2),
-            (pattern.rows - 2, pattern.cols - 2),
-            (pattern.rows + 1, pattern.cols + 1),
-            (pattern.rows + 2, pattern.cols),
-        )
-    }
-    found = {
-        name: replace(sensor, pattern=replace(pattern, rows=rows, cols=cols))
-        for name, (rows, cols) in sizes.items()
-    }
+    rows, cols = pattern.rows, pattern.cols
+    sizes = (rows - 1, cols), (rows, cols - 2), (rows - 2, cols - 2), (rows + 1, cols + 1)
     other = "light" if pattern.corner_checker == "dark" else "dark"
-    found["other colours expected"] = replace(
-        sensor, pattern=replace(pattern, corner_checker=other)
-    )
-    return found
+    changes: dict[str, dict[str, Any]] = {
+        f"{i} x {j} expected": {"rows": i, "cols": j} for i, j in (*sizes, (rows + 2, cols))
+    }
+    changes["other colours expected"] = {"corner_checker": other}
+    return {
+        name: replace(sensor, pattern=replace(pattern, **change))
+        for name, change in changes.items()
+    }
 
 
 # Frames with truth from a folder of PNG and NPZ files, as an independent renderer writes them. The

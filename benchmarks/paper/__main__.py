@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import sys
@@ -13,22 +12,17 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
+from tables import CommandLine
+
 from paper.lab import Lab, Workplace
 from paper.page import MET_WORDS, Page, add_claims, add_facts, add_summary
 
 ROOT = Path(__file__).resolve().parents[2]
 INTERRUPTED = 130
 EXPERIMENTS = (
-    "objects",
-    "precision",
-    "resolution",
-    "reliability",
-    "speed",
-    "balls",
-    "probe",
-    "grasp",
+    "objects", "precision", "resolution", "reliability", "speed", "balls", "probe", "grasp",
     "density",
-)
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -53,23 +47,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="paper",
-        description="Run the paper's experiments and write a page with figures and claims. "
-        "Cases of an earlier run into the same folder are not computed again.",
+def _parser() -> CommandLine:
+    parser = CommandLine(
+        "Run the paper's experiments and write a page with figures and claims. "
+        "Cases of an earlier run into the same folder are not computed again."
     )
-    parser.add_argument("--fast", action="store_true", help="fewer and smaller cases")
-    parser.add_argument(
-        "--only", nargs="+", choices=EXPERIMENTS, metavar="KEY", help="run only these"
-    )
-    parser.add_argument("--list", action="store_true", help="list the experiments and their keys")
-    parser.add_argument(
-        "--output", type=Path, help="folder (default: benchmark_output/paper or paper_fast)"
-    )
-    cores = len(os.sched_getaffinity(0))
-    parser.add_argument("--jobs", type=int, default=cores, help="processes (default: %(default)d)")
-    parser.add_argument("--overwrite", action="store_true", help="compute all cases again")
+    parser.prog = "paper"
+    parser.option("--fast", "fewer and smaller cases", False)
+    parser.option("--only", "run only these", nargs="+", choices=EXPERIMENTS, metavar="KEY")
+    parser.option("--list", "list the experiments and their keys", False)
+    parser.option("--output", "folder, or benchmark_output/paper or paper_fast", type=Path)
+    parser.option("--jobs", "processes", len(os.sched_getaffinity(0)))
+    parser.option("--overwrite", "compute all cases again", False)
     return parser
 
 

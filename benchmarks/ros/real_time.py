@@ -14,7 +14,6 @@ of two processor times of a frame: that of the container, with the camera driver
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -38,7 +37,7 @@ from sensor_msgs.msg import CameraInfo
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from inputs import Input, add_options, chosen
 from pipeline_speed import BOTH, PEER, Chain, Times, take_peer
-from tables import add_json_option, keep
+from tables import CommandLine, head, keep, line
 from tracking.detectors import peers
 
 from cmp_tactile_driver.bags.writer import BagWriter
@@ -61,6 +60,8 @@ WARM_UP = 120
 OPENCV_FRAMES = 3
 SOAK_HZ, STEADY_WRENCHES = 60.0, 600
 PIPELINE = "pipeline"
+COLUMNS = ("cores", "MB", "first wrench s", "ms a frame")
+LAST = (("cores", 2), ("memory_mb", 0), ("first_wrench_s", 1), ("frame_ms", 1))
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
@@ -317,12 +318,11 @@ def figures(node: Wrenches, first: int = WARM_UP) -> dict[str, float]:
 
 def _row(key: str, found: Mapping[str, float]) -> str:
     if "lost" not in found:
-        return f"| {key} | | | | | | | {found['first_wrench_s']:.1f} | |"
-    return (
-        f"| {key} | {found['rate_hz']:.1f} | {found['lost']:.0f} of {found['sent']:.0f} | "
-        f"{found['median_ms']:.1f} | {found['p99_ms']:.1f} | {found['cores']:.2f} | "
-        f"{found['memory_mb']:.0f} | {found['first_wrench_s']:.1f} | {found['frame_ms']:.1f} |"
-    )
+        return line(key, *6 * [""], f"{found['first_wrench_s']:.1f}", "")
+    lost = f"{found['lost']:.0f} of {found['sent']:.0f}"
+    numbers = [f"{found[name]:.1f}" for name in ("rate_hz", "median_ms", "p99_ms")]
+    last = (f"{found[name]:.{digits}f}" for name, digits in LAST)
+    return line(key, numbers[0], lost, *numbers[1:], *last)
 
 
 def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, dict[str, float]]:
@@ -330,10 +330,7 @@ def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, di
     found = {"beside": beside(recording, PACE_HZ)}
     opencv, pipeline = found["beside"].values()
     print(f"\n{recording.name}: OpenCV {opencv:.1f} ms, Pipeline {pipeline:.1f} ms for a frame\n")
-    print(
-        "| case | Hz each | lost | median ms | p99 ms | cores | MB | first wrench s | ms a frame |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print(head("case", "Hz each", "lost", "median ms", "p99 ms", *COLUMNS))
     for key, case in chosen_cases.items():
         found[key] = run(recording, case)
         if "cores" in found[key]:
@@ -349,18 +346,12 @@ def _measure(recording: Input, chosen_cases: Mapping[str, Case]) -> dict[str, di
 
 def main() -> None:
     """Measure, print, and keep."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = CommandLine(__doc__.partition("\n")[0])
     add_options(parser)
-    parser.add_argument(
-        "--frames", type=int, default=600, help="frames of each sensor (default: %(default)d)"
-    )
-    add_json_option(parser)
-    parser.add_argument(
-        "--only", nargs="+", choices=cases(1), metavar="KEY", help="run only these cases"
-    )
-    parser.add_argument(
-        "--soak", type=float, default=0.0, metavar="MINUTES", help="run one sensor at 60 Hz alone"
-    )
+    parser.option("--frames", "frames of each sensor", 600)
+    parser.add_json()
+    parser.option("--only", "run only these cases", nargs="+", choices=cases(1), metavar="KEY")
+    parser.option("--soak", "run one sensor at 60 Hz alone", 0.0, metavar="MINUTES")
     options = parser.parse_args()
     rclpy.init()
     wanted = {

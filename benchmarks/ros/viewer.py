@@ -52,7 +52,7 @@ from real_time import (
 )
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
-from tables import add_json_option
+from tables import CommandLine
 
 from cmp_tactile_bringup.report.results import find_recording
 from cmp_tactile_driver.bags.reader import BagReader
@@ -389,20 +389,13 @@ def _row(key: str, found: Mapping[str, float]) -> str:
 
 def main() -> None:
     """Measure, print, and keep."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--input", default="grasp", help="packaged scene (default: %(default)s)")
-    parser.add_argument(
-        "--seconds", type=float, default=20.0, help="length of each case (default: %(default)g)"
-    )
-    parser.add_argument(
-        "--minutes",
-        type=float,
-        default=5.0,
-        help="length of the case `long` (default: %(default)g)",
-    )
-    add_json_option(parser)
-    parser.add_argument("--only", nargs="+", metavar="KEY", help="run only these cases")
-    parser.add_argument("--reader", action="store_true", help=argparse.SUPPRESS)
+    parser = CommandLine(__doc__.partition("\n")[0])
+    parser.option("--input", "packaged scene", "grasp")
+    parser.option("--seconds", "length of each case", 20.0)
+    parser.option("--minutes", "length of the case `long`", 5.0)
+    parser.add_json()
+    parser.option("--only", "run only these cases", nargs="+", metavar="KEY")
+    parser.option("--reader", argparse.SUPPRESS, False)
     options = parser.parse_args()
     if options.reader:
         asyncio.run(read())

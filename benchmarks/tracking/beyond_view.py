@@ -9,7 +9,6 @@ knocks, each after a frame at rest. Each view shows some 1,900 corners, and 25 x
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import sys
 from collections.abc import Iterator
@@ -22,7 +21,7 @@ import numpy as np
 from detectors import Detection, Ours
 from inputs import Input, add_options, chosen
 from numpy.typing import NDArray
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.split import split_frame
@@ -181,7 +180,7 @@ def rendered(studio: PatternStudio, sensor: SensorDescription) -> Iterator[tuple
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
+    parser = CommandLine((__doc__ or "").partition("\n\n")[0])
     add_options(parser)
     parser.set_defaults(input=("grasp",))
     options = parser.parse_args()

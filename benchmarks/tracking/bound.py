@@ -6,10 +6,8 @@ For a corner it is that of a shift, along x and y, of the pixels within half a c
 virtual marker, of a shift across its gridline of the pixels in its share of the segment. The second
 bound of a corner is that where the pixels' places may also be off by any quadratic function of
 place: of an estimate that does not know how the edges bend. An estimate that also uses what lies
-farther away can be better than these bounds, and errs where the pattern bends otherwise. How much
-stands in the columns of windows: the error, noise and bias, of the best fit of quadratic functions
-to all pixels within so many checkers, by someone who knows light, blur and colours exactly. The
-pixels' gradients come from the rendered frame without noise, the noise from the camera's settings.
+farther away can be better than these bounds. The pixels' gradients come from the rendered frame
+without noise, the noise from the camera's settings.
 
 How many times its reported deviation an error is, as a root mean square, stands beside ours: 1 is
 right.
@@ -20,7 +18,6 @@ setup/run python3 benchmarks/tracking/bound.py --kind clean       one kind
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -32,24 +29,19 @@ import numpy as np
 from detectors import Detector, ours, peers, view_image
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from hard_frames.library import cases_of
-from hard_frames.studio import PatternCase, PatternStudio, pattern_rig
+from hard_frames.studio import PatternCase, PatternStudio
 
 SENSOR = "sample_rig"
 # Rounding to grey levels adds the variance of numbers spread evenly over one level.
 ROUNDING = 1 / 12
 # Half the side of the square of pixels that is looked at, in checkers.
 REACH = 0.75
-# Radii of the windows, in checkers, and samples along the side of a checker within them.
-WINDOWS, SAMPLES = (0.75, 1.0, 1.5), 16
-# Corners along a side of patterns of one size: the checkers' size changes.
-CORNERS = (12, 30, 40)
-
 Array = NDArray[np.float64]
 
 
@@ -122,39 +114,6 @@ class View:
                 bound[place] = _variance(np.hstack(effect), self._noise)
         return found[0], found[1]
 
-    def of_windows(self) -> Array:
-        """Squared errors (window, corner) of the best fits in WINDOWS, px^2, of inner corners.
-
-        The pattern is sampled where it lies, so that the sums over pixels become integrals.
-        """
-        corners, side = self.truth.corners, self._sides()
-        rows, cols = (np.arange(count, dtype=float) for count in corners.shape[:2])
-        splines = [
-            RectBivariateSpline(rows, cols, corners[..., axis], kx=5, ky=5) for axis in (0, 1)
-        ]
-        rim = int(np.ceil(WINDOWS[-1]))
-        step = (np.arange(-rim * SAMPLES, rim * SAMPLES) + 0.5) / SAMPLES
-        number = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
-        slopes, found = self._slopes.astype(np.float32), []
-        for i, j in np.ndindex(len(rows) - 2 * rim, len(cols) - 2 * rim):
-            row, col = i + rim, j + rim
-            sheet = np.stack([spline(row + step, col + step) for spline in splines], axis=-1)
-            down, right = np.gradient(sheet, axis=(0, 1))
-            area = np.abs(down[..., 0] * right[..., 1] - down[..., 1] * right[..., 0]).ravel()
-            ways = [[s.ev(row, col, dx=1), s.ev(row, col, dy=1)] for s in splines]
-            place = sheet.reshape(-1, 2)
-            offset = place - corners[row, col]
-            # By how much the pattern lies elsewhere than one that is stretched evenly.
-            bent = number @ np.transpose(ways) - offset
-            x, y = place.astype(np.float32).T
-            slope = cv2.remap(slopes, x, y, cv2.INTER_LANCZOS4)[:, 0]
-            slope = slope * np.sqrt(area)[:, None]
-            reach = np.linalg.norm(offset, axis=-1) / side[row, col]
-            found.append(
-                [_window_error(offset, slope, bent, self._noise, reach < w) for w in WINDOWS]
-            )
-        return np.transpose(found)
-
     def of_markers(self, lines: Array, axis: int) -> tuple[Array, Array]:
         """Squared bounds (a, b, n) across the gridlines along an axis, px^2, and normals."""
         corners = self.truth.corners
@@ -200,29 +159,10 @@ def _variance(effect: Array, noise: float) -> float:
     return float(noise**2 * np.trace(np.linalg.inv(information)[:2, :2]))
 
 
-def _window_error(offset: Array, slope: Array, bent: Array, noise: float, near: Array) -> float:
-    """Squared error of a shift, px^2, if what is bent (m, 2), px, is fitted by quadratics."""
-    x, y = offset[near].T / np.abs(offset[near]).max()
-    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
-    effect = (terms[:, :, None] * slope[near][:, None]).reshape(len(x), -1)
-    inverse = np.linalg.inv(effect.T @ effect)
-    shift = inverse[:2] @ effect.T @ (slope[near] * bent[near]).sum(axis=-1)
-    return float(noise**2 * np.trace(inverse[:2, :2]) + shift @ shift)
-
-
 def _seen(**camera: float) -> Callable[[SensorDescription, int], list[PatternCase]]:
     def cases(sensor: SensorDescription, seed: int) -> list[PatternCase]:
         seen = CameraSettings(**camera)
         return [replace(case, camera=seen) for case in cases_of("clean", sensor, seed)]
-
-    return cases
-
-
-def _sized(side: int) -> Callable[[SensorDescription, int], list[PatternCase]]:
-    def cases(sensor: SensorDescription, seed: int) -> list[PatternCase]:
-        del sensor
-        rig = pattern_rig(side, side)
-        return [replace(case, sensor=rig) for case in cases_of("clean", rig, seed)]
 
     return cases
 
@@ -233,7 +173,6 @@ KINDS: dict[str, Callable[[SensorDescription, int], list[PatternCase]]] = {
     **{f"noise {noise:g}": _seen(read_noise=noise) for noise in (4.0, 16.0)},
     **{f"blur {blur:g}": _seen(blur=blur) for blur in (1.5, 3.0)},
     "low contrast": lambda sensor, seed: cases_of("low contrast", sensor, seed),
-    **{f"{side} x {side} corners": _sized(side) for side in CORNERS},
 }
 
 
@@ -270,12 +209,12 @@ def marker_errors(grid: Grid, view: View) -> Iterator[tuple[Array, Array, Array]
 
 
 def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
-    """A row of the table: kind, bounds and windows of a corner, each detector, our virtual markers,
+    """A row of the table: kind, bounds of a corner, each detector, our virtual markers,
     and our errors over the reported deviations.
     """
     sensor, studio = load_sensor(SENSOR), PatternStudio()
     corners = {detector.name: Squares() for detector in detectors}
-    markers, bounds, bent_bounds, windows = Squares(), [], [], []
+    markers, bounds, bent_bounds = Squares(), [], []
     of_corners, of_markers = Reported(), Reported()
     for seed in range(seeds):
         for case in KINDS[kind](sensor, seed):
@@ -283,7 +222,6 @@ def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
                 bound, bent_bound = view.of_corners()
                 bounds.append(bound[np.isfinite(bound)])
                 bent_bounds.append(bent_bound[np.isfinite(bent_bound)])
-                windows.append(view.of_windows())
                 for number, detector in enumerate(detectors):
                     found = detector.detect(case.sensor, name, image, view.truth).grid
                     corners[detector.name].add(corner_error(found, view.truth), bound)
@@ -293,35 +231,22 @@ def measure(kind: str, seeds: int, detectors: list[Detector]) -> list[str]:
                         for error, std, limit in marker_errors(found, view):
                             markers.add(error**2, limit)
                             of_markers.add(error, std)
-    squares = [*map(np.concatenate, (bounds, bent_bounds)), *np.concatenate(windows, axis=1)]
-    least = (f"{np.sqrt(each.mean()):.4f} px" for each in squares)
+    least = (f"{np.sqrt(np.concatenate(each).mean()):.4f} px" for each in (bounds, bent_bounds))
     return [kind, *least, *map(str, (*corners.values(), markers, of_corners, of_markers))]
 
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kind", action="append", choices=KINDS, help="default: all kinds")
-    parser.add_argument("--seeds", type=int, default=2, help="of the cases (%(default)s)")
+    parser = CommandLine(__doc__)
+    parser.option("--kind", "default: all kinds", action="append", choices=KINDS)
+    parser.option("--seeds", "of the cases", 2)
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     detectors: list[Detector] = [ours()[0], *peers()]
     names = [detector.name for detector in detectors]
     print("RMS error, and how many times the bound that is")
-    print(
-        head(
-            "frames",
-            "bound",
-            "bends unknown",
-            *(f"window {window:g}" for window in WINDOWS),
-            *names,
-            "our virtual markers",
-            "z of corners",
-            "z of markers",
-        )
-    )
+    columns = (*names, "our virtual markers", "z of corners", "z of markers")
+    print(head("frames", "bound", "bends unknown", *columns))
     for kind in arguments.kind or KINDS:
         print(line(*measure(kind, arguments.seeds, detectors)), flush=True)
     return 0

@@ -9,7 +9,6 @@ take some ten minutes.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +19,7 @@ import cv2
 import numpy as np
 from detectors import Ours, run_frames
 from numpy.typing import NDArray
-from tables import head, line
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.printing.pattern import checker_sides_px
@@ -214,11 +213,9 @@ PARTS: dict[str, Callable[[PatternStudio, Ours, SensorDescription], None]] = {
 
 def main() -> None:
     """Measure the parts that are asked for."""
-    given = argparse.ArgumentParser(description=__doc__)
-    given.add_argument(
-        "--only", nargs="+", choices=PARTS, default=PARTS, help="run only these parts"
-    )
-    asked = given.parse_args().only
+    given = CommandLine(__doc__)
+    given.option("--only", "run only these parts", nargs="+", choices=PARTS)
+    asked = given.parse_args().only or PARTS
     cv2.setNumThreads(1)
     studio, tracker, sensor = PatternStudio(), Ours("cmp_tactile"), coded(load_sensor("sample_rig"))
     for name, measure in PARTS.items():

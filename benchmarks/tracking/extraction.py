@@ -20,7 +20,7 @@ import cv2
 from detectors import ours, peers
 from limits import TrackingLimits
 from sweeps import SWEEPS, Point, SweepRun, write_markdown
-from tables import missed
+from tables import CommandLine, missed
 
 from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -31,54 +31,19 @@ DATA_VARIABLE = "CMP_TACTILE_SAMPLE_DATA"
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    given = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    given.add_argument(
-        "--detector",
-        default="saddle_lattice",
-        help="our detector for --limits (default: %(default)s)",
-    )
-    given.add_argument(
-        "--seed", type=int, default=0, help="seed of the cases (default: %(default)s)"
-    )
-    given.add_argument(
-        "--seeds", type=int, default=1, help="number of seeds (default: %(default)s)"
-    )
-    given.add_argument(
-        "--limits",
-        nargs="*",
-        choices=TrackingLimits.PARTS,
-        metavar="PART",
-        help="print a row for each limit of these parts: limit, measured, met (default: all of "
-        f"{', '.join(TrackingLimits.PARTS)})",
-    )
-    given.add_argument(
-        "--sweep",
-        action="append",
-        help="only sweeps with this text in their name; may be repeated (default: all)",
-    )
-    given.add_argument(
-        "--peer-images",
-        type=int,
-        default=6,
-        help="views of each level for a peer (default: %(default)s)",
-    )
-    given.add_argument(
-        "--peer-seconds",
-        type=float,
-        default=60.0,
-        help="time of a peer for a sweep (default: %(default)s)",
-    )
-    given.add_argument(
-        "--output", type=Path, default=OUTPUT, help="folder for the tables (default: %(default)s)"
-    )
-    given.add_argument(
-        "--data",
-        type=Path,
-        default=os.environ.get(DATA_VARIABLE),
-        help=f"folder of sample frames (default: ${DATA_VARIABLE})",
-    )
+    given = CommandLine(__doc__)
+    given.option("--detector", "our detector for --limits", "saddle_lattice")
+    given.option("--seed", "seed of the cases", 0)
+    given.option("--seeds", "number of seeds", 1)
+    parts = TrackingLimits.PARTS
+    text = "print a row for each limit of these parts (default: all): limit, measured, met"
+    given.option("--limits", text, nargs="*", choices=parts, metavar="PART")
+    given.option("--sweep", "only sweeps with this in their name; repeatable", action="append")
+    given.option("--peer-images", "views of each level for a peer", 6)
+    given.option("--peer-seconds", "time of a peer for a sweep", 60.0)
+    given.option("--output", "folder for the tables", OUTPUT, type=Path)
+    data = os.environ.get(DATA_VARIABLE)
+    given.option("--data", f"folder of sample frames, or ${DATA_VARIABLE}", data)
     return given
 
 

@@ -61,8 +61,14 @@ class Point:
     ms: float
 
 
-def _camera(make: Callable[[float], CameraSettings]) -> Make:
-    return lambda sensor, level: [bent(sensor, kind, camera=make(level)) for kind in KINDS]
+def _seen(name: str, unit: float = 1.0, over: float = 0.0, **others: float) -> Make:
+    """That setting of the camera at the level times a unit, over something."""
+
+    def cases(sensor: SensorDescription, level: float) -> list[PatternCase]:
+        camera = CameraSettings(**others | {name: over + unit * level})  # type: ignore[arg-type]
+        return [bent(sensor, kind, camera=camera) for kind in KINDS]
+
+    return cases
 
 
 def _printed(make: Callable[[float], PrintDefects]) -> Make:
@@ -94,51 +100,21 @@ def _sizes(sensor: SensorDescription, level: float) -> list[PatternCase]:  # noq
 
 
 SWEEPS = (
-    Sweep(
-        "blur", "sigma, px", (0.5, 1, 1.5, 2, 3, 4, 5), _camera(lambda v: CameraSettings(blur=v))
-    ),
-    Sweep(
-        "noise",
-        "sigma, grey levels",
-        (0, 2, 4, 8, 16, 24, 32),
-        _camera(lambda v: CameraSettings(read_noise=v)),
-    ),
-    Sweep(
-        "salt and pepper",
-        "share of pixels, %",
-        (0, 0.2, 1, 3, 10, 20),
-        _camera(lambda v: CameraSettings(salt_and_pepper=v / 100)),
-    ),
-    Sweep(
-        "light",
-        "brightest over darkest",
-        (1, 2, 3, 5, 8, 12),
-        _camera(lambda v: CameraSettings(light_ratio=v, vignette=0.3)),
-    ),
-    Sweep(
-        "contrast",
-        "light - dark, grey levels",
-        (160, 80, 40, 20, 12, 8),
-        _camera(lambda v: CameraSettings(light_level=60 + v, dark_level=60)),
-    ),
+    Sweep("blur", "sigma, px", (0.5, 1, 1.5, 2, 3, 4, 5), _seen("blur")),
+    Sweep("noise", "sigma, grey levels", (0, 2, 4, 8, 16, 24, 32), _seen("read_noise")),
+    Sweep("salt and pepper", "share of pixels, %", (0, 0.2, 1, 3, 10, 20),
+          _seen("salt_and_pepper", 0.01)),
+    Sweep("light", "brightest over darkest", (1, 2, 3, 5, 8, 12),
+          _seen("light_ratio", vignette=0.3)),
+    Sweep("contrast", "light - dark, grey levels", (160, 80, 40, 20, 12, 8),
+          _seen("light_level", over=60.0, dark_level=60.0)),
     Sweep("occlusion", "share hidden", (0, 0.1, 0.2, 1 / 3, 0.45, 0.6), _hidden, far=True),
-    Sweep(
-        "missing ink",
-        "blobs on the pattern",
-        (0, 10, 20, 40, 80),
-        _printed(lambda v: PrintDefects(int(v), 0, BLOB_RADIUS)),
-        paired=True,
-    ),
-    Sweep(
-        "ragged edges",
-        "rms, mm",
-        (0, 0.01, 0.02, 0.04, 0.06, 0.08),
-        _printed(lambda v: PrintDefects(0, 0, BLOB_RADIUS, v * 1e-3, RAGGED_LENGTH)),
-        paired=True,
-    ),
-    Sweep(
-        "jump", "checkers in one frame", (0.25, 0.5, 1, 1.5, 2, 3), _jumps, followed=True
-    ),
+    Sweep("missing ink", "blobs on the pattern", (0, 10, 20, 40, 80),
+          _printed(lambda v: PrintDefects(int(v), 0, BLOB_RADIUS)), paired=True),
+    Sweep("ragged edges", "rms, mm", (0, 0.01, 0.02, 0.04, 0.06, 0.08),
+          _printed(lambda v: PrintDefects(0, 0, BLOB_RADIUS, v * 1e-3, RAGGED_LENGTH)),
+          paired=True),
+    Sweep("jump", "checkers in one frame", (0.25, 0.5, 1, 1.5, 2, 3), _jumps, followed=True),
     Sweep("grid size", "corners along a side", (4, 7, 14, 20, 30, 45, 60), _sizes),
 )  # fmt: skip
 
@@ -195,18 +171,9 @@ class SweepRun:
         found, all_of = (
             (score.found_far, score.far) if sweep.far else (score.found_visible, score.visible)
         )
-        return Point(
-            sweep.name,
-            sweep.axis,
-            level,
-            detector.name,
-            score.grids,
-            complete / max(score.grids, 1),
-            found / max(all_of, 1),
-            score.wrong,
-            error,
-            result.milliseconds,
-        )
+        shares = complete / max(score.grids, 1), found / max(all_of, 1)
+        place = sweep.name, sweep.axis, level, detector.name, score.grids
+        return Point(*place, *shares, score.wrong, error, result.milliseconds)
 
 
 def _run_jumps(detector: Detector, frames: Sequence[PatternFrame]) -> Result:
