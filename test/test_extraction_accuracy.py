@@ -8,15 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tracking.detectors import Ours, run_frames, run_pair, view_image
 
-from cmp_tactile_processing.geometry.split import split_frame
-from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from hard_frames.covers import Cover
 from hard_frames.deformation import deformation_of
-from hard_frames.grid_score import displacement_errors, join_scores, score_grid
 from hard_frames.library import cases_of, flawed_pairs
 from hard_frames.studio import PatternCase, PatternStudio, bent, pattern_rig
 
@@ -35,46 +32,27 @@ COMPLETE = (
 
 
 @pytest.fixture(scope="module")
-def sensor():
-    rig = load_sensor("sample_rig")
-    return replace(rig, tracking=replace(rig.tracking, follow=False))
-
-
-@pytest.fixture(scope="module")
 def studio():
     return PatternStudio()
 
 
 @pytest.fixture(scope="module")
-def trackers(sensor):
-    return {view: GridTracker(sensor, view) for view in sensor.views}
+def tracker():
+    return Ours("each frame by itself", follow=False)
 
 
 @pytest.fixture(scope="module")
-def scored(sensor, studio, trackers):
+def scored(sensor, studio, tracker):
     """Scores of a kind of case, made once: two frames of it, both views."""
     scores = {}
 
     def score(kind):
         if kind not in scores:
             frames = [studio.photograph(case) for case in cases_of(kind, sensor)[:2]]
-            scores[kind] = score_of(trackers, frames)
+            scores[kind] = run_frames(tracker, frames).score
         return scores[kind]
 
     return score
-
-
-def score_of(trackers, frames):
-    return join_scores(
-        score_grid(
-            trackers[view].track(split_frame(frame.image, truth.placement)),
-            truth,
-            frame.visible[view],
-            frame.far[view],
-        )
-        for frame in frames
-        for view, truth in frame.truth.items()
-    )
 
 
 @pytest.mark.parametrize("kind", COMPLETE)
@@ -98,34 +76,34 @@ def test_corners_of_blurred_and_noisy_frames_are_exact_enough(scored, kind):
 
 
 @pytest.mark.parametrize("blur", [1.2, 2.0])
-def test_blur_alone_moves_no_corner(sensor, studio, trackers, blur):
+def test_blur_alone_moves_no_corner(sensor, studio, tracker, blur):
     """Rounding to grey levels is left; light that aliases before it is blurred costs 0.01 px."""
     case = cases_of("clean", sensor)[0]
     frame = studio.photograph(replace(case, camera=CameraSettings(blur=blur, read_noise=0.0)))
-    assert score_of(trackers, [frame]).corner_rmse <= 0.006
+    assert run_frames(tracker, [frame]).score.corner_rmse <= 0.006
 
 
-def _ratios(frame, trackers):
+def _ratios(tracker, frame):
     """Errors of the corners over their reported deviations."""
     ratios = []
     for view, truth in frame.truth.items():
-        grid = trackers[view].track(split_frame(frame.image, truth.placement))
+        grid = tracker.track(frame.sensor, view, view_image(frame, view)).grid
         ratios.append((grid.corners - truth.corners) / grid.corner_std[..., None])
     return ratios
 
 
 @pytest.mark.parametrize("kind", ["clean", "noise 16", "blur 3"])
-def test_reported_deviations_are_those_of_the_errors(sensor, studio, trackers, kind):
+def test_reported_deviations_are_those_of_the_errors(sensor, studio, tracker, kind):
     """Within what is measured of more frames and kinds (`benchmarks/tracking/bound.py`)."""
     frame = studio.photograph(cases_of(kind, sensor)[0])
-    assert 0.8 < np.sqrt(np.nanmean(np.square(_ratios(frame, trackers)))) < 1.2
+    assert 0.8 < np.sqrt(np.nanmean(np.square(_ratios(tracker, frame)))) < 1.2
 
 
-def test_reported_deviations_know_that_blur_reaches_the_next_gridlines(sensor, studio, trackers):
+def test_reported_deviations_know_that_blur_reaches_the_next_gridlines(sensor, studio, tracker):
     """What these move a corner by is a bias; without it in the deviations the ratio is 1.7."""
     case = cases_of("clean", sensor)[0]
     frame = studio.photograph(replace(case, camera=CameraSettings(blur=5.0)))
-    assert np.sqrt(np.nanmean(np.square(_ratios(frame, trackers)))) < 1.5
+    assert np.sqrt(np.nanmean(np.square(_ratios(tracker, frame)))) < 1.5
 
 
 @pytest.mark.parametrize("kind", VIRTUAL_RMS)
@@ -141,52 +119,37 @@ def test_noise_makes_virtual_markers_no_worse_than_corners(scored):
         assert scored(kind).virtual_rms <= scored(kind).corner_rmse
 
 
-def _displacement_errors(sensor, first, second):
-    """Of both views, px, once the print was inspected in the first frame."""
-    errors = []
-    for view, truth in first.truth.items():
-        tracker = GridTracker(sensor, view)
-        tracker.inspect_print([split_frame(first.image, truth.placement)])
-        shown = [
-            (tracker.track(split_frame(frame.image, truth.placement)), at)
-            for frame, at in ((first, truth), (second, second.truth[view]))
-        ]
-        errors.append(displacement_errors(*shown, first.visible[view] & second.visible[view]))
-    return np.concatenate(errors)
-
-
-def test_displacement_of_one_flawed_print(sensor, studio):
+def test_displacement_of_one_flawed_print(sensor, studio, tracker):
     """Flaws move the corners of a print, the same way in all frames: pictures at rest show it.
 
     The last one's edges stray by a tenth of a checker, and what is pressed stretches between the
     true corner and where the model has it: by twice the limit, if pictures were taken there.
     """
     for pair in flawed_pairs(sensor):
-        errors = _displacement_errors(sensor, *map(studio.photograph, pair))
+        errors = run_pair(tracker, *map(studio.photograph, pair))
         assert len(errors) > 700
         assert np.sqrt(np.mean(errors**2)) <= DISPLACEMENT_RMS
 
 
-def test_ragged_print_that_slides_far(sensor, studio):
+def test_ragged_print_that_slides_far(sensor, studio, tracker):
     """The model takes some ragged corners for others, 4 px off, and misleads those around them."""
     rest, _ = flawed_pairs(sensor)[2]
     slid = bent(sensor, "slide", camera=rest.camera, defects=rest.defects, frame=1)
-    errors = _displacement_errors(sensor, studio.photograph(rest), studio.photograph(slid))
+    errors = run_pair(tracker, studio.photograph(rest), studio.photograph(slid))
     assert len(errors) > 700
     # Measured: 0.20 px; a gridline is 1.3 px thick with this blur.
     assert errors.max() < 0.5
 
 
-def test_pictures_of_another_print_are_not_used(sensor, studio):
+def test_pictures_of_another_print_are_not_used(sensor, studio, tracker):
     """A gel may be exchanged without a new inspection."""
     ragged = studio.photograph(flawed_pairs(sensor)[2][0])
     clean = studio.photograph(cases_of("clean", sensor)[0])
-    truth = clean.truth["left"]
-    image = split_frame(clean.image, truth.placement)
-    tracker = GridTracker(sensor, "left")
-    alone = tracker.track(image)
-    tracker.inspect_print([split_frame(ragged.image, ragged.truth["left"].placement)])
-    found = tracker.track(image)
+    own, image = tracker.tracker(sensor, "left"), view_image(clean, "left")
+    alone = own.track(image)
+    own.inspect_print([view_image(ragged, "left")])
+    found = own.track(image)
+    own.use_print_defects(None)
     apart = np.linalg.norm(found.corners - alone.corners, axis=-1)
     # As a shift that fits would be off by what the edges of the other print stray by, 1.2 px.
     assert apart.max() < 0.01
@@ -202,31 +165,30 @@ RIGS = (
 
 
 @pytest.mark.parametrize("described", RIGS, ids=lambda rig: f"{rig[0]} x {rig[1]}")
-def test_other_grids(studio, described):
+def test_other_grids(studio, tracker, described):
     rows, cols, corner, surface, points = described
     rig = pattern_rig(rows, cols, corner_checker=corner, surface=surface, points_per_segment=points)
     frame = studio.photograph(PatternCase("rig", rig, deformation_of("press", rig.pattern)))
-    truth = frame.truth["left"]
-    grid = GridTracker(rig, "left").track(split_frame(frame.image, truth.placement))
-    score = score_grid(grid, truth, frame.visible["left"], frame.far["left"])
+    score = run_frames(tracker, [frame]).score
     assert score.wrong == 0
-    assert score.found_visible == score.visible == rows * cols
+    assert score.found_visible == score.visible == 2 * rows * cols
+    grid = tracker.track(rig, "left", view_image(frame, "left")).grid
     assert grid.row_lines.shape == (rows, cols - 1, points, 2)
 
 
 def test_a_grid_that_slides_with_a_third_hidden_is_not_taken_for_a_turned_one(
-    sensor, studio, trackers
+    sensor, studio, tracker
 ):
     """Where it is hidden, the rest also fits the other view in some places."""
     case = bent(sensor, "slide", cover=Cover("left", 1 / 3))
-    score = score_of(trackers, [studio.photograph(case)])
+    score = run_frames(tracker, [studio.photograph(case)]).score
     assert score.wrong == 0
     assert score.found_far == score.far > 0
 
 
-def test_light_that_is_too_low_gives_no_wrong_number(sensor, studio, trackers):
+def test_light_that_is_too_low_gives_no_wrong_number(sensor, studio, tracker):
     """Between what is seen well and what is not there are no guesses."""
     for contrast in (12.0, 5.0, 2.0):
         camera = CameraSettings(light_level=20 + contrast, dark_level=20, read_noise=2.0)
         case = PatternCase("dim", sensor, deformation_of("twist", sensor.pattern), camera)
-        assert score_of(trackers, [studio.photograph(case)]).wrong == 0
+        assert run_frames(tracker, [studio.photograph(case)]).score.wrong == 0

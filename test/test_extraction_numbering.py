@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from tracking.detectors import Ours, run_frames, view_image
 
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import GridFault
@@ -24,8 +25,15 @@ def studio():
 
 
 @pytest.fixture(scope="module")
-def trackers(sensor):
-    return {view: GridTracker(sensor, view) for view in sensor.views}
+def kept_tracker():
+    return Ours("following", cold=False)
+
+
+@pytest.fixture
+def tracker(kept_tracker):
+    """Of both views, as after its start."""
+    kept_tracker.reset()
+    return kept_tracker
 
 
 @pytest.fixture(scope="module")
@@ -57,69 +65,50 @@ def deformed(sensor, studio):
 
 def views_of(frame):
     """View and its image."""
-    return [
-        (view, split_frame(frame.image, truth.placement)) for view, truth in frame.truth.items()
-    ]
-
-
-def scores(trackers, frame):
-    return [
-        score_grid(
-            trackers[view].track(image), frame.truth[view], frame.visible[view], frame.far[view]
-        )
-        for view, image in views_of(frame)
-    ]
-
-
-def forget(trackers):
-    for tracker in trackers.values():
-        tracker.reset()
+    return [(view, view_image(frame, view)) for view in frame.truth]
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_is_hidden_leaves_the_other_numbers_right(sensor, studio, trackers, seed):
+def test_what_is_hidden_leaves_the_other_numbers_right(sensor, studio, tracker, seed):
     """Thirds, two sides of the border, bands that leave components, a disc; any grey, textured."""
     for case in cases_of("hidden", sensor, seed):
-        forget(trackers)
-        for score in scores(trackers, studio.photograph(case)):
-            assert score.wrong == 0, case.name
-            assert score.found_far == score.far, case.name
+        tracker.reset()
+        score = run_frames(tracker, [studio.photograph(case)]).score
+        assert score.wrong == 0, case.name
+        assert score.found_far == score.far, case.name
 
 
-def test_shifts_by_whole_checkers_are_followed(sensor, studio, trackers, rest):
+def test_shifts_by_whole_checkers_are_followed(sensor, studio, tracker, rest):
     """A tracker that refines what it had takes the next corner for its own and never notices."""
-    forget(trackers)
     for shift in SHIFTS:
         for view, image in views_of(rest):
-            trackers[view].track(image)
+            tracker.track(sensor, view, image)
         moved = studio.photograph(PatternCase("moved", sensor, jump(sensor, shift)))
-        for score in scores(trackers, moved):
-            assert score.wrong == 0, shift
-            assert score.complete, shift
+        score = run_frames(tracker, [moved]).score
+        assert score.wrong == 0, shift
+        assert score.complete == score.grids, shift
 
 
 @pytest.mark.parametrize("kind", ["grasp", "released", "light switched", "hidden for a while"])
-def test_sequences(sensor, studio, trackers, grasp, kind):
-    forget(trackers)
+def test_sequences(sensor, studio, tracker, grasp, kind):
     made = (studio.photograph(case) for case in sequence_of(kind, sensor))
     for frame in grasp if kind == "grasp" else made:
-        for score in scores(trackers, frame):
-            assert score.wrong == 0, frame.name
-            assert score.found_far == score.far, frame.name
+        score = run_frames(tracker, [frame]).score
+        assert score.wrong == 0, frame.name
+        assert score.found_far == score.far, frame.name
 
 
-def test_bad_images_between_good_ones_are_named_and_forgotten(trackers, rest):
+def test_bad_images_between_good_ones_are_named_and_forgotten(sensor, tracker, rest):
     """Each follows a good frame, as when light, camera or gel change while the tracker runs."""
-    forget(trackers)
     for view, good in views_of(rest):
         for name, bad in bad_views(good).items():
-            assert np.isfinite(trackers[view].track(good).corners).all(), name
-            grid = trackers[view].track(bad)
+            assert np.isfinite(tracker.track(sensor, view, good).grid.corners).all(), name
+            grid = tracker.track(sensor, view, bad).grid
             assert np.isnan(grid.corners).all(), name
             assert grid.fault, name
             assert grid.reason, name
             assert grid.confidence == 0.0, name
-        assert np.isfinite(trackers[view].track(good).corners).all()
+        assert np.isfinite(tracker.track(sensor, view, good).grid.corners).all()
 
 
 def blurred(image, kernel):
@@ -140,41 +129,37 @@ def test_blur_that_exchanges_light_and_dark_is_named(sensor, deformed, detector,
         assert grid.fault in {GridFault.NO_CONTRAST, GridFault.NO_PATTERN, GridFault.AMBIGUOUS}
 
 
-def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(trackers, deformed):
+def test_focus_that_is_lost_and_found_again_leaves_the_numbers_right(sensor, tracker, deformed):
     frame = deformed["slide"]
-    forget(trackers)
     _, image = views_of(frame)[0]
     truth, visible = frame.truth["left"], frame.visible["left"]
     for radius in 24.0 - np.abs(np.linspace(-24.0, 24.0, 17)):
-        grid = trackers["left"].track(blurred(image, disc(radius)))
+        grid = tracker.track(sensor, "left", blurred(image, disc(radius))).grid
         assert score_grid(grid, truth, visible, visible).wrong == 0
     assert score_grid(grid, truth, visible, visible).complete == 1
 
 
 @pytest.mark.parametrize("angle", [45, 90, 110, 178, 180, 200, 270])
-def test_a_turned_frame_gets_no_numbers(trackers, clean, angle):
+def test_a_turned_frame_gets_no_numbers(sensor, tracker, clean, angle):
     """About its middle: by half a turn, each view takes the other one's place."""
     height, width = clean.image.shape
     turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, 1.0)
     turned = cv2.warpAffine(
         clean.image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE, flags=cv2.INTER_CUBIC
     )
-    forget(trackers)
     for view, truth in clean.truth.items():
-        grid = trackers[view].track(split_frame(turned, truth.placement))
+        grid = tracker.track(sensor, view, split_frame(turned, truth.placement)).grid
         assert not grid.corner_status.any()
         assert grid.fault is not GridFault.NONE
 
 
 @pytest.mark.parametrize("angle", [90, 100, 270])
-def test_a_view_turned_about_its_own_middle_gets_no_numbers(trackers, clean, angle):
-    forget(trackers)
+def test_a_view_turned_about_its_own_middle_gets_no_numbers(sensor, tracker, clean, angle):
     for view, image in views_of(clean):
         x, y = (float(value) for value in clean.truth[view].corners.reshape(-1, 2).mean(axis=0))
         turn = cv2.getRotationMatrix2D((x, y), angle, 1.0)
         size = image.shape[1], image.shape[0]
-        grid = trackers[view].track(
-            cv2.warpAffine(image, turn, size, borderMode=cv2.BORDER_REPLICATE)
-        )
+        moved = cv2.warpAffine(image, turn, size, borderMode=cv2.BORDER_REPLICATE)
+        grid = tracker.track(sensor, view, moved).grid
         assert not grid.corner_status.any()
         assert grid.fault is GridFault.TURNED

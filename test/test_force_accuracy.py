@@ -14,7 +14,6 @@ from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_simulation.gel import observers
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import SceneCamera
@@ -49,13 +48,8 @@ class Truth:
 
 
 @pytest.fixture(scope="module")
-def rig():
-    return load_sensor("sample_rig")
-
-
-@pytest.fixture(scope="module")
-def model(rig):
-    return ForceModel(rig)
+def model(sensor):
+    return ForceModel(sensor)
 
 
 @pytest.fixture(scope="module")
@@ -82,28 +76,23 @@ def found(model, truth):
     return [model.reconstruct(moved, seen(moved.shape)) for moved in truth.noisy()]
 
 
-def test_the_truth_belongs_to_the_packaged_rig(rig, data, contacts):
+def test_the_truth_belongs_to_the_packaged_rig(sensor, data, contacts):
     """Otherwise every other test here would compare with the forces on another gel."""
-    problem = ElasticProblem.from_sensor(rig)
-    np.testing.assert_allclose(data["material"], [rig.elastomer.young, rig.elastomer.poisson])
+    problem = ElasticProblem.from_sensor(sensor)
+    np.testing.assert_allclose(data["material"], [sensor.elastomer.young, sensor.elastomer.poisson])
     for truth in contacts.values():
         assert truth.displacement.shape == (problem.markers.rows, problem.markers.cols, 3)
         # Sharing the force out to the nodes keeps it; values are kept in single precision.
         np.testing.assert_allclose(truth.force.sum(axis=0), truth.wrench[:3], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "key",
-    [
-        ("sphere", 1.0),
-        ("sphere", 10.0),
-        ("two contacts", 1.0),
-        ("off centre", 10.0),
-        ("shear", 10.0),
-        ("torque", 1.0),
-    ],
-    ids=lambda key: f"{key[0]}, {key[1]:g} N",
-)
+CASES = (
+    ("sphere", 1.0), ("sphere", 10.0), ("two contacts", 1.0), ("off centre", 10.0),
+    ("shear", 10.0), ("torque", 1.0),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("key", CASES, ids=lambda key: f"{key[0]}, {key[1]:g} N")
 def test_force_torque_and_distribution(model, contacts, key):
     truth = contacts[key]
     for field in found(model, truth):
@@ -116,14 +105,14 @@ def test_force_torque_and_distribution(model, contacts, key):
         assert distance <= L2[truth.newton]
 
 
-def test_large_press_of_a_neo_hookean_gel(rig, data):
+def test_large_press_of_a_neo_hookean_gel(sensor, data):
     """A flat pin goes in by 0.44 mm: the linear model shows 3.5 % too little, measured."""
     columns = (data[f"neo_hookean_{key}"][0] for key in ("newton", "displacement", "wrench"))
     newton, moved, true = columns
-    gel = replace(rig, elastomer=replace(rig.elastomer, model="neo_hookean"))
+    gel = replace(sensor, elastomer=replace(sensor.elastomer, model="neo_hookean"))
     share = {}
     for choice in ("on", "off"):
-        model = ForceModel(replace(gel, force=replace(rig.force, large_press=choice)))
+        model = ForceModel(replace(gel, force=replace(sensor.force, large_press=choice)))
         noise = NOISE_M * np.random.default_rng(8).standard_normal(moved.shape)
         field = model.reconstruct(moved + noise, seen(moved.shape))
         assert field.corrected == (choice == "on")
@@ -131,12 +120,12 @@ def test_large_press_of_a_neo_hookean_gel(rig, data):
     assert share["on"] <= LARGE_PRESS_SHARE < share["off"]
 
 
-def test_force_from_rendered_images(rig, data):
+def test_force_from_rendered_images(sensor, data):
     """A sphere at 2 N, through tracking, triangulation and force; images with a camera's noise."""
-    camera = SceneCamera(replace(load_scene("contact_sphere"), sensor=rig), observers(rig))
+    camera = SceneCamera(replace(load_scene("contact_sphere"), sensor=sensor), observers(sensor))
     pressed, true = data["rendered_displacement"].astype(np.float64), data["rendered_wrench"]
     rest = np.zeros_like(pressed)
-    pipeline = Pipeline(rig)
+    pipeline = Pipeline(sensor)
     pipeline.set_reference(camera.observe(index, rest).image for index in range(4))
     field = pipeline.process(camera.observe(4, pressed).image).force
     assert abs(field.wrench[2] - true[2]) <= RENDERED_SHARE * abs(true[2]) + RENDERED_N

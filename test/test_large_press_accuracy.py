@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.interpolate import RectBivariateSpline
 from scipy.linalg import cho_factor, cho_solve
 
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_simulation.neo_hookean_gel import NeoHookeanElastomer
+from hard_frames.slides import at_markers
 
 # Nodes and mesh of the truth: neither those of the inverse nor those of the correction.
 NODES, DENSITY = 17, MeshDensity(across=12, rim=1, depth=3, growth=1.7)
@@ -47,27 +47,18 @@ def press(sensor):
     return LargePress(ElasticProblem.from_sensor(sensor), sensor.elastomer.young)
 
 
-def patch(gel, normal, shear, radius):
+def patch(points, normal, shear, radius):
     """Nodal forces of a smooth round contact, off the middle."""
-    squared = ((gel.nodes.points - CENTRE) ** 2).sum(axis=1) / radius**2
-    weights = np.sqrt(np.maximum(0, 1 - squared))
+    weights = np.sqrt(np.maximum(0, 1 - ((points - CENTRE) ** 2).sum(axis=1) / radius**2))
     return weights[:, None] / weights.sum() * [shear, 0, -normal]
-
-
-def seen_markers(sensor, gel, force):
-    """Displacement (rows, cols, 3) of the markers, from the grid on which the gel is seen."""
-    seen, markers = gel.marker_displacement(force), ElasticProblem.from_sensor(sensor).markers
-    parts = [
-        RectBivariateSpline(gel.observers.y, gel.observers.x, seen[..., axis]) for axis in range(3)
-    ]
-    return np.stack([part(markers.y, markers.x) for part in parts], axis=-1)
 
 
 def test_the_force_on_a_neo_hookean_gel(sensor, gel, press, solve):
     """Resultant after settling, without noise; the linear model alone loses several times more."""
     normal, shear, radius, linear_loss = PRESS
-    force = patch(gel, normal, shear, radius)
-    displacement = seen_markers(sensor, gel, force)
+    force = patch(gel.nodes.points, normal, shear, radius)
+    markers = ElasticProblem.from_sensor(sensor).markers
+    displacement = at_markers(gel.observers, markers, gel.marker_displacement(force))
     press.reset()
     found, settled = settle(solve, press.excess, displacement)
     true, linear = force.sum(axis=0), solve(displacement).sum(axis=0)
@@ -79,12 +70,10 @@ def test_the_force_on_a_neo_hookean_gel(sensor, gel, press, solve):
 def test_where_the_nodes_move_to(sensor, gel, press):
     """The moment of a sheared press; without the nodes' motion it is some 0.3 N mm off."""
     normal, shear, radius, _ = PRESS
-    force = patch(gel, normal, shear, radius)
+    force = patch(gel.nodes.points, normal, shear, radius)
     problem = ElasticProblem.from_sensor(sensor)
     at = problem.geometry.contact_points(problem.nodes.points)
-    squared = ((problem.nodes.points - CENTRE) ** 2).sum(axis=1) / radius**2
-    weights = np.sqrt(np.maximum(0, 1 - squared))
-    same = weights[:, None] / weights.sum() * [shear, 0, -normal]
+    same = patch(problem.nodes.points, normal, shear, radius)
     press.excess(same)
     true = np.cross(gel.node_position + gel.displacement(force), force).sum(axis=0)
     unmoved = np.cross(at, same).sum(axis=0)

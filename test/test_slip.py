@@ -1,25 +1,18 @@
 """Slip and friction against simulated contacts with Coulomb friction, from marker displacements."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
-from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel
-from cmp_tactile_processing.measured import SlipEstimate, SlipState
-from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_processing.measured import SlipState
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
-from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenter_shapes import Sphere
-from cmp_tactile_simulation.scenes.simulation import slip_estimate
+from hard_frames.slides import Trial, at_markers
 
 NOISE_M = (2e-6, 2e-6, 5e-6)
 FRICTION = 0.5
@@ -29,52 +22,6 @@ MOST_DELAY = 5
 # What docs/slip.md states, with the coarse nodes of this test.
 FRICTION_TOLERANCE = 0.05
 RATIO_TOLERANCE = 0.02
-
-
-@dataclass
-class Frame:
-    """The markers of a frame, (rows, cols, 3) m, and what is true of its slip."""
-
-    phase: str
-    moved: NDArray[np.float64]
-    truth: SlipEstimate
-
-
-class Trial:
-    """A ball on the sample rig's gel; every step is a frame."""
-
-    def __init__(self, gel, at):
-        self.contact = ContactSimulation(gel, Sphere(8e-3), FRICTION)
-        self.state = self.contact.rest(self.contact.touch(Pose(np.array([*at, 0.0]))))
-        self.frames = []
-        self._record("rest")
-
-    def press(self, phase, normal, frames):
-        begin = self.contact.load(self.state).normal
-        for k in range(1, frames + 1):
-            load = Load(begin + k / frames * (normal - begin))
-            self.state = self.contact.press(self.state, load)
-            self._record(phase)
-
-    def move(self, phase, by, frames, turn=0.0):
-        begin = self.state.pose
-        turned = Rotation.from_rotvec([0, 0, turn]).as_matrix() @ begin.rotation
-        end = Pose(begin.position + np.array(by), turned)
-        for k in range(1, frames + 1):
-            self.state = self.contact.move(self.state, begin.towards(end, k / frames))
-            self._record(phase)
-
-    def hold(self, phase, frames):
-        for _ in range(frames):
-            self._record(phase)
-
-    def _record(self, phase):
-        gel = self.contact.elastomer
-        moved, seen = gel.marker_displacement(self.state.force), gel.observers
-        at = ElasticProblem.from_sensor(load_sensor("sample_rig")).markers
-        markers = [RectBivariateSpline(seen.y, seen.x, moved[..., c])(at.y, at.x) for c in range(3)]
-        truth = slip_estimate(self.contact, self.state)
-        self.frames.append(Frame(phase, np.stack(markers, axis=-1), truth))
 
 
 @pytest.fixture(scope="module")
@@ -89,14 +36,11 @@ def model(sensor):
 
 @pytest.fixture(scope="module")
 def drag(gel):
-    trial = Trial(gel, (-1e-3, 0.0))
-    trial.press("press", 3.0, 8)
-    trial.hold("hold", 4)
-    trial.move("drag", (1.4e-3, 0.0, 0.0), 35)
-    trial.hold("stay", 6)
-    trial.move("back", (-3e-4, 0.0, 0.0), 8)
-    trial.move("lift", (0.0, 0.0, 2e-3), 4)
-    return trial.frames
+    trial = Trial(gel, Sphere(8e-3), FRICTION, (-1e-3, 0.0))
+    trial.press(3.0, 8, phase="press").hold(4, "hold")
+    trial.move((1.4e-3, 0.0, 0.0), 35, phase="drag").hold(6, "stay")
+    trial.move((-3e-4, 0.0, 0.0), 8, phase="back")
+    return trial.move((0.0, 0.0, 2e-3), 4, phase="lift").frames
 
 
 def _surface(sensor, moved, reference_id):
@@ -112,7 +56,7 @@ def _surface(sensor, moved, reference_id):
 
 
 @pytest.fixture(scope="module")
-def observe(sensor, model):
+def observe(sensor, gel, model):
     """What is reported of frames; `hide` blanks markers of frame k, `references` numbers them, and
     `parameters` are used from their frame on.
     """
@@ -123,7 +67,8 @@ def observe(sensor, model):
         for k, frame in enumerate(frames):
             if k in parameters:
                 observer.use(parameters[k])
-            moved = frame.moved + rng.normal(size=frame.moved.shape) * NOISE_M
+            moved = at_markers(gel.observers, model.elastic.markers, frame.moved)
+            moved += rng.normal(size=moved.shape) * NOISE_M
             if hide is not None:
                 hide(k, moved)
             surface = _surface(sensor, moved, 0 if references is None else references(k))
@@ -243,9 +188,8 @@ def test_a_contact_that_is_there_from_the_start_is_not_said_to_slide(drag, obser
 
 
 def test_torsion_slips_without_a_tangential_force(gel, observe):
-    trial = Trial(gel, (0.0, 0.0))
-    trial.press("press", 4.0, 5)
-    trial.move("twist", (0.0, 0.0, 0.0), 14, turn=0.8)
+    trial = Trial(gel, Sphere(8e-3), FRICTION, (0.0, 0.0))
+    trial.press(4.0, 5).move((0.0, 0.0, 0.0), 14, (0, 0, 0.8))
     last = observe(trial.frames)[-1].slip
     assert last.traction_ratio < 0.02
     assert last.state is SlipState.FULL

@@ -15,7 +15,6 @@ from pathlib import Path
 import joblib
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RectBivariateSpline
 
 from cmp_tactile_processing.cache.files import default_cache_dir, files_digest
 from cmp_tactile_processing.elastic.model import ElasticProblem
@@ -28,6 +27,7 @@ from cmp_tactile_simulation.indenter_shapes import Cylinder, FlatProbe, Ring, Sp
 from cmp_tactile_simulation.indenters import Indenter
 from cmp_tactile_simulation.neo_hookean_gel import NeoHookeanElastomer
 from cmp_tactile_simulation.scenes.description import turned
+from hard_frames.slides import at_markers
 
 Array = NDArray[np.float64]
 
@@ -250,15 +250,6 @@ def _neo_hookean_cases(sensor: SensorDescription) -> list[ForceCase]:
         _finished(sensor, gel, case, first + at_markers(gel.observers, markers, more))
         for case, first, more in zip(solved, moved, beyond, strict=True)
     ]
-
-
-def at_markers(observers: SurfaceGrid, markers: SurfaceGrid, moved: Array) -> Array:
-    """A smooth displacement (rows, cols, 3) of the observers at the markers, by splines."""
-    parts = [
-        RectBivariateSpline(observers.y, observers.x, moved[..., axis])(markers.y, markers.x)
-        for axis in range(3)
-    ]
-    return np.stack(parts, axis=-1)
 
 
 def _finished(

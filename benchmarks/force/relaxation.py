@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
-from cases import at_markers
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
@@ -28,6 +30,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.indenter_shapes import Sphere
 from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
+from hard_frames.slides import at_markers
 
 Array = NDArray[np.float64]
 Act = Callable[[ContactState], ContactState]

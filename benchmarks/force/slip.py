@@ -8,82 +8,30 @@ contact solver's nodes. `--noise` scales the noise of 2 um in plane and 5 um in 
 
 from __future__ import annotations
 
-import argparse
+import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 import numpy as np
-from cases import at_markers
 from errors import NOISE_M, surface_of
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from tables import CommandLine, head, line
 
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.slip.observer import SlipObserver
-from cmp_tactile_simulation.contact.indentation import ContactSimulation
-from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenter_shapes import Cuboid, Cylinder, Sphere
-from cmp_tactile_simulation.indenters import Indenter
-from cmp_tactile_simulation.scenes.simulation import slip_estimate
+from hard_frames.slides import Frame, Trial, at_markers
 
+COLUMNS = (
+    "contact", "friction", "reported from slip ratio", "full, frames late", "false", "early",
+    "unknown", "friction, full", "foreseen", "largest error of the traction ratio",
+)  # fmt: skip
 MOVING = (SlipState.INCIPIENT, SlipState.FULL)
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Displacement of the markers, m, and the truth."""
-
-    moved: NDArray[np.float64]
-    truth: SlipEstimate
-    normal: float
-
-
-class Trial:
-    """A body on the gel; every step is a frame."""
-
-    def __init__(
-        self, gel: LinearElastomer, body: Indenter, friction: float, at: tuple[float, float]
-    ) -> None:
-        self._gel, self.friction = gel, friction
-        self._contact = ContactSimulation(gel, body, friction)
-        self._state = self._contact.rest(self._contact.touch(Pose(np.array([*at, 0.0]))))
-        self.frames: list[Frame] = []
-        self._record()
-
-    def press(self, normal: float, frames: int, along: tuple[float, float] = (0, 0)) -> Trial:
-        """Go to a load."""
-        begin = self._contact.driven_load(self._state)
-        for share in np.arange(1, frames + 1) / frames:
-            x, y = (b + share * (e - b) for b, e in zip(begin.tangential, along, strict=True))
-            load = Load(begin.normal + share * (normal - begin.normal), (x, y))
-            self._state = self._contact.press(self._state, load)
-            self._record()
-        return self
-
-    def move(self, by: tuple[float, float, float], frames: int, turn: tuple[float, ...]) -> Trial:
-        """Go by a way, m, and a turn, rad."""
-        begin = self._state.pose
-        turned = Rotation.from_rotvec(turn).as_matrix() @ begin.rotation
-        end = Pose(begin.position + np.array(by), turned)
-        for share in np.arange(1, frames + 1) / frames:
-            self._state = self._contact.move(self._state, begin.towards(end, share))
-            self._record()
-        return self
-
-    def hold(self, frames: int) -> Trial:
-        """Stay."""
-        self.frames += frames * [self.frames[-1]]
-        return self
-
-    def _record(self) -> None:
-        truth = slip_estimate(self._contact, self._state)
-        normal = self._contact.load(self._state).normal
-        moved = self._gel.marker_displacement(self._state.force)
-        self.frames.append(Frame(moved, truth, normal))
 
 
 def drag(
@@ -95,8 +43,8 @@ def drag(
     # Hertz on a half-space moves by 3 mu F / (16 a G) until it slides; a thin gel by less.
     contact = (0.75 * normal * radius * 0.77 / 0.65e6) ** (1 / 3)
     far = 2.4 * friction * normal / (contact * 1.7e5) * 0.16 + 3e-4
-    trial.press(normal, 15).hold(6).move(tuple(far * way), 40, (0, 0, 0)).hold(6)
-    return trial.move(tuple(-0.6 * far * way), 25, (0, 0, 0))
+    trial.press(normal, 15).hold(6).move(tuple(far * way), 40).hold(6)
+    return trial.move(tuple(-0.6 * far * way), 25)
 
 
 CASES: dict[str, Callable[[LinearElastomer], Trial]] = {
@@ -125,7 +73,7 @@ CASES: dict[str, Callable[[LinearElastomer], Trial]] = {
         .press(5.0, 10)
         .press(5.0, 15, (1.0, 0))
         .press(2.15, 25, (1.0, 0))
-        .move((6e-4, 0, 0), 14, (0, 0, 0))
+        .move((6e-4, 0, 0), 14)
     ),
     "ball, obliquely, then more": lambda gel: (
         Trial(gel, Sphere(8e-3), 0.6, (0, 0))
@@ -138,13 +86,13 @@ CASES: dict[str, Callable[[LinearElastomer], Trial]] = {
     ),
     "rod, rolled": lambda gel: (
         Trial(gel, Cylinder(5e-3, 8e-3, 1e-3), 0.8, (0, -2e-3))
-        .move((0, 0, -5e-4), 12, (0, 0, 0))
+        .move((0, 0, -5e-4), 12)
         .move((0, 3e-3, 0), 40, (-0.6, 0, 0))
     ),
     "box on its face": lambda gel: (
         Trial(gel, Cuboid((6e-3, 6e-3, 4e-3), 5e-4), 0.5, (-5e-4, 0))
         .press(5.0, 12)
-        .move((1.5e-3, 0, 0), 40, (0, 0, 0))
+        .move((1.5e-3, 0, 0), 40)
         .hold(6)
     ),
 }
@@ -192,11 +140,10 @@ def row(name: str, trial: Trial, data: list[SlipEstimate]) -> str:
     part = part[np.isfinite(part)]
     ratio = [abs(e.traction_ratio - t.traction_ratio) for t, e in pairs]
     begin = "-" if first is None else f"{first.slip_ratio:.2f}"
-    cells = [
-        name, f"{mu:g}", begin, delay, f"{false}/{still}", f"{early}", f"{unknown}/{len(pairs)}",
+    return line(
+        name, f"{mu:g}", begin, delay, f"{false}/{still}", early, f"{unknown}/{len(pairs)}",
         _percent(full, mu), _percent(part, mu), f"{np.nanmax(ratio):.3f}",
-    ]  # fmt: skip
-    return "| " + " | ".join(cells) + " |"
+    )  # fmt: skip
 
 
 def _percent(values: NDArray[np.float64], mu: float) -> str:
@@ -205,20 +152,15 @@ def _percent(values: NDArray[np.float64], mu: float) -> str:
 
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--noise", type=float, default=1.0, help="factor of the noise (default: 1)")
-    parser.add_argument("--nodes", type=int, default=40, help="contact nodes along a side (40)")
-    parser.add_argument("--only", default="", help="measure only cases with this in their name")
+    parser = CommandLine(__doc__)
+    parser.option("--noise", "factor of the noise", 1.0)
+    parser.option("--nodes", "contact nodes along a side", 40)
+    parser.option("--only", "measure only cases with this text in their name", "")
     arguments = parser.parse_args()
     sensor = load_sensor("sample_rig")
     gel = LinearElastomer(sensor, arguments.nodes)
     observer = Observer(sensor, gel, arguments.noise)
-    print(
-        "| contact | friction | reported from slip ratio | full, frames late | false | early "
-        "| unknown | friction, full | foreseen | largest error of the traction ratio |\n"
-        + 10 * "|---"
-        + "|"
-    )
+    print(head(*COLUMNS))
     for name, make in CASES.items():
         if arguments.only in name:
             trial = make(gel)
