@@ -35,9 +35,10 @@ from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.displacement import Reference
 from cmp_tactile_processing.surface.gauge import RestGauge
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
-from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Start, Touch
-from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Touch
+from hard_frames.contacts import frames_of_ball
+
+Image = NDArray[np.uint8]
 
 Array = NDArray[np.float64]
 Change = Callable[[SensorDescription, float], SensorDescription]
@@ -271,26 +272,23 @@ def _row(name: str, frames: list[Felt]) -> str:
     return line(name, len(frames), len(good), largest, f"{deviations:.2f}", beyond, rest)
 
 
-def rendered(sensor: SensorDescription) -> tuple[list[NDArray[np.uint8]], Array]:
+def rendered(sensor: SensorDescription) -> tuple[list[Image], Array]:
     """Frames of a ball that presses, the first REST_FRAMES of them at rest, and forces (n, 3)."""
-    scene = load_scene("contact_sphere")
     depth = 0.06 * sensor.elastomer.size[2]
-    motion = (
+    return frames_of_ball(
+        sensor,
+        Touch((5e-4, -3e-4), CLEARANCE_M),
         Phase("rest", REST_FRAMES, Hold()),
         Phase("close", 6, MoveBy((0.0, 0.0, -depth - CLEARANCE_M))),
         Phase("drag", 3, MoveBy((2e-4, 1e-4, 0.0))),
     )
-    start = Start(Touch((5e-4, -3e-4), CLEARANCE_M))
-    frames = Simulation(replace(scene, sensor=sensor, start=start, motion=motion)).frames()
-    images, forces = zip(*((f.image, f.force.wrench[:3]) for f in frames), strict=True)
-    return list(images), np.stack(forces)
 
 
 def rendered_rows() -> Iterator[str]:
     """A row for each fault: the last frame."""
     rig = load_sensor("sample_rig")
     plain, glass = rendered(rig), rendered(with_index(rig, 0.45))
-    cases: list[tuple[str, SensorDescription, tuple[list[NDArray[np.uint8]], Array]]] = [
+    cases: list[tuple[str, SensorDescription, tuple[list[Image], Array]]] = [
         ("nothing", rig, plain),
         ("layer of glass not described", rig, glass),
         ("flat described for a cap", flat(rig), plain),
@@ -308,11 +306,7 @@ def rendered_rows() -> Iterator[str]:
 
 
 def _rendered_row(
-    name: str,
-    described: SensorDescription,
-    rest: list[NDArray[np.uint8]],
-    images: list[NDArray[np.uint8]],
-    forces: Array,
+    name: str, described: SensorDescription, rest: list[Image], images: list[Image], forces: Array
 ) -> str:
     try:
         pipeline = Pipeline(described)

@@ -23,9 +23,8 @@ from cmp_tactile_driver.sources.files import VideoFile
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
-from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Start, Touch
-from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Touch
+from hard_frames.contacts import frames_of_ball
 
 Images = Sequence[NDArray[np.uint8]]
 RATE_HZ, PICTURES, REST = 30.0, 8, 4
@@ -36,20 +35,13 @@ DEPTH_M, DRAG_M, CLEARANCE_M = 0.36e-3, 1.8e-3, 0.05e-3
 
 def moving(sensor: SensorDescription) -> tuple[Images, NDArray[np.float64]]:
     """PICTURES a frame, the first REST frames without contact, and forces (n, 3) N."""
-    motion = (
+    return frames_of_ball(
+        sensor,
+        Touch((-8e-4, -8e-4), CLEARANCE_M),
         Phase("rest", REST * PICTURES, Hold()),
         Phase("press", PRESS_FRAMES * PICTURES, MoveBy((0.0, 0.0, -DEPTH_M - CLEARANCE_M))),
         Phase("drag", DRAG_FRAMES * PICTURES, MoveBy((DRAG_M / 2**0.5, DRAG_M / 2**0.5, 0.0))),
     )
-    scene = replace(
-        load_scene("contact_sphere"),
-        sensor=sensor,
-        start=Start(Touch((-8e-4, -8e-4), CLEARANCE_M)),
-        motion=motion,
-    )
-    frames = Simulation(scene).frames()
-    images, forces = zip(*((f.image, f.force.wrench[:3]) for f in frames), strict=True)
-    return images, np.stack(forces)
 
 
 def at_once(images: Images) -> Images:

@@ -42,6 +42,8 @@ from cmp_tactile_simulation.scenes.description import (
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
 
+Array = NDArray[np.float64]
+
 REST_FRAMES, CLEARANCE = 4, 0.2e-3
 # A corner farther off than this has another corner's number or is no measurement, px.
 WRONG_PX = 2.0
@@ -145,16 +147,14 @@ def random_scene(random: np.random.Generator, sensor: SensorDescription) -> Scen
 class Errors:
     """Of one frame.  corners: px, NaN where lost.  displacement: m.  force (3,) N, std (3,)."""
 
-    corners: NDArray[np.float64]
-    displacement: NDArray[np.float64]
-    force: NDArray[np.float64]
-    std: NDArray[np.float64]
+    corners: Array
+    displacement: Array
+    force: Array
+    std: Array
     flags: int
 
     @classmethod
-    def of_frame(
-        cls, found: PipelineResult, frame: SimulatedFrame, rest: NDArray[np.float64]
-    ) -> Errors:
+    def of_frame(cls, found: PipelineResult, frame: SimulatedFrame, rest: Array) -> Errors:
         """rest (rows, cols, 3) m: true places of the markers at rest."""
         grids = {"left": found.left, "right": found.right}
         corners = [
@@ -208,7 +208,7 @@ def row(number: int) -> str:
     )  # fmt: skip
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from ros_graph import RosGraph
+from ros_graph import RosGraph, header_at, stamps_of
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 from waiting import wait_until
@@ -26,7 +25,6 @@ from cmp_tactile_bringup.graphs.description import Component
 from cmp_tactile_msgs.msg import Grid, Surface
 from cmp_tactile_processing.ros import wiring
 from cmp_tactile_processing.ros.messages.conversions import image_to_msg
-from cmp_tactile_processing.ros.messages.reading import stamp_ns
 
 # Frames at their rate: with other tests beside it, some would be late.
 pytestmark = [pytest.mark.ros, pytest.mark.alone]
@@ -83,9 +81,7 @@ class Fingers(RosGraph):
     def send(self, sensor, image, stamp=None):
         """Send a frame; its stamp in ns, a later one than all before unless it is given."""
         stamp = next(self._stamps) * 10_000_000 if stamp is None else stamp
-        header = Header(frame_id="camera")
-        header.stamp.sec, header.stamp.nanosec = divmod(stamp, 10**9)
-        self._cameras[sensor].publish(image_to_msg(image, "mono8", header))
+        self._cameras[sensor].publish(image_to_msg(image, "mono8", header_at(stamp)))
         return stamp
 
     def publish(self, sensor, message):
@@ -121,10 +117,6 @@ def fingers():
     fingers.close()
 
 
-def stamps(messages):
-    return [stamp_ns(message.header.stamp) for message in messages]
-
-
 def test_sensors_of_one_container_do_not_mix(fingers):
     pictures = {"left": picture("press"), "right": picture("slide")}
     wrenches = {name: fingers.listen(WrenchStamped, f"{name}/wrench") for name in pictures}
@@ -137,7 +129,7 @@ def test_sensors_of_one_container_do_not_mix(fingers):
     for name in pictures:
         both = wrenches[name], surfaces[name]
         fingers.wait(lambda both=both: min(map(len, both)) >= 8, f"what {name} made")
-        assert stamps(wrenches[name]) == stamps(surfaces[name]) == sent[name]
+        assert stamps_of(wrenches[name]) == stamps_of(surfaces[name]) == sent[name]
     depths = {
         name: np.nanmin(np.array(surface[-1].displacement).reshape(-1, 3)[:, 2])
         for name, surface in surfaces.items()
@@ -150,7 +142,7 @@ def test_a_burst_of_twenty_frames_gives_twenty_wrenches(fingers):
     wrenches = fingers.listen(WrenchStamped, "left/wrench")
     sent = [fingers.send("left", picture("rest")) for _ in range(20)]
     fingers.wait(lambda: len(wrenches) >= 20, "twenty wrenches")
-    assert stamps(wrenches) == sent
+    assert stamps_of(wrenches) == sent
 
 
 def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
@@ -171,7 +163,7 @@ def test_who_comes_late_gets_what_is_latched_and_the_next_wrench(fingers):
     assert wrenches == []
     sent = fingers.send("left", picture("rest"))
     fingers.wait(lambda: wrenches, "the next wrench")
-    assert stamps(wrenches) == [sent]
+    assert stamps_of(wrenches) == [sent]
 
 
 @pytest.mark.parametrize(
@@ -197,17 +189,17 @@ def test_a_component_that_is_unloaded_and_loaded_again_rejoins(fingers, names):
     def joined():
         stamp = fingers.send("right", picture("rest"))
         fingers.run(0.3)
-        return stamp in stamps(surfaces) and stamp in stamps(grids)
+        return stamp in stamps_of(surfaces) and stamp in stamps_of(grids)
 
     fingers.wait(joined, "a frame that passes all of them")
     sent = []
     for _ in range(10):
         sent.append(fingers.send("right", picture("rest")))
         fingers.run(0.05)
-    fingers.wait(lambda: stamps(surfaces)[-1] == sent[-1], "surfaces afterwards")
-    assert stamps(surfaces)[-10:] == sent
+    fingers.wait(lambda: stamps_of(surfaces)[-1] == sent[-1], "surfaces afterwards")
+    assert stamps_of(surfaces)[-10:] == sent
     for messages in (grids, surfaces):
-        assert max(Counter(stamps(messages)).values()) == 1
+        assert max(Counter(stamps_of(messages)).values()) == 1
 
 
 def test_no_node_changes_what_another_gave_away(fingers, monkeypatch):

@@ -16,8 +16,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not there")
 
 import cv2
+from ros_graph import header_at, stamps_of
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 from waiting import wait_until
 
 from cmp_tactile_msgs.msg import Surface
@@ -80,16 +80,15 @@ class Chain:
         sent = []
         for _ in range(count):
             self._number += 1
-            header = Header(frame_id="camera")
-            header.stamp.sec = self._number
-            self.camera.publish(image_to_msg(self._image, "mono8", header))
+            stamp = self._number * 10**9
+            self.camera.publish(image_to_msg(self._image, "mono8", header_at(stamp)))
             sent.append(self._number)
             self._ros.run(interval_s)
         return sent
 
     def seen(self):
         """Stamps of the surfaces, s."""
-        return [stamp_ns(surface.header.stamp) // 10**9 for surface in self.surfaces]
+        return [stamp // 10**9 for stamp in stamps_of(self.surfaces)]
 
     def close(self):
         for node in list(self._processes):

@@ -12,10 +12,9 @@ import pytest
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.pipeline import Pipeline
-from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Start, Touch
+from cmp_tactile_simulation.scenes.description import Hold, MoveBy, Phase, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation
+from hard_frames.contacts import frames_of_ball
 
 REST_FRAMES, CLEARANCE_M, DEPTH_M = 4, 2e-4, 3e-4
 # Errors in deviations, at rest and pressed; of a press, N.
@@ -28,26 +27,23 @@ PWM, SLOW, FINE = (90, 12, 0.63), (400, 30, 0.48), (24, 4, 0.63)
 
 
 @pytest.fixture(scope="module")
-def press():
+def press(sensor):
     """Frames without noise, at rest and pressed, and the forces (n, 3)."""
-    scene = load_scene("contact_sphere")
-    motion = (
+    images, forces = frames_of_ball(
+        sensor,
+        Touch((5e-4, -3e-4), CLEARANCE_M),
         Phase("rest", 1, Hold()),
         Phase("close", 3, MoveBy((0.0, 0.0, -CLEARANCE_M - DEPTH_M))),
         Phase("drag", 2, MoveBy((2e-4, 1e-4, 0.0))),
+        camera=replace(load_scene("contact_sphere").camera, read_noise=0.0),
     )
-    start = Start(Touch((5e-4, -3e-4), CLEARANCE_M))
-    camera = replace(scene.camera, read_noise=0.0)
-    sensor = load_sensor("sample_rig")
-    scene = replace(scene, sensor=sensor, start=start, motion=motion, camera=camera)
-    frames = list(Simulation(scene).frames())
-    shown = [frames[0]] * (2 * REST_FRAMES) + frames[-4:]
-    return [item.image for item in shown], np.stack([item.force.wrench[:3] for item in shown])
+    rest = 2 * REST_FRAMES
+    return images[:1] * rest + images[-4:], np.concatenate([forces[:1]] * rest + [forces[-4:]])
 
 
 @pytest.fixture(scope="module")
-def pipeline():
-    return Pipeline(load_sensor("sample_rig"))
+def pipeline(sensor):
+    return Pipeline(sensor)
 
 
 def lit(images, period, edge, way, loss=LOSS):

@@ -8,7 +8,7 @@ from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticModel, ElasticProblem
 from cmp_tactile_processing.force.large_press import LargePress, settle
 from cmp_tactile_simulation.neo_hookean_gel import NeoHookeanElastomer
-from hard_frames.slides import at_markers
+from hard_frames.contacts import at_markers
 
 # Nodes and mesh of the truth: neither those of the inverse nor those of the correction.
 NODES, DENSITY = 17, MeshDensity(across=12, rim=1, depth=3, growth=1.7)

@@ -12,7 +12,7 @@ from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenter_shapes import Sphere
-from hard_frames.slides import Trial, at_markers
+from hard_frames.contacts import Trial, at_markers
 
 NOISE_M = (2e-6, 2e-6, 5e-6)
 FRICTION = 0.5

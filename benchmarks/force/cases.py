@@ -27,7 +27,7 @@ from cmp_tactile_simulation.indenter_shapes import Cylinder, FlatProbe, Ring, Sp
 from cmp_tactile_simulation.indenters import Indenter
 from cmp_tactile_simulation.neo_hookean_gel import NeoHookeanElastomer
 from cmp_tactile_simulation.scenes.description import turned
-from hard_frames.slides import at_markers
+from hard_frames.contacts import at_markers
 
 Array = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.indenter_shapes import Sphere
 from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
-from hard_frames.slides import at_markers
+from hard_frames.contacts import at_markers
 
 Array = NDArray[np.float64]
 Act = Callable[[ContactState], ContactState]

@@ -25,7 +25,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription, load_se
 from cmp_tactile_processing.slip.observer import SlipObserver
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenter_shapes import Cuboid, Cylinder, Sphere
-from hard_frames.slides import Frame, Trial, at_markers
+from hard_frames.contacts import Frame, Trial, at_markers
 
 COLUMNS = (
     "contact", "friction", "reported from slip ratio", "full, frames late", "false", "early",

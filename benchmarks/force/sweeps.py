@@ -9,15 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from cases import (
-    CONTACTS,
-    LINEAR,
-    SMOOTH,
-    SOLVED_N,
-    Contacting,
-    ForceCase,
-    load_neo_hookean_cases,
-)
+from cases import CONTACTS, LINEAR, SMOOTH, SOLVED_N, Contacting, ForceCase, load_neo_hookean_cases
 from errors import ForceErrors, Limits, errors_of, noisy, oracle, outlined, reconstructed
 from scipy.signal import savgol_filter
 

@@ -14,6 +14,9 @@ from cmp_tactile_processing.measured import Grid
 from cmp_tactile_simulation.rendering.ink import HOUSING_GREY
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
 # Sides of a part and spread of a lamp's light, px of the frame; light of a lamp, grey levels.
 PART_SIDES = (20.0, 130.0), (8.0, 45.0)
 LAMP_SPREAD = (5.0, 9.0)
@@ -110,9 +113,7 @@ class Cover:
             msg = f"cover.shape: found {self.shape!r}, expected one of {', '.join(COVERS)}"
             raise InputError(msg)
 
-    def mask(
-        self, corners: NDArray[np.float64], size: tuple[int, int], fineness: int = 1
-    ) -> NDArray[np.bool_]:
+    def mask(self, corners: Array, size: tuple[int, int], fineness: int = 1) -> Flags:
         """What it hides of a view of that size (height, width), each pixel cut in fineness^2.
 
         corners (..., 2) px of the view: the pattern's true corners, NaN where there is none.
@@ -144,7 +145,7 @@ class Cover:
 
 def cover_views(
     rendered: RenderedFrame, truth: Mapping[str, Grid], cover: Cover, rng: np.random.Generator
-) -> tuple[RenderedFrame, dict[str, NDArray[np.bool_]]]:
+) -> tuple[RenderedFrame, dict[str, Flags]]:
     """The frame with the cover in front of each view, and what it hides of them (height, width)."""
     fineness, masks = rendered.fineness, {}
     painted = rendered.grey.copy()
@@ -162,7 +163,7 @@ def cover_views(
     return replace(rendered, grey=painted), masks
 
 
-def far_corners(corners: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def far_corners(corners: Array, covered: Flags) -> Flags:
     """Which of the corners (rows, cols, 2) px lie FAR_CELLS checkers from what is covered.
 
     covered: mask of the view, (height, width), or empty where nothing is.
@@ -177,15 +178,13 @@ def far_corners(corners: NDArray[np.float64], covered: NDArray[np.bool_]) -> NDA
     return np.asarray(far & (distance[y, x] >= FAR_CELLS * side))
 
 
-def far_from_edge(corners: NDArray[np.float64], size: tuple[int, int]) -> NDArray[np.bool_]:
+def far_from_edge(corners: Array, size: tuple[int, int]) -> Flags:
     """Which corners (rows, cols, 2) px lie FAR_CELLS checkers within a view of (height, width)."""
     beyond = np.pad(np.zeros(size, np.bool_), 1, constant_values=True)
     return far_corners(corners + 1, beyond)
 
 
-def pixels_of(
-    corners: NDArray[np.float64], shape: tuple[int, ...]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def pixels_of(corners: Array, shape: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The pixels of corners, (0, 0) where there is none."""
     q = np.rint(np.nan_to_num(corners)).clip(0, np.array(shape[1::-1]) - 1).astype(np.intp)
     return q[..., 0], q[..., 1]

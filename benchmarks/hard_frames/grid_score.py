@@ -12,6 +12,8 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.measured import Grid, GridShape, Status
 
+Flags = NDArray[np.bool_]
+
 # A number is wrong where the corner lies this share of a checker's side from its true place.
 WRONG_SHARE = 0.5
 # Parts in which a true gridline is cut between two of its known points.
@@ -79,9 +81,7 @@ def _rms(distances: Array) -> float:
     return float(np.sqrt(np.mean(distances**2))) if len(distances) else float("nan")
 
 
-def score_grid(
-    grid: Grid, truth: Grid, visible: NDArray[np.bool_], far: NDArray[np.bool_]
-) -> GridScore:
+def score_grid(grid: Grid, truth: Grid, visible: Flags, far: Flags) -> GridScore:
     """Compare a grid with the exact one; both in px of the view.
 
     visible, far (rows, cols): what can be seen, and what must be found.  Virtual markers are left
@@ -124,7 +124,7 @@ def join_scores(scores: Iterable[GridScore]) -> GridScore:
 
 
 def displacement_errors(
-    first: tuple[Grid, Grid], second: tuple[Grid, Grid], visible: NDArray[np.bool_]
+    first: tuple[Grid, Grid], second: tuple[Grid, Grid], visible: Flags
 ) -> Array:
     """How far displacements from the first to the second frame are off, px.
 
@@ -172,7 +172,7 @@ def _next_to(corners: Array, truth: Array) -> Array:
     return placed.reshape(truth.shape)
 
 
-def _wrong(corners: Array, truth: Array, error: Array) -> NDArray[np.bool_]:
+def _wrong(corners: Array, truth: Array, error: Array) -> Flags:
     """Corners that lie nearer to another true corner, or half a checker from their own."""
     flat, known = truth.reshape(-1, 2), np.isfinite(truth[..., 0]).ravel()
     if not known.any():
@@ -188,7 +188,7 @@ def _wrong(corners: Array, truth: Array, error: Array) -> NDArray[np.bool_]:
     return np.asarray(wrong)
 
 
-def _virtual_errors(grid: Grid, truth: Grid, visible: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _virtual_errors(grid: Grid, truth: Grid, visible: Flags) -> tuple[Array, Array]:
     """Distances of measured and of predicted virtual markers from their gridlines."""
     kinds: dict[Status, list[Array]] = {Status.MEASURED: [_none()], Status.PREDICTED: [_none()]}
     for points, status, line, seen in (

@@ -23,6 +23,8 @@ from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFram
 from hard_frames.covers import Cover, Scenery, cover_views, far_corners, pixels_of
 from hard_frames.deformation import EXTENT, Deformation, deform, deformation_of
 
+Flags = NDArray[np.bool_]
+
 # A corner in the middle of so many pixels that are all white shows nothing.
 BLOWN_OUT_PX, WHITE = 5, 254
 # The checkers that meet at a corner are looked at this share of a side from it, along x and y.
@@ -98,8 +100,8 @@ class PatternFrame:
     sensor: SensorDescription
     image: NDArray[np.uint8]
     truth: Mapping[str, Grid]
-    visible: Mapping[str, NDArray[np.bool_]]
-    far: Mapping[str, NDArray[np.bool_]]
+    visible: Mapping[str, Flags]
+    far: Mapping[str, Flags]
 
 
 class PatternStudio:
@@ -159,7 +161,7 @@ def _exposed(
     case: PatternCase,
     rendered: RenderedFrame,
     truth: Mapping[str, Grid],
-    shown: tuple[Mapping[str, NDArray[np.bool_]], Mapping[str, NDArray[np.bool_]]],
+    shown: tuple[Mapping[str, Flags], Mapping[str, Flags]],
 ) -> PatternFrame:
     """What is rendered, behind the cover, through the camera; shown: visible and far without."""
     covered = {name: np.zeros((0, 0), np.bool_) for name in truth}
@@ -175,7 +177,7 @@ def _exposed(
     return PatternFrame(case.name, case.sensor, image, truth, visible, far)
 
 
-def _visible(image: NDArray[np.uint8], grid: Grid, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _visible(image: NDArray[np.uint8], grid: Grid, covered: Flags) -> Flags:
     visible = np.isfinite(grid.corners[..., 0])
     if covered.any():
         x, y = pixels_of(grid.corners, covered.shape)
@@ -185,7 +187,7 @@ def _visible(image: NDArray[np.uint8], grid: Grid, covered: NDArray[np.bool_]) -
     return np.asarray(visible & (darkest[y, x] < WHITE))
 
 
-def _printed(pattern: Pattern, defects: PrintDefects, seed: int) -> NDArray[np.bool_]:
+def _printed(pattern: Pattern, defects: PrintDefects, seed: int) -> Flags:
     """Corners (rows, cols) around which blobs leave three of the four checkers as they should be.
 
     Ragged edges move corners and hide none.

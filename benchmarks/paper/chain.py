@@ -19,14 +19,16 @@ from cmp_tactile_processing.tracking.tracker import GridTracker
 from hard_frames.grid_score import GridScore, join_scores, score_grid
 from paper.lab import Mechanics
 
+Image = NDArray[np.uint8]
+
 
 class ViewTracker(Protocol):
     """Follows the markers of one view from frame to frame."""
 
-    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+    def learn(self, at_rest: Sequence[Image]) -> None:
         """Look at view images (H, W) of the gel at rest, before the first frame."""
 
-    def track(self, half_image: NDArray[np.uint8]) -> Grid:
+    def track(self, half_image: Image) -> Grid:
         """Markers of a view image (H, W); of dots, their centres are the corners."""
 
     def reset(self) -> None:
@@ -59,10 +61,10 @@ class _Checkers:
     def __init__(self, sensor: SensorDescription, view: str) -> None:
         self._tracker = GridTracker(sensor, view)
 
-    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+    def learn(self, at_rest: Sequence[Image]) -> None:
         self._tracker.inspect_print(at_rest)
 
-    def track(self, half_image: NDArray[np.uint8]) -> Grid:
+    def track(self, half_image: Image) -> Grid:
         return self._tracker.track(half_image)
 
     def reset(self) -> None:
@@ -72,7 +74,7 @@ class _Checkers:
 class _CheckersOfThePaper(_Checkers):
     """Section III: it learns nothing of the print."""
 
-    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+    def learn(self, at_rest: Sequence[Image]) -> None:
         pass
 
 
@@ -129,7 +131,7 @@ class Chain:
         self._reference = Reference.nominal(sensor)
         self._force = ForceStage(sensor) if with_force else None
 
-    def set_reference(self, images: Sequence[NDArray[np.uint8]]) -> None:
+    def set_reference(self, images: Sequence[Image]) -> None:
         """Measure displacements against the mean of these frames (H, W) of the gel at rest."""
         views = [self.views(image) for image in images]
         for name, tracker in self._trackers.items():
@@ -140,7 +142,7 @@ class Chain:
             markers.append(self._rig.triangulate(grids["left"], grids["right"]))
         self._reference = Reference.average(markers, reference_id=1)
 
-    def measure(self, image: NDArray[np.uint8]) -> Measurement:
+    def measure(self, image: Image) -> Measurement:
         """Everything that the next frame (H, W) shows."""
         grids = self.track(image)
         surface = self._reference.surface(self._rig.triangulate(grids["left"], grids["right"]))
@@ -154,12 +156,12 @@ class Chain:
         if self._force:
             self._force.reset()
 
-    def track(self, image: NDArray[np.uint8]) -> dict[str, Grid]:
+    def track(self, image: Image) -> dict[str, Grid]:
         """The markers of each view of the next frame (H, W)."""
         views = self.views(image).items()
         return {name: self._trackers[name].track(view) for name, view in views}
 
-    def views(self, image: NDArray[np.uint8]) -> dict[str, NDArray[np.uint8]]:
+    def views(self, image: Image) -> dict[str, Image]:
         """The views (h, w) of a frame (H, W), cut out."""
         views = self._rig.views.items()
         return {name: split_frame(image, view.placement) for name, view in views}

@@ -22,13 +22,15 @@ from paper.chain import CMP, CMP_PAPER, Method
 from paper.dots import DotDetector, DotImage, DotParameters, centroid_bias
 from paper.grid_order import UNKNOWN, GridOrder, places
 
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Indices = NDArray[np.intp]
+
 # What it costs, in squared gates, to leave a marker without a dot: more than any way to one.
 LEFT_OUT = 10.0
 
 
-def nearest_match(
-    points: NDArray[np.float64], last: NDArray[np.float64], gate: NDArray[np.float64]
-) -> NDArray[np.intp]:
+def nearest_match(points: Array, last: Array, gate: Array) -> Indices:
     """Index (M,) into points (N, 2) px of each marker, UNKNOWN where none is near enough.
 
     last (M, 2) px: where the markers were; gate (M,) px.  One to one: of all pairs that are left
@@ -47,9 +49,7 @@ def nearest_match(
     return index
 
 
-def best_assignment(
-    points: NDArray[np.float64], last: NDArray[np.float64], gate: NDArray[np.float64]
-) -> NDArray[np.intp]:
+def best_assignment(points: Array, last: Array, gate: Array) -> Indices:
     """As `nearest_match`, but as many markers as possible find a dot, and the sum of the squared
     ways of all of them is the least."""
     index = np.full(len(last), UNKNOWN, np.intp)
@@ -63,11 +63,8 @@ def best_assignment(
 
 
 def flow(
-    images: tuple[NDArray[np.uint8], NDArray[np.uint8]],
-    last: NDArray[np.float64],
-    side_px: float,
-    parameters: DotParameters,
-) -> NDArray[np.float64]:
+    images: tuple[Image, Image], last: Array, side_px: float, parameters: DotParameters
+) -> Array:
     """Where markers (M, 2) px of the first image are in the second; NaN where that is in doubt.
 
     images (H, W) grey.  In doubt is what the flow back does not take to where it came from.
@@ -114,10 +111,10 @@ class DotTracker:
         shape = self._window.height, self._window.width
         self._detector = DotDetector(self._nominal, shape, self._parameters)
         self._order = GridOrder(self._nominal, self._parameters)
-        self._rest: NDArray[np.float64] | None = None
+        self._rest: Array | None = None
         self.reset()
 
-    def learn(self, at_rest: Sequence[NDArray[np.uint8]]) -> None:
+    def learn(self, at_rest: Sequence[Image]) -> None:
         """Number the dots of the gel at rest by the grid that they form."""
         found = [self._by_grid(self._prepared(image)) for image in at_rest]
         if found:
@@ -129,10 +126,10 @@ class DotTracker:
 
     def reset(self) -> None:
         """Forget earlier frames; what was learnt is kept."""
-        self._last: NDArray[np.float64] | None = None
+        self._last: Array | None = None
         self._last_image: DotImage | None = None
 
-    def track(self, half_image: NDArray[np.uint8]) -> Grid:
+    def track(self, half_image: Image) -> Grid:
         """Dots of a view image, (H, W) grey or (H, W, 3) BGR uint8; their centres are the corners.
 
         Raises FrameError for an image of another size or type.
@@ -145,33 +142,33 @@ class DotTracker:
         corners = centres - self._bias(centres) + self._window.origin
         return self._grid(corners, index != UNKNOWN, image)
 
-    def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
+    def _numbered(self, points: Array, image: DotImage) -> Indices:
         raise NotImplementedError
 
-    def _remember(self, centres: NDArray[np.float64], image: DotImage) -> None:
+    def _remember(self, centres: Array, image: DotImage) -> None:
         """Keep the last place of every marker, also of one that is lost now."""
         if self._last is None:
             self._last = self._start()
         self._last = np.where(np.isfinite(centres), centres, self._last)
         self._last_image = image
 
-    def _start(self) -> NDArray[np.float64]:
+    def _start(self) -> Array:
         """Where markers are before the first frame: at rest as learnt, else by the description."""
         if self._rest is None:
             return self._nominal.corners
         return np.where(np.isfinite(self._rest), self._rest, self._nominal.corners)
 
-    def _prepared(self, half_image: NDArray[np.uint8]) -> DotImage:
+    def _prepared(self, half_image: Image) -> DotImage:
         place = self._view.placement
         check_image(half_image, place.width, place.height, f"{self._view.name} view")
         part = to_grey(self._window.cut(half_image), self._weights)
         return self._detector.prepare(np.ascontiguousarray(part))
 
-    def _by_grid(self, image: DotImage) -> NDArray[np.float64]:
+    def _by_grid(self, image: DotImage) -> Array:
         points = self._detector.detect(image)
         return places(points, self._order.number(points))
 
-    def _bias(self, centres: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _bias(self, centres: Array) -> Array:
         """What perspective and curvature add to the centres, (rows, cols, 2) px."""
         radius = self._parameters.diameter / 2
         nominal = centroid_bias(self._nominal.corners, radius)
@@ -180,9 +177,7 @@ class DotTracker:
         measured = centroid_bias(centres, radius)
         return np.where(np.isfinite(measured), measured, nominal)
 
-    def _grid(
-        self, corners: NDArray[np.float64], known: NDArray[np.bool_], image: DotImage
-    ) -> Grid:
+    def _grid(self, corners: Array, known: NDArray[np.bool_], image: DotImage) -> Grid:
         shape, place = self._pattern.shape, self._view.placement
         missing = int(known.size - known.sum())
         if missing == known.size:
@@ -203,7 +198,7 @@ class DotTracker:
 class GridOrderTracker(DotTracker):
     """Numbers by the grid that the dots form, each frame by itself."""
 
-    def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
+    def _numbered(self, points: Array, image: DotImage) -> Indices:
         del image
         return self._order.number(points)
 
@@ -211,24 +206,20 @@ class GridOrderTracker(DotTracker):
 class NearestTracker(DotTracker):
     """Each dot is the marker with the nearest place in the last frame."""
 
-    def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
+    def _numbered(self, points: Array, image: DotImage) -> Indices:
         del image
         last = self._start() if self._last is None else self._last
         index = self._matched(points, last.reshape(-1, 2), self._order.side.ravel())
         return index.reshape(last.shape[:2])
 
-    def _matched(
-        self, points: NDArray[np.float64], last: NDArray[np.float64], side: NDArray[np.float64]
-    ) -> NDArray[np.intp]:
+    def _matched(self, points: Array, last: Array, side: Array) -> Indices:
         return nearest_match(points, last, self._parameters.nearest_gate * side)
 
 
 class AssignmentTracker(NearestTracker):
     """All dots are matched to the last frame's at once, so that their ways are the shortest."""
 
-    def _matched(
-        self, points: NDArray[np.float64], last: NDArray[np.float64], side: NDArray[np.float64]
-    ) -> NDArray[np.intp]:
+    def _matched(self, points: Array, last: Array, side: Array) -> Indices:
         return best_assignment(points, last, self._parameters.assignment_gate * side)
 
 
@@ -236,7 +227,7 @@ class FlowTracker(DotTracker):
     """The flow takes markers from the last image near to their dots; lost ones are recovered where
     their neighbours expect them."""
 
-    def _numbered(self, points: NDArray[np.float64], image: DotImage) -> NDArray[np.intp]:
+    def _numbered(self, points: Array, image: DotImage) -> Indices:
         if self._last is None or self._last_image is None:
             return self._order.number(points)
         side = self._nominal.side_px

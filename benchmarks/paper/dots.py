@@ -17,6 +17,8 @@ from cmp_tactile_processing.image.prepared import ImpulseFilter, noise_of
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from paper.sequence import DOT_DIAMETER
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True)
 class DotParameters:
@@ -64,7 +66,7 @@ class DotParameters:
     flow_return: float = 1.0
 
 
-def centroid_bias(grid: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+def centroid_bias(grid: Array, radius: float) -> Array:
     """Centroid of a disc's picture minus picture of its centre, (rows, cols, 2) px.
 
     grid (rows, cols, 2) px: pictures q(i, j) of the markers; radius: of the discs, in pitches.
@@ -81,11 +83,11 @@ def centroid_bias(grid: NDArray[np.float64], radius: float) -> NDArray[np.float6
     return np.asarray(radius**2 * (laplacian / 8 + drift / 4))
 
 
-def _slopes(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _slopes(values: Array) -> tuple[Array, Array]:
     return np.gradient(values, axis=0), np.gradient(values, axis=1)
 
 
-def _bends(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
+def _bends(values: Array, axis: int) -> Array:
     """Second differences; those of the borders are their neighbours'."""
     inner = np.diff(values, 2, axis=axis)
     width = [(0, 0)] * values.ndim
@@ -114,12 +116,12 @@ class Outlines:
     radii.  NaN where the edge is not closed.
     """
 
-    area: NDArray[np.float64]
-    elongation: NDArray[np.float64]
-    residual: NDArray[np.float64]
+    area: Array
+    elongation: Array
+    residual: Array
 
 
-def peaks(response: NDArray[np.float32], at: NDArray[np.intp]) -> NDArray[np.float64]:
+def peaks(response: NDArray[np.float32], at: NDArray[np.intp]) -> Array:
     """Tops (N, 2) px of the quadratic surfaces through 3 x 3 pixels around at (N, 2), as (x, y)."""
     x, y = at.T
     z = [[response[y + dy, x + dx].astype(np.float64) for dx in (-1, 0, 1)] for dy in (-1, 0, 1)]
@@ -137,9 +139,7 @@ def peaks(response: NDArray[np.float32], at: NDArray[np.intp]) -> NDArray[np.flo
     return np.asarray(at + np.where(good[:, None], off, 0.0), dtype=np.float64)
 
 
-def outlines(
-    darkness: NDArray[np.float32], centre: NDArray[np.float64], to_radii: NDArray[np.float64]
-) -> Outlines:
+def outlines(darkness: NDArray[np.float32], centre: Array, to_radii: Array) -> Outlines:
     """Edges of dots around centres (N, 2) px where the darkness falls to half, and ellipses."""
     from_radii = np.linalg.inv(to_radii)
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
@@ -159,12 +159,8 @@ def outlines(
 
 @njit(cache=True, nogil=True)
 def centroids(
-    darkness: NDArray[np.float32],
-    start: NDArray[np.float64],
-    to_radii: NDArray[np.float64],
-    threshold: float,
-    window: float,
-) -> NDArray[np.float64]:
+    darkness: NDArray[np.float32], start: Array, to_radii: Array, threshold: float, window: float
+) -> Array:
     """Darkness-weighted centroids (N, 2) px; NaN where nothing dark is.
 
     darkness (H, W): 0 for skin, 1 for ink.  start (N, 2) px.  to_radii (N, 2, 2): from px to radii
@@ -201,9 +197,7 @@ def centroids(
 
 
 @njit(cache=True, nogil=True)
-def _edges(
-    darkness: NDArray[np.float32], centre: NDArray[np.float64], rays: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _edges(darkness: NDArray[np.float32], centre: Array, rays: Array) -> Array:
     """How far along each ray (N, K, 2) px the darkness first falls to EDGE; NaN if nowhere."""
     height, width = darkness.shape
     found = np.full(rays.shape[:2], np.nan)
@@ -229,7 +223,7 @@ def _edges(
     return found
 
 
-def _ellipses(edge: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _ellipses(edge: Array) -> tuple[Array, Array]:
     """Half axes (N, 2), shorter first, and residual (N,) of points (N, K, 2).
 
     Conics a x^2 + b x y + c y^2 + d x + e y = 1, which do for outlines around the origin.
@@ -313,7 +307,7 @@ class DotDetector:
         noise = float(np.hypot(noise_of(clean) / level, LIKE_NOISE * replaced**2))
         return DotImage(clean.copy(), np.asarray(dark / ink), noise)
 
-    def detect(self, image: DotImage) -> NDArray[np.float64]:
+    def detect(self, image: DotImage) -> Array:
         """Places (N, 2) px of the dots that are seen whole; any number, also none."""
         at, response = self._candidates(image.darkness)
         centre = peaks(response, at)
@@ -347,13 +341,13 @@ class DotDetector:
         sigma = min(CALM_PER_NOISE * max(image.noise - LITTLE_NOISE, 0.0), CALM) * self._radius_px
         return _blurred(image.darkness, sigma) if sigma > 0 else image.darkness
 
-    def _to_radii(self, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _to_radii(self, q: Array) -> Array:
         """(N, 2, 2): from px to radii of a dot as the nominal projection shows it near q."""
         along_i, along_j = self._nominal.axes_near(q)
         radius = self._parameters.diameter / 2
         return np.asarray(np.linalg.inv(radius * np.stack([along_j, along_i], axis=-1)))
 
-    def _whole(self, edge: Outlines, to_radii: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _whole(self, edge: Outlines, to_radii: Array) -> NDArray[np.bool_]:
         settings = self._parameters
         area = edge.area * np.abs(np.linalg.det(to_radii))
         area /= np.nanmedian(area) if np.isfinite(area).any() else 1.0

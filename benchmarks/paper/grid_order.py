@@ -11,6 +11,9 @@ from scipy.spatial import cKDTree
 from cmp_tactile_processing.tracking.detector import NominalGrid
 from paper.dots import DotParameters
 
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
 # Index of a marker that no dot is.
 UNKNOWN = -1
 # Ways to a neighbour, (i, j).
@@ -36,7 +39,7 @@ class GridOrder:
         # Side px of the grid at each marker, (rows, cols), as it is at rest.
         self.side = np.minimum(*(np.linalg.norm(step, axis=-1) for step in steps))
 
-    def number(self, points: NDArray[np.float64]) -> NDArray[np.intp]:
+    def number(self, points: Array) -> Indices:
         """Index (rows, cols) into points (N, 2) px of each marker, UNKNOWN where it is not seen."""
         index = np.full(self._shape, UNKNOWN, np.intp)
         if len(points) < LEAST_SHARE * index.size:
@@ -55,7 +58,7 @@ class GridOrder:
             self.drop_strays(points, index)
         return index
 
-    def fill(self, points: NDArray[np.float64], index: NDArray[np.intp]) -> None:
+    def fill(self, points: Array, index: Indices) -> None:
         """Give markers without a dot that one which lies where their neighbours expect it.
 
         The best founded first, so that what is found helps to find the next.
@@ -80,7 +83,7 @@ class GridOrder:
             if len(free):
                 tree = cKDTree(points[free])
 
-    def drop_strays(self, points: NDArray[np.float64], index: NDArray[np.intp]) -> None:
+    def drop_strays(self, points: Array, index: Indices) -> None:
         """Take away the numbers of dots that lie far from where their neighbours expect them."""
         for _ in range(index.size):
             place = places(points, index)
@@ -90,7 +93,7 @@ class GridOrder:
                 return
             index[np.unravel_index(int(np.nanargmax(off)), self._shape)] = UNKNOWN
 
-    def _links(self, points: NDArray[np.float64]) -> NDArray[np.intp]:
+    def _links(self, points: Array) -> Indices:
         """Neighbours (N, 4) of each point by STEPS, UNKNOWN where none is: first by the nominal
         steps, then by those that were found around each point, which follow the deformation."""
         along_i, along_j = self._nominal.axes_near(points)
@@ -105,9 +108,7 @@ class GridOrder:
                 along_j = _typical_step(points, links, (1, 3), (along_j, around))
         return links
 
-    def _anchor(
-        self, points: NDArray[np.float64], labels: NDArray[np.intp]
-    ) -> NDArray[np.intp] | None:
+    def _anchor(self, points: Array, labels: Indices) -> Indices | None:
         """What takes its labels (N, 2) to markers' numbers; None where that is unclear."""
         low, high = labels.min(axis=0), labels.max(axis=0)
         room = np.array(self._shape) - (high - low + 1)
@@ -125,7 +126,7 @@ class GridOrder:
             return None
         return np.asarray(np.array(ranked[0]) - low)
 
-    def _anchor_of_most(self, labels: NDArray[np.intp]) -> NDArray[np.intp] | None:
+    def _anchor_of_most(self, labels: Indices) -> Indices | None:
         """Of a component with strays beyond the pattern: where the fewest are left out."""
         low, high = labels.min(axis=0), labels.max(axis=0)
         best, most = None, 0.8 * len(labels)
@@ -137,21 +138,14 @@ class GridOrder:
                     best, most = np.array((-i, -j)), float(inside.sum())
         return best
 
-    def _place(
-        self, index: NDArray[np.intp], members: NDArray[np.intp], number: NDArray[np.intp]
-    ) -> None:
+    def _place(self, index: Indices, members: Indices, number: Indices) -> None:
         inside = ((number >= 0) & (number < self._shape)).all(axis=1)
         i, j = number[inside].T
         empty = index[i, j] == UNKNOWN
         index[i[empty], j[empty]] = members[inside][empty]
 
 
-def _linked(
-    points: NDArray[np.float64],
-    tree: cKDTree,
-    steps: tuple[NDArray[np.float64], NDArray[np.float64]],
-    gate: float,
-) -> NDArray[np.intp]:
+def _linked(points: Array, tree: cKDTree, steps: tuple[Array, Array], gate: float) -> Indices:
     """Neighbours (N, 4) that take each other for neighbours."""
     links = np.full((len(points), 4), UNKNOWN, np.intp)
     for way, (di, dj) in enumerate(STEPS):
@@ -168,11 +162,8 @@ def _linked(
 
 
 def _typical_step(
-    points: NDArray[np.float64],
-    links: NDArray[np.intp],
-    ways: tuple[int, int],
-    known: tuple[NDArray[np.float64], list[list[int]]],
-) -> NDArray[np.float64]:
+    points: Array, links: Indices, ways: tuple[int, int], known: tuple[Array, list[list[int]]]
+) -> Array:
     """Median step (N, 2) along one axis of the points around each; the known one where none is."""
     before, around = known
     ahead = links[:, ways[0]]
@@ -186,7 +177,7 @@ def _typical_step(
     return np.asarray(result)
 
 
-def _components(links: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def _components(links: Indices) -> list[tuple[Indices, Indices]]:
     """Connected points with their labels (i, j), the largest first.
 
     Points with most neighbours are labelled first; a label is given once, and one that does not
@@ -204,7 +195,7 @@ def _components(links: NDArray[np.intp]) -> list[tuple[NDArray[np.intp], NDArray
 
 
 def _grown(
-    seed: int, links: NDArray[np.intp], degree: NDArray[np.intp], label: dict[int, tuple[int, int]]
+    seed: int, links: Indices, degree: Indices, label: dict[int, tuple[int, int]]
 ) -> list[int]:
     taken = {(0, 0)}
     label[seed] = (0, 0)
@@ -223,7 +214,7 @@ def _grown(
     return members
 
 
-def places(points: NDArray[np.float64], index: NDArray[np.intp]) -> NDArray[np.float64]:
+def places(points: Array, index: Indices) -> Array:
     """Position (rows, cols, 2) of each marker by index (rows, cols), NaN where it has no dot."""
     found = np.full((*index.shape, 2), np.nan)
     known = index != UNKNOWN
@@ -231,7 +222,7 @@ def places(points: NDArray[np.float64], index: NDArray[np.intp]) -> NDArray[np.f
     return found
 
 
-def _expected(places: NDArray[np.float64], nominal: NominalGrid) -> NDArray[np.float64]:
+def _expected(places: Array, nominal: NominalGrid) -> Array:
     """Where neighbours expect each marker, (rows, cols, 2): their displacement carried over.
 
     The median of what each pair of neighbours - opposite, or one behind the other - expects, of at
@@ -241,7 +232,7 @@ def _expected(places: NDArray[np.float64], nominal: NominalGrid) -> NDArray[np.f
     padded = np.pad(moved, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
     rows, cols = moved.shape[:2]
 
-    def at(di: int, dj: int) -> NDArray[np.float64]:
+    def at(di: int, dj: int) -> Array:
         return padded[2 + di : 2 + di + rows, 2 + dj : 2 + dj + cols]
 
     data = [(at(1, 0) + at(-1, 0)) / 2, (at(0, 1) + at(0, -1)) / 2]

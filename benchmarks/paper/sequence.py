@@ -18,6 +18,8 @@ from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from paper.chain import Chain, Measurement
 from paper.lab import Mechanics
 
+Image = NDArray[np.uint8]
+
 # Of a dot, as a share of the pitch: see results/paper_dot_tuning.md.
 DOT_DIAMETER = 0.35
 SAMPLES = 4
@@ -50,7 +52,7 @@ class PrintedGel:
         self._renderer = Renderer(sensor, ink, samples=SAMPLES)
         self._truth = OpticalTruth(sensor)
 
-    def image(self, surface: DeformedSurface, number: int) -> NDArray[np.uint8]:
+    def image(self, surface: DeformedSurface, number: int) -> Image:
         """The camera's frame (H, W) of a surface; `number` sets its noise."""
         return self.exposed(self.rendered(surface), number)
 
@@ -60,7 +62,7 @@ class PrintedGel:
 
     def exposed(
         self, rendered: RenderedFrame, number: int, camera: CameraSettings | None = None
-    ) -> NDArray[np.uint8]:
+    ) -> Image:
         """The camera's frame (H, W) of what was rendered, under other settings where given."""
         rng = random_stream(Purpose.FRAME_NOISE, 0, number)
         return expose(rendered, camera or CameraSettings(), rng, 0)
@@ -80,8 +82,8 @@ FRAMES_OF_A_DRAW = 1000
 class Exposure:
     """Frames (H, W) of the gel at rest and then in contact."""
 
-    rest: list[NDArray[np.uint8]]
-    frames: list[NDArray[np.uint8]]
+    rest: list[Image]
+    frames: list[Image]
 
 
 class RenderedSequence:

@@ -125,9 +125,7 @@ def write_rows(
 
 
 def write(
-    path: Path,
-    topics: Mapping[str, Sequence[Any]],
-    storage: StoragePlugin = StoragePlugin.MCAP,
+    path: Path, topics: Mapping[str, Sequence[Any]], storage: StoragePlugin = StoragePlugin.MCAP
 ) -> Path:
     """A bag of messages by topic, each of which receives one every 50 ms."""
     longest = max(map(len, topics.values()))

@@ -17,6 +17,8 @@ from paper.lab import Arrays, Lab, Workplace, mechanics_of
 from paper.page import TRUE_COLOUR, Page, figures, look, panels
 from paper.readings import DOTS, MEASURED, READINGS, BothPrints, Reading, name_of
 
+Array = NDArray[np.float64]
+
 TITLE = "V.B: Precision: spheres fitted to balls"
 LEAST_POINTS = 4
 # In units of the points' spread; so flat that no ball of the experiment comes near to it.
@@ -30,13 +32,13 @@ class SphereFit:
     count: points.  NaN throughout where the points bear no sphere.
     """
 
-    centre: NDArray[np.float64]
+    centre: Array
     diameter: float
     rms: float
     count: int
 
 
-def fit_sphere(points: NDArray[np.float64]) -> SphereFit:
+def fit_sphere(points: Array) -> SphereFit:
     """The sphere with the least sum of squared distances to points (n, 3); NaN rows are left out.
 
     Geometric, not algebraic: noise on a small cap makes an algebraic fit's sphere too small.
@@ -62,7 +64,7 @@ def fit_sphere(points: NDArray[np.float64]) -> SphereFit:
     return SphereFit(middle + scale * found.x[:3], 2 * scale * radius, scale * rms, len(points))
 
 
-def _algebraic(points: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _algebraic(points: Array) -> Array | None:
     """Centre and radius from the linear equations |p|^2 = 2 c . p + r^2 - |c|^2."""
     design = np.column_stack([2 * points, np.ones(len(points))])
     solution, _, rank, _ = np.linalg.lstsq(design, (points**2).sum(axis=1), rcond=None)
@@ -72,11 +74,11 @@ def _algebraic(points: NDArray[np.float64]) -> NDArray[np.float64] | None:
     return np.array([*solution[:3], np.sqrt(squared)])
 
 
-def _distances(sphere: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _distances(sphere: Array, points: Array) -> Array:
     return np.asarray(np.linalg.norm(points - sphere[:3], axis=1) - sphere[3])
 
 
-def _gradient(sphere: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gradient(sphere: Array, points: Array) -> Array:
     off = points - sphere[:3]
     return np.column_stack(
         [-off / np.linalg.norm(off, axis=1, keepdims=True), -np.ones(len(points))]
@@ -159,7 +161,7 @@ def fit_balls(
     return arrays
 
 
-def deep_points(rest: Surface, pressed: Surface) -> NDArray[np.float64]:
+def deep_points(rest: Surface, pressed: Surface) -> Array:
     """Markers (n, 3) m, virtual ones included, that are at least DEPTH_SHARE of the deepest down.
 
     How deep is the change of z against the same marker at rest.
@@ -173,7 +175,7 @@ def deep_points(rest: Surface, pressed: Surface) -> NDArray[np.float64]:
     return np.asarray(now[deep])
 
 
-def _all_points(surface: Surface) -> NDArray[np.float64]:
+def _all_points(surface: Surface) -> Array:
     parts = surface.position, surface.row_position, surface.col_position
     return np.concatenate([part.reshape(-1, 3) for part in parts])
 
@@ -186,11 +188,11 @@ class BallFits:
     that the reading takes, m.
     """
 
-    ball: NDArray[np.float64]
-    diameter: NDArray[np.float64]
-    rms: NDArray[np.float64]
-    count: NDArray[np.float64]
-    exact: NDArray[np.float64]
+    ball: Array
+    diameter: Array
+    rms: Array
+    count: Array
+    exact: Array
 
     @classmethod
     def from_results(cls, results: Sequence[Arrays], reading: Reading) -> BallFits:
@@ -204,23 +206,21 @@ class BallFits:
         return cls(np.array([result["ball"] for result in results]), *map(np.array, arrays))
 
     @property
-    def from_ball(self) -> NDArray[np.float64]:
+    def from_ball(self) -> Array:
         """Fitted minus the ball's diameter, m."""
         return np.asarray(self.diameter - self.ball[:, None])
 
     @property
-    def from_exact(self) -> NDArray[np.float64]:
+    def from_exact(self) -> Array:
         """Fitted minus the diameter that exact markers give, m."""
         return np.asarray(self.diameter - self.exact)
 
-    def percent(self, deviation: NDArray[np.float64]) -> float:
+    def percent(self, deviation: Array) -> float:
         """Mean size of deviations, % of the ball."""
         return float(100 * np.nanmean(np.abs(deviation) / self.ball[:, None]))
 
 
-def clearly_less(
-    first: NDArray[np.float64], second: NDArray[np.float64], repetitions: int = 1
-) -> bool:
+def clearly_less(first: Array, second: Array, repetitions: int = 1) -> bool:
     """Whether the first of paired deviations are smaller in size, by more than chance makes them.
 
     The mean of |first| - |second| lies below zero by more than CLEAR of its standard errors.
@@ -235,7 +235,7 @@ def clearly_less(
     return bool(difference.mean() < -CLEAR * error)
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Array) -> float:
     return float(np.sqrt(np.nanmean(values**2)))
 
 

@@ -19,6 +19,8 @@ from paper.lab import Arrays, Lab, Workplace, mechanics_of, shortened
 from paper.page import Page
 from paper.sequence import Exposure, RenderedSequence
 
+Points = NDArray[np.float64]
+
 TITLE = "V.A: Speed"
 SCENE = "ball:20mm"
 # The key of the least that a dot method must do.
@@ -27,7 +29,6 @@ PLAIN = "plain_dots"
 WINDOW, LEAST_AREA = 21, 12
 
 Image = NDArray[np.uint8]
-Points = NDArray[np.float64]
 
 
 def run(lab: Lab, page: Page) -> None:
@@ -73,7 +74,7 @@ def measure_speed(place: Workplace, name: str, frames: int, passes: int) -> dict
     return {**least, "plain_found": np.array(plain.plain_found)}
 
 
-def median_ms(times: NDArray[np.float64]) -> float:
+def median_ms(times: Points) -> float:
     """Of a frame."""
     return float(np.median(times))
 
@@ -150,12 +151,12 @@ def _table(data: Arrays, page: Page) -> None:
     page.table("speed.rates", (*rows, ("dots, at the least", *plain)))
 
 
-def _rates(times: NDArray[np.float64]) -> tuple[str, str]:
+def _rates(times: Points) -> tuple[str, str]:
     ms = median_ms(times)
     return f"{ms:.1f} ms", f"{1e3 / ms:.0f}"
 
 
-def _plain_chain(data: Arrays) -> NDArray[np.float64]:
+def _plain_chain(data: Arrays) -> Points:
     rest = median_ms(data["cmp_chain"] - data["cmp_extraction"])
     return np.asarray(data[f"{PLAIN}_extraction"] + rest)
 

@@ -1,8 +1,9 @@
-"""Bodies that are pressed, dragged and twisted on a gel, and what is true of their slip."""
+"""Bodies that are pressed, dragged and twisted on a gel: frames, and the true force and slip."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +11,29 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.measured import SlipEstimate, SurfaceGrid
+from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters import Indenter
-from cmp_tactile_simulation.scenes.simulation import slip_estimate
+from cmp_tactile_simulation.scenes.description import Phase, Start, Touch
+from cmp_tactile_simulation.scenes.file import load_scene
+from cmp_tactile_simulation.scenes.simulation import Simulation, slip_estimate
+
+Array = NDArray[np.float64]
 
 
-def at_markers(
-    observers: SurfaceGrid, markers: SurfaceGrid, moved: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def frames_of_ball(
+    sensor: SensorDescription, start: Touch, *motion: Phase, **changes: Any
+) -> tuple[list[NDArray[np.uint8]], Array]:
+    """Frames of the packaged ball that moves so, and its forces (n, 3) N; changes: of the scene."""
+    scene = replace(load_scene("contact_sphere"), sensor=sensor, **changes)
+    frames = Simulation(replace(scene, start=Start(start), motion=motion)).frames()
+    images, forces = zip(*((f.image, f.force.wrench[:3]) for f in frames), strict=True)
+    return list(images), np.stack(forces)
+
+
+def at_markers(observers: SurfaceGrid, markers: SurfaceGrid, moved: Array) -> Array:
     """A smooth displacement (rows, cols, 3) of the observers at the markers, by splines."""
     parts = [
         RectBivariateSpline(observers.y, observers.x, moved[..., axis])(markers.y, markers.x)
@@ -33,7 +47,7 @@ class Frame:
     """Displacement of the gel's observers (rows, cols, 3), m, and what is true of the slip."""
 
     phase: str
-    moved: NDArray[np.float64]
+    moved: Array
     truth: SlipEstimate
 
 
