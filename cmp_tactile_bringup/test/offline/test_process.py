@@ -210,8 +210,7 @@ def test_a_recording_that_goes_back_in_time_is_processed_as_a_new_one_from_there
     results = []
     for name, shown in (("back", stamped), ("fresh", stamped[1:])):
         bag = made_bags.write(
-            tmp_path / "in" / name,
-            {"/rig/image_raw": [made_bags.image(*frame) for frame in shown]},
+            tmp_path / "in" / name, {"/rig/image_raw": [made_bags.image(*frame) for frame in shown]}
         )
         assert process(bag, "--output", tmp_path, "--arrays") == 0
         with np.load(tmp_path / f"{name}.npz") as arrays:

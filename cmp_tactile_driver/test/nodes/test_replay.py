@@ -153,10 +153,7 @@ def test_pause_and_rate_while_it_plays(ros, frame_bag, frames):
     assert not refused.successful
     answer = ros.call(SetBool, "replay/pause", SetBool.Request(data=False))
     assert answer.success
-    ros.wait(
-        lambda: statuses.state == "finished" and len(images) == len(frames),
-        "all frames",
-    )
+    ros.wait(lambda: statuses.state == "finished" and len(images) == len(frames), "all frames")
 
 
 def test_steps_and_a_jump_while_it_is_paused(ros, frame_bag, frames):

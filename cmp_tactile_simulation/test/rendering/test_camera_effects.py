@@ -60,11 +60,7 @@ def _blurred_edge(fineness, sigma):
 
 @pytest.mark.parametrize(
     ("direction", "bright", "dark"),
-    [
-        (0.0, (60, 0), (60, -1)),
-        (np.pi / 2, (0, 80), (-1, 80)),
-        (-3 * np.pi / 4, (-1, -1), (0, 0)),
-    ],
+    [(0.0, (60, 0), (60, -1)), (np.pi / 2, (0, 80), (-1, 80)), (-3 * np.pi / 4, (-1, -1), (0, 0))],
 )
 def test_light_fades_along_its_direction_by_its_ratio(direction, bright, dark):
     image = _expose(_even(), light_ratio=4.0, light_direction=direction)

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from ros_graph import header_at
 
 pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from sensor_msgs.msg import Image
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.bags.reader import BagReader
@@ -100,12 +100,6 @@ def rig(ros, grasp_bag):
     return Rig(ros, str(grasp_bag / "sensor.yaml"))
 
 
-def _header(stamp_ns: int) -> Header:
-    header = Header()
-    header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    return header
-
-
 def test_it_subscribes_only_while_somebody_looks(rig, ros):
     ros.run(0.1)
     assert rig.subscriptions() == 0
@@ -129,12 +123,12 @@ def test_what_belongs_to_a_frame_comes_together(rig, ros, snapshots):
     surfaces = ros.publisher(Surface, "surface")
     forces = ros.publisher(ForceField, "force_field")
     shown = snapshots[-1]
-    surfaces.publish(surface_to_msg(shown.surface, _header(1)))
+    surfaces.publish(surface_to_msg(shown.surface, header_at(1)))
     ros.wait(lambda: rig.audience.snapshots, "the surface alone")
     assert rig.audience.snapshots[0].force is None
-    forces.publish(force_field_to_msg(shown.force, _header(1)))
+    forces.publish(force_field_to_msg(shown.force, header_at(1)))
     ros.wait(lambda: len(rig.audience.snapshots) == 2, "both")
-    surfaces.publish(surface_to_msg(snapshots[0].surface, _header(2)))
+    surfaces.publish(surface_to_msg(snapshots[0].surface, header_at(2)))
     ros.run(0.3)
     assert len(rig.audience.snapshots) == 2
     both = rig.audience.snapshots[1]
@@ -152,8 +146,8 @@ def test_rate_and_latency_are_those_of_the_wrenches(rig, ros, snapshots):
     wrenches = ros.publisher(WrenchStamped, "wrench")
     now_ns = time.time_ns()
     for number in range(11):
-        wrenches.publish(WrenchStamped(header=_header(now_ns - 10**9 + number * 10**7)))
-    surfaces.publish(surface_to_msg(snapshots[0].surface, _header(1)))
+        wrenches.publish(WrenchStamped(header=header_at(now_ns - 10**9 + number * 10**7)))
+    surfaces.publish(surface_to_msg(snapshots[0].surface, header_at(1)))
     ros.wait(lambda: rig.audience.snapshots, "the surface")
     shown = rig.audience.snapshots[0]
     assert shown.rate_hz == pytest.approx(100.0)
@@ -167,13 +161,13 @@ def test_an_image_that_comes_later_than_the_force_is_shown_with_its_grid(rig, ro
     surfaces = ros.publisher(Surface, "surface")
     images = ros.publisher(Image, "image_raw")
     shown = snapshots[-1]
-    images.publish(image_to_msg(snapshots[0].frame, "mono8", _header(7)))
-    grids.publish(grid_to_msg(shown.left, _header(8)))
-    surfaces.publish(surface_to_msg(shown.surface, _header(8)))
+    images.publish(image_to_msg(snapshots[0].frame, "mono8", header_at(7)))
+    grids.publish(grid_to_msg(shown.left, header_at(8)))
+    surfaces.publish(surface_to_msg(shown.surface, header_at(8)))
     ros.wait(lambda: rig.audience.snapshots, "the surface")
-    images.publish(image_to_msg(shown.frame, "mono8", _header(8)))
+    images.publish(image_to_msg(shown.frame, "mono8", header_at(8)))
     ros.run(0.2)
-    surfaces.publish(surface_to_msg(shown.surface, _header(9)))
+    surfaces.publish(surface_to_msg(shown.surface, header_at(9)))
     ros.wait(lambda: rig.audience.snapshots[-1].stamp_ns == 9, "the next surface")
     first, last = rig.audience.snapshots[0], rig.audience.snapshots[-1]
     assert not first.has_image
@@ -184,7 +178,7 @@ def test_an_image_that_comes_later_than_the_force_is_shown_with_its_grid(rig, ro
 def test_a_message_that_cannot_be_used_is_reported(rig, ros, snapshots):
     rig.look()
     publisher = ros.publisher(Surface, "surface")
-    message = surface_to_msg(snapshots[-1].surface, _header(1))
+    message = surface_to_msg(snapshots[-1].surface, header_at(1))
     message.rows += 1
     publisher.publish(message)
     line = rig.says("expected")
@@ -261,7 +255,7 @@ def test_a_recording_has_what_came_while_it_ran(rig, ros, snapshots, tmp_path, m
     publisher = ros.publisher(Image, "image_raw")
     frame = snapshots[0].frame
     for number in range(3):
-        publisher.publish(image_to_msg(frame, "mono8", _header(10**9 + number)))
+        publisher.publish(image_to_msg(frame, "mono8", header_at(10**9 + number)))
         ros.run(0.1)
     said = rig.do(press)
     (bag,) = tmp_path.iterdir()
@@ -333,7 +327,7 @@ def test_from_topic_to_browser(ros, grasp_bag, snapshots, opened):
     tab = opened(node.page)
     publisher = ros.publisher(Surface, "surface")
     for number, shown in enumerate((snapshots[0], snapshots[-1])):
-        publisher.publish(surface_to_msg(shown.surface, _header(number)))
+        publisher.publish(surface_to_msg(shown.surface, header_at(number)))
         expected = 1e3 * np.nanmax(shown.surface.position[..., 2])
         ros.wait(lambda z=expected: abs(tab.meshes()[1] - z) < 0.05, "the surface")
     tab.tab.get_by_text("zero", exact=True).click()
