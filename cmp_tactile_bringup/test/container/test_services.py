@@ -11,6 +11,8 @@ pytest.importorskip("rclpy")
 
 from composition_interfaces.srv import ListNodes, LoadNode, UnloadNode
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Parameter as ParameterMsg
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
@@ -94,15 +96,33 @@ def errors(client: Any) -> Any:
     return find
 
 
-def test_callback_errors_are_in_the_diagnostics(client, errors):
+@pytest.mark.parametrize(
+    ("text", "last"), [("bad", "RuntimeError: cannot bear bad"), ("quit", "SystemExit: enough")]
+)
+def test_a_callback_that_raises_is_in_the_diagnostics_and_ends_nothing(
+    client, errors, capfd, text, last
+):
     assert _load(client, "Raises", node_name="raises").success
-    publisher = client.node.create_publisher(String, "in", 10)
-    client.wait(publisher.get_subscription_count, "the component to listen")
-    publisher.publish(String(data="bad"))
-    client.wait(lambda: errors("raises"), "the error in the diagnostics")
-    status = errors("raises")
-    assert status.message == "1 callbacks raised, last: RuntimeError: cannot bear bad"
-    assert status.hardware_id == client.namespace[1:]
+    publisher, answers = client.talk()
+    for said in ("a", text, "b", text, "c"):
+        publisher.publish(String(data=said))
+    client.wait(lambda: len(answers) == 3, "what comes after")
+    assert answers == ["a", "b", "c"]
+    message = f"2 callbacks raised, last: {last}"
+    client.wait(lambda: getattr(errors("raises"), "message", "") == message, "the diagnostics")
+    assert errors("raises").hardware_id == client.namespace[1:]
+    assert "in _on_text" in capfd.readouterr().err
+
+
+def test_a_request_that_cannot_be_read_is_answered_with_the_reason(client):
+    strange = ParameterMsg(name="prefix", value=ParameterValue(type=42))
+    for _ in range(3):
+        answer = _load(client, "Echo", parameters=[strange])
+        assert not answer.success
+        assert "42" in answer.error_message
+    taken = _load(client, "Echo", extra_arguments=[strange]).success
+    assert _load(client, "Ticker").success
+    assert len(client.listed()) == 1 + taken
 
 
 def test_a_thousand_requests_at_once_are_all_answered(client):

@@ -47,9 +47,11 @@ class Exits(Node):
 
 
 class Raises(Echo):
-    """Raises at every message that starts with `bad`, echoes the others."""
+    """Raises at every message that starts with `bad`, asks for the end at `quit`, echoes others."""
 
     def _on_text(self, message):
+        if message.data == "quit":
+            sys.exit("enough")
         if message.data.startswith("bad"):
             raise RuntimeError(f"cannot bear {message.data}")
         super()._on_text(message)
