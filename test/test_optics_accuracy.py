@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tracking.detectors import Ours, view_image
 
-from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.parts import RefractingLayer
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.dense import DenseStatus, interpolate
 from cmp_tactile_processing.surface.displacement import Reference
-from cmp_tactile_processing.tracking.tracker import GridTracker
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from hard_frames.deformation import deform, deformation_of
@@ -46,9 +45,7 @@ class Chain:
 
     def __init__(self, sensor, studio):
         self.sensor, self.studio = sensor, studio
-        detecting = replace(sensor, tracking=replace(sensor.tracking, follow=False))
-        self.trackers = {view: GridTracker(detecting, view) for view in sensor.views}
-        self.rig = StereoRig(sensor)
+        self.tracker, self.rig = Ours("each frame by itself", follow=False), StereoRig(sensor)
 
     def grids(self, kind, camera=GOOD_CAMERA, defects=None, frame=0):
         zones = deformation_of(kind, self.sensor.pattern)
@@ -57,8 +54,8 @@ class Chain:
         )
         shot = self.studio.photograph(case)
         return {
-            view: tracker.track(split_frame(shot.image, shot.truth[view].placement))
-            for view, tracker in self.trackers.items()
+            view: self.tracker.track(self.sensor, view, view_image(shot, view)).grid
+            for view in shot.truth
         }
 
     def markers(self, kind, *args, **kwargs):

@@ -16,9 +16,8 @@ import cv2
 import numpy as np
 import pytest
 from documents import blocks
+from tracking.detectors import Ours, view_image
 
-from cmp_tactile_processing.geometry.optics import build_views
-from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import GridFault
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_processing.sensor.parts import PatternSurface
@@ -72,20 +71,19 @@ def flat(sensor):
 
 def assert_whole(studio, sensor, camera):
     """Frame after frame, from scratch and followed: all corners, at the right places."""
-    trackers = {view: GridTracker(sensor, view) for view in sensor.views}
+    tracker = Ours("following", cold=False)
     for kind, seed in STATES:
         zones = deformation_of(kind, sensor.pattern, seed)
         frame = studio.photograph(PatternCase(kind, sensor, zones, camera, seed=seed))
         for view, truth in frame.truth.items():
-            tracker, image = trackers[view], split_frame(frame.image, truth.placement)
             for followed in (False, True):
-                grid = tracker.track(image)
+                grid = tracker.track(sensor, view, view_image(frame, view)).grid
                 assert (grid.fault, grid.reason) == (GridFault.NONE, ""), (kind, seed, view)
                 error = np.linalg.norm(grid.corners - truth.corners, axis=-1)
                 assert error.max() < RIGHT_PX, (kind, seed, view)
                 assert followed or not grid.followed
             assert grid.followed, (kind, seed, view)
-            tracker.reset()
+        tracker.reset()
 
 
 # Gridlines nearly along the rows are what a tear looks like.
@@ -108,13 +106,12 @@ def test_the_other_rigs(studio, documented, name):
 def test_behind_something_in_pieces_nothing_is_said_of_the_description(studio, shape):
     """What a piece of the pattern shows is no proof that the whole is torn, turned, or smaller."""
     sensor = load_sensor("sample_rig")
-    views = build_views(sensor)
     frame = studio.photograph(PatternCase("rest", sensor))
     accused = {}
     for view, truth in frame.truth.items():
         tracker = GridTracker(sensor, view)
         for seed in range(20):
-            image = hidden(split_frame(frame.image, views[view].placement), truth, shape, seed)
+            image = hidden(view_image(frame, view), truth, shape, seed)
             tracker.reset()
             grid = tracker.track(image)
             error = np.linalg.norm(grid.corners - truth.corners, axis=-1)
