@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.elastic.model import ElasticProblem
 from cmp_tactile_processing.force.model import ForceModel, interpolation_matrix
 from cmp_tactile_processing.measured import ForceFlag, SlipState, SurfaceGrid
 from cmp_tactile_processing.sensor.parameters import ForceParameters
@@ -246,11 +247,9 @@ def test_pulls_and_drags_are_measured_and_no_contacts(model, truth, name):
             assert np.linalg.norm(field.centre_of_pressure[:2] - place) < 4e-4
 
 
-@pytest.mark.parametrize(
-    "surface", [PatternSurface(), PatternSurface("cylinder", 0.02, "y")], ids=["plane", "cylinder"]
-)
-def test_grid_that_is_not_square(other_rig, cache_dir, surface):
+def test_grid_that_is_not_square(other_rig, cache_dir):
     """Rows along y and columns along x must not be mixed up anywhere on the way."""
+    surface = PatternSurface("cylinder", 0.02, "y")
     rig = other_rig(13, 19, surface)
     # So close that the force nodes are at the markers.
     rig = replace(rig, pattern=replace(rig.pattern, pitch=6e-4))
@@ -278,11 +277,13 @@ def test_a_small_contact_on_a_coarse_pattern(other_rig, cache_dir, pattern, radi
     """
     corners, step = pattern
     every = step * (corners - 1) + 1
-    fine = ForceModel(other_rig(every, every, PatternSurface()), cache_dir).elastic
+    rig = other_rig(every, every, PatternSurface())
+    fine = ElasticProblem.from_sensor(rig)
     away = ((fine.nodes.points - 0.8e-3) ** 2).sum(axis=1) / radius**2
     weights = np.maximum(0, 1 - away) ** 0.5
     force = (weights / weights.sum())[:, None] * [0.0, 0.0, -3.0]
-    moved = fine.displacement(force)[::step, ::step]
+    moved = fine.expand(fine.solve(force.reshape(-1, 1)), of_nodes=False) / rig.elastomer.young
+    moved = moved.reshape(every, every, 3)[::step, ::step]
     coarse = ForceModel(other_rig(corners, corners, PatternSurface()), cache_dir)
     field = coarse.reconstruct(moved, np.ones((corners, corners), dtype=np.uint8))
     assert field.wrench[2] == pytest.approx(-3.0, rel=share)
