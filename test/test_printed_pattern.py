@@ -13,11 +13,11 @@ import pytest
 from cmp_tactile_bringup.printing.files import dxf_bytes, pdf_bytes, svg_bytes
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
-from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
+from cmp_tactile_processing.printing.sheet import print_sheet
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.sensor.parts import PatternSurface
-from cmp_tactile_simulation.rendering.ink import DARK_GREY, Checkerboard, Dots
+from cmp_tactile_simulation.rendering.ink import DARK_GREY, Checkerboard
 
 # Edges are looked at this far to both sides, mm: what is promised of them.
 EDGE_MM = 1e-3
@@ -47,15 +47,8 @@ class SvgSheet:
         (ink,) = layers["PATTERN"].iter(f"{SVG}path")
         assert ink.attrib["fill-rule"] == "evenodd"
         self.ink = polygons(ink.attrib["d"])
-        marks = list(layers["REGISTRATION"].iter(f"{SVG}path"))
-        self.marks = [
-            p for mark in marks if mark.attrib["fill"] == "none" for p in polygons(mark.attrib["d"])
-        ]
-        self.solids = [
-            p for mark in marks if mark.attrib["fill"] != "none" for p in polygons(mark.attrib["d"])
-        ]
+        self.marks = [p for path in layers["MARKS"] for p in polygons(path.attrib["d"])]
         self.outlines = [p for path in layers["OUTLINE"] for p in polygons(path.attrib["d"])]
-        self.cuts = [p for path in layers["CUT"] for p in polygons(path.attrib["d"])]
         self.texts = [
             (str(text.text), np.array([float(text.attrib["x"]), float(text.attrib["y"])]))
             for text in layers["TEXT"]
@@ -64,14 +57,6 @@ class SvgSheet:
     def lines(self):
         return [text for text, _ in self.texts]
 
-    def cut_lines(self, axis):
-        """Places of the cut lines across an axis; none where there is one copy."""
-        return sorted({float(line[0, axis]) for line in self.cuts if np.ptp(line[:, axis]) == 0})
-
-    def cell(self, point):
-        """Between which cut lines a point lies."""
-        return tuple(int(np.searchsorted(self.cut_lines(axis), point[axis])) for axis in (0, 1))
-
 
 def polygons(path):
     parts = [part for part in path.replace("Z", "").split("M") if part]
@@ -79,27 +64,24 @@ def polygons(path):
 
 
 class Placed:
-    """One copy on a sheet, found by its registration marks alone."""
+    """The pattern on a sheet, by the two arrows that begin at its corner (0, 0)."""
 
-    def __init__(self, sheet, number=0):
-        rings = np.array([mark.mean(axis=0) for mark in sheet.marks if len(mark) == 72])
-        self.corner = sheet.solids[number][0]
-        targets = rings[[sheet.cell(ring) == sheet.cell(self.corner) for ring in rings]]
-        assert len(targets) == 4
-        assert np.abs(targets - self.corner).max(axis=1).min() < 1e-4
-        self.apex = targets.mean(axis=0)
-        self.x_axis, self.y_axis = (
-            self._towards(sheet, targets, axis, number) for axis in ("x", "y")
+    def __init__(self, sheet, apex):
+        begins, counts = np.unique(
+            [mark[0] for mark in sheet.marks if len(mark) == 2], axis=0, return_counts=True
         )
-
-    def _towards(self, sheet, targets, axis, number):
-        place = [where for text, where in sheet.texts if text == axis][number]
-        ways = (targets - self.corner)[np.linalg.norm(targets - self.corner, axis=1) > 1]
-        ways = ways / np.linalg.norm(ways, axis=1)[:, None]
-        arrow = (place - self.corner) / np.linalg.norm(place - self.corner)
-        best = ways[np.argmax(ways @ arrow)]
-        assert best @ arrow > 0.95
-        return best
+        corners = [
+            begin
+            for begin in begins[counts == 2]
+            if all(abs(np.linalg.norm(way) - 6) < 1e-4 for way in ways_from(sheet, begin))
+        ]
+        (self.corner,) = corners
+        self.apex = apex
+        places = dict(sheet.texts)
+        ways = [way / np.linalg.norm(way) for way in ways_from(sheet, self.corner)]
+        self.x_axis, self.y_axis = (
+            max(ways, key=lambda way: way @ (places[letter] - self.corner)) for letter in "xy"
+        )
 
     @property
     def handedness(self):
@@ -108,6 +90,12 @@ class Placed:
 
     def on_sheet(self, flat_mm):
         return self.apex + flat_mm[:, :1] * self.x_axis + flat_mm[:, 1:] * self.y_axis
+
+
+def ways_from(sheet, begin):
+    """Of the lines from a point."""
+    lines = [mark for mark in sheet.marks if len(mark) == 2]
+    return [end - start for start, end in lines if np.allclose(start, begin)]
 
 
 def inked(contours, points):
@@ -164,16 +152,15 @@ def with_surface(rig, name, **changes):
     return replace(rig, pattern=replace(rig.pattern, surface=SURFACES[name], **changes))
 
 
-def drawn(sensor, options=None, *, mirrored=False, paper="A4", copies=1):
-    copy = printed_copy(sensor.name, printed_pattern(sensor, options), mirrored=mirrored)
-    return print_sheet(copy, paper, copies)
+def drawn(sensor, options=None, **how):
+    return print_sheet(sensor.name, printed_pattern(sensor, options), **how)
 
 
 def svg_of(sheet):
     return SvgSheet(svg_bytes(sheet, "title"))
 
 
-CMP, DMP = PrintOptions(), PrintOptions("dmp")
+CMP = PrintOptions()
 INVERTED = replace(CMP, invert=True)
 
 
@@ -182,15 +169,12 @@ INVERTED = replace(CMP, invert=True)
     [
         ("plane", "along_axis", CMP, False, "dark"),
         ("plane", "along_axis", INVERTED, True, "light"),
-        ("plane", "unrolled", DMP, True, "dark"),
         ("sphere_cap", "along_axis", CMP, True, "dark"),
-        ("sphere_cap", "along_axis", replace(DMP, invert=True), False, "light"),
+        ("sphere_cap", "along_axis", INVERTED, False, "light"),
         ("sphere_cap", "unrolled", CMP, False, "light"),
         ("sphere_cap", "unrolled", INVERTED, True, "dark"),
-        ("sphere_cap", "unrolled", replace(DMP, dot_diameter=0.6), False, "dark"),
         ("cylinder_x", "along_axis", INVERTED, False, "dark"),
         ("cylinder_x", "unrolled", CMP, False, "dark"),
-        ("cylinder_x", "unrolled", DMP, True, "dark"),
         ("cylinder_y", "along_axis", CMP, True, "light"),
         ("cylinder_y", "unrolled", INVERTED, True, "light"),
     ],
@@ -198,23 +182,19 @@ INVERTED = replace(CMP, invert=True)
 def test_what_is_printed_and_mounted_is_what_the_simulator_sees(
     surface, process, options, mirrored, *, colour, rig
 ):
-    """Material points, mounted by the registration marks, have the grey of the simulated print."""
+    """Material points, mounted by the axes, have the grey of the simulated print."""
     sensor = with_surface(rig, surface, corner_checker=colour)
     options = replace(options, process=process)
-    sheet = svg_of(drawn(sensor, options, mirrored=mirrored, paper="fit"))
-    placed = Placed(sheet)
+    made = drawn(sensor, options, mirrored=mirrored, paper="fit")
+    sheet = svg_of(made)
+    placed = Placed(sheet, made.apex)
     points = material_points(sensor.pattern, np.random.default_rng(0))
-    ink = Checkerboard(sensor.pattern)
-    if options.pattern_type == "dmp":
-        ink = Dots(sensor.pattern, diameter=options.dot_diameter)
-        corners = sensor.pattern.corners()[..., :2].reshape(-1, 2)
-        points = far_from_dots(corners, options.dot_diameter * sensor.pattern.pitch, points)
-    dark = ink.grey(points) == DARK_GREY
+    dark = Checkerboard(sensor.pattern).grey(points) == DARK_GREY
     assert 0.05 < dark.mean() < 0.6
     flat = laid_flat(sensor.pattern.surface, process, points) * 1e3
     assert (inked(sheet.ink, placed.on_sheet(flat)) == (dark != options.invert)).all()
     assert placed.handedness == pytest.approx(1 if mirrored else -1, abs=1e-6)
-    # The filled target is at the bottom left, and at the top left of a mirrored sheet.
+    # Corner (0, 0) is at the bottom left, and at the top left of a mirrored sheet.
     assert placed.corner[0] < placed.apex[0]
     assert (placed.corner[1] < placed.apex[1]) == mirrored
 
@@ -232,7 +212,8 @@ def test_the_dots_of_a_code_are_printed_as_the_simulator_has_them(options, colou
     larger = pattern.rows > sensor.pattern.rows and pattern.cols > sensor.pattern.cols
     assert larger == (border == "beyond_view")
     options = replace(options, process="unrolled")
-    sheet = svg_of(drawn(sensor, options, paper="fit"))
+    made = drawn(sensor, options, paper="fit")
+    sheet = svg_of(made)
     middles = pattern.checker_middles().reshape(-1, 2)
     around = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2)) * pattern.pitch
     points = np.concatenate([middles, (middles[:, None] + around).reshape(-1, 2)])
@@ -241,7 +222,8 @@ def test_the_dots_of_a_code_are_printed_as_the_simulator_has_them(options, colou
     plain = Checkerboard(replace(pattern, code="none")).grey(points) == DARK_GREY
     np.testing.assert_array_equal((dark != plain)[: len(middles)], pattern.dots().ravel())
     flat = laid_flat(pattern.surface, "unrolled", points) * 1e3
-    assert (inked(sheet.ink, Placed(sheet).on_sheet(flat)) == (dark != options.invert)).all()
+    placed = Placed(sheet, made.apex)
+    assert (inked(sheet.ink, placed.on_sheet(flat)) == (dark != options.invert)).all()
     assert "code: dots, seed 7" in sheet.lines()
 
 
@@ -253,7 +235,8 @@ def far_from_dots(centres, diameter, points):
 
 def test_the_mirrored_sheet_is_what_the_cameras_see(rig):
     """Their un-mirrored views show the axes turned as the mirrored sheet has them."""
-    mirrored = Placed(svg_of(drawn(rig, mirrored=True))).handedness
+    made = drawn(rig, mirrored=True)
+    mirrored = Placed(svg_of(made), made.apex).handedness
     for view in build_views(rig).values():
         origin, right, down = view.project(rig.pattern.corners()[[0, 0, 1], [0, 1, 0]])
         turn = np.linalg.det(np.stack([right - origin, down - origin]))
@@ -261,34 +244,18 @@ def test_the_mirrored_sheet_is_what_the_cameras_see(rig):
 
 
 def test_scale_bars_and_rulers_have_their_length_to_a_micrometre(rig):
-    lengths = [np.ptp(mark, axis=0) for mark in svg_of(drawn(rig, copies=2)).marks]
-    for length, count in ((10.0, 2), (100.0, 1)):
+    lengths = [np.ptp(mark, axis=0) for mark in svg_of(drawn(rig)).marks]
+    for length in (10.0, 100.0):
         for way in (0, 1):
             bars = [ends for ends in lengths if ends[1 - way] == 0]
-            assert sum(abs(ends[way] - length) < 1e-3 for ends in bars) == count
-
-
-def test_copies_are_the_same_and_do_not_overlap(rig):
-    sheet = svg_of(drawn(with_surface(rig, "sphere_cap"), copies=5))
-    assert sheet.size == (210, 297)
-    places = [Placed(sheet, number) for number in range(5)]
-    per_copy = len(sheet.ink) // 5
-    copies = [sheet.ink[k * per_copy : (k + 1) * per_copy] for k in range(5)]
-    first = np.concatenate(copies[0]) - places[0].apex
-    cells = set()
-    for place, copy in zip(places, copies, strict=True):
-        points = np.concatenate(copy)
-        np.testing.assert_allclose(points - place.apex, first, atol=ATOL_FILE_MM)
-        around = np.concatenate([points, [place.apex * 2 - place.corner, place.corner]])
-        (cell,) = {sheet.cell(point) for point in around}
-        cells.add(cell)
-    assert len(cells) == 5
+            assert sum(abs(ends[way] - length) < 1e-3 for ends in bars) == 1
 
 
 def test_the_outline_is_the_gels_block(rig):
     surface = PatternSurface("cylinder", 0.02, "y")
-    sheet = svg_of(drawn(replace(rig, pattern=replace(rig.pattern, surface=surface))))
-    placed = Placed(sheet)
+    made = drawn(replace(rig, pattern=replace(rig.pattern, surface=surface)))
+    sheet = svg_of(made)
+    placed = Placed(sheet, made.apex)
     corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * rig.elastomer.size[:2] / 2
     flat = laid_flat(surface, "unrolled", corners) * 1e3
     (outline,) = sheet.outlines
@@ -323,28 +290,28 @@ def filled_in_pdf(commands):
 
 
 @pytest.fixture(scope="module")
-def sheet_of_two(rig):
-    """Two inverted, mirrored copies of a stretched film, in every format."""
+def odd_sheet(rig):
+    """An inverted, mirrored, stretched film, in every format."""
     pytest.importorskip("ezdxf")
     pytest.importorskip("reportlab")
     options = replace(INVERTED, process="unrolled")
-    return drawn(with_surface(rig, "wide_cap"), options, mirrored=True, copies=2)
+    return drawn(with_surface(rig, "wide_cap"), options, mirrored=True)
 
 
-def test_the_pdf_holds_the_same_ink_as_the_svg_and_asks_not_to_be_scaled(sheet_of_two):
-    data = pdf_bytes(sheet_of_two, "title")
+def test_the_pdf_holds_the_same_ink_as_the_svg_and_asks_not_to_be_scaled(odd_sheet):
+    data = pdf_bytes(odd_sheet, "title")
     assert b"/PrintScaling /None" in data
     page, commands = pdf_page(data)
-    svg = svg_of(sheet_of_two)
+    svg = svg_of(odd_sheet)
     assert page == pytest.approx(svg.size, abs=ATOL_PAGE_MM)
     ink = [p / POINTS_PER_MM * (1, -1) + (0, svg.size[1]) for p in filled_in_pdf(commands)]
     assert_same_ink(ink, svg.ink)
 
 
-def test_the_dxf_holds_the_same_ink_as_the_svg_on_its_layers(sheet_of_two, tmp_path):
+def test_the_dxf_holds_the_same_ink_as_the_svg_on_its_layers(odd_sheet, tmp_path):
     import ezdxf
 
-    (tmp_path / "sheet.dxf").write_bytes(dxf_bytes(sheet_of_two, "title"))
+    (tmp_path / "sheet.dxf").write_bytes(dxf_bytes(odd_sheet, "title"))
     document = ezdxf.readfile(tmp_path / "sheet.dxf")
     assert (document.dxfversion, document.header["$INSUNITS"]) == ("AC1024", 4)
     assert document.audit().errors == []
@@ -353,21 +320,18 @@ def test_the_dxf_holds_the_same_ink_as_the_svg_on_its_layers(sheet_of_two, tmp_p
     assert kinds == {
         ("LWPOLYLINE", "PATTERN"),
         ("HATCH", "PATTERN_FILL"),
-        ("LWPOLYLINE", "REGISTRATION"),
-        ("HATCH", "REGISTRATION"),
+        ("LWPOLYLINE", "MARKS"),
         ("LWPOLYLINE", "OUTLINE"),
-        ("LWPOLYLINE", "CUT"),
         ("TEXT", "TEXT"),
     }
     lines = space.query('LWPOLYLINE[layer=="PATTERN"]')
     assert all(line.closed for line in lines)
-    svg = svg_of(sheet_of_two)
+    svg = svg_of(odd_sheet)
     ink = [np.array([p[:2] for p in line.get_points()]) * (1, -1) for line in lines]
     assert_same_ink([contour + (0, svg.size[1]) for contour in ink], svg.ink)
-    hatches = space.query('HATCH[layer=="PATTERN_FILL"]')
-    assert [len(hatch.paths) for hatch in hatches] == [len(svg.ink) // 2] * 2
-    assert all(hatch.dxf.solid_fill == 1 for hatch in hatches)
-    assert all(hatch.dxf.hatch_style == 0 for hatch in hatches)  # odd parity
+    (hatch,) = space.query('HATCH[layer=="PATTERN_FILL"]')
+    assert len(hatch.paths) == len(svg.ink)
+    assert (hatch.dxf.solid_fill, hatch.dxf.hatch_style) == (1, 0)  # odd parity
 
 
 def assert_same_ink(found, expected):

@@ -19,12 +19,9 @@ if TYPE_CHECKING:
 # As the modules that do the work have them, which are loaded when it begins.
 FEWEST_CORNERS, MOST_CORNERS = 4, 60
 FORMATS = ("svg", "pdf", "dxf")
-TYPES = ("cmp", "dmp")
 PROCESSES = ("along_axis", "unrolled")
 PAPERS = ("A4", "letter", "fit")
 CODES, LARGEST_SEED = ("none", "dots"), 65535
-DOT_DIAMETER = 0.5
-MOST_COPIES = 1000
 
 CORNERS = Number(FEWEST_CORNERS, MOST_CORNERS, kind=int)
 LENGTH = Number(0, 100, "mm")
@@ -44,8 +41,8 @@ def _formats(text: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Pattern(Command):
-    """Write the pattern of a sensor to scale, as SVG, PDF and DXF, with registration marks, the
-    gel's outline and scale bars. The matching sensor description is written, too.
+    """Write the pattern of a sensor to scale, as SVG, PDF and DXF, with axes, the gel's outline and
+    scale bars. The matching sensor description is written, too.
     docs/print.md shows how to print and mount the pattern.
 
     which way round:
@@ -57,7 +54,7 @@ class Pattern(Command):
 
     examples:
       cmp_tactile pattern my_sensor.yaml
-      cmp_tactile pattern my_sensor.yaml --advised --copies 12 --mirror -o advised
+      cmp_tactile pattern my_sensor.yaml --advised --mirror -o advised
       cmp_tactile pattern my_sensor.yaml --rows 24 --cols 24 --pitch 0.55 --ink-gain 15
     """
 
@@ -89,18 +86,6 @@ class Pattern(Command):
         bool,
         _change("use the rows, cols, pitch and virtual markers that are advised for this camera"),
     ] = False
-    type: Annotated[
-        str, _printing("cmp: checkers; dmp: dots at the places of the corners", Choice(TYPES))
-    ] = "cmp"
-    dot_diameter: Annotated[
-        float | None,
-        _printing(
-            "diameter of a dot as a share of the pitch; with --type dmp (default: "
-            f"{DOT_DIAMETER:g})",
-            Number(0.01, 0.99),
-            metavar="SHARE",
-        ),
-    ] = None
     process: Annotated[
         str | None,
         _printing(
@@ -140,9 +125,6 @@ class Pattern(Command):
     paper: Annotated[str, _sheet("size of the sheet; fit: as large as needed", Choice(PAPERS))] = (
         "A4"
     )
-    copies: Annotated[
-        int, _sheet("copies on one sheet, with cut lines", Number(1, MOST_COPIES, kind=int))
-    ] = 1
     output: Annotated[
         Path | None,
         _sheet(
@@ -164,11 +146,9 @@ class Pattern(Command):
         from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
         from cmp_tactile_processing.errors import printable
         from cmp_tactile_processing.printing.pattern import why_no_dots
-        from cmp_tactile_processing.printing.sheet import print_sheet, printed_copy
+        from cmp_tactile_processing.printing.sheet import print_sheet
         from cmp_tactile_processing.sensor.description import find_sensor_description
 
-        if self.dot_diameter is not None and self.type != "dmp":
-            misuse("--dot-diameter needs --type dmp")
         formats = tuple(self.format.split(",")) if self.format else None
         source = find_sensor_description(self.sensor)
         sensor = _sensor(source, self)
@@ -176,12 +156,11 @@ class Pattern(Command):
         files = PatternFiles.from_output(output, formats or FORMATS)
         files.check_free(source, overwrite=self.overwrite)
         printed = _printed(sensor, self)
-        copy = printed_copy(sensor.name, printed, mirrored=self.mirror)
-        sheet = print_sheet(copy, self.paper, self.copies)
+        sheet = print_sheet(sensor.name, printed, self.paper, mirrored=self.mirror)
         written, missing = files.write(sheet, sensor)
-        _show("Print", print_facts(printed, copy, sheet))
-        seen = seen_facts(sensor, self.type)
-        if sensor.pattern.code == "none" and self.code is None and self.type == "cmp":
+        _show("Print", print_facts(printed, sheet))
+        seen = seen_facts(sensor)
+        if sensor.pattern.code == "none" and self.code is None:
             reason = why_no_dots(sensor, self.ink_gain / 1e6)
             seen["Code"] = f"none: {reason}; --code dots prints dots all the same"
         _show("What the camera will see", seen)
@@ -261,8 +240,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     if arguments.advised:
         changes |= _advised(sensor)
     sensor = replace(sensor, pattern=replace(sensor.pattern, **changes))
-    undecided = arguments.code is None and arguments.type == "cmp"
-    if undecided and not why_no_dots(sensor, arguments.ink_gain / 1e6):
+    if arguments.code is None and not why_no_dots(sensor, arguments.ink_gain / 1e6):
         sensor = replace(sensor, pattern=replace(sensor.pattern, code="dots"))
     try:
         return sensor_description_of(parse_yaml(source, sensor_description_text(sensor)))
@@ -285,13 +263,11 @@ def _printed(sensor: SensorDescription, arguments: Pattern) -> PrintedPattern:
     from cmp_tactile_processing.printing.pattern import PrintOptions, printed_pattern
 
     options = PrintOptions(
-        pattern_type=arguments.type,
         process=arguments.process or "",
         invert=arguments.invert,
         ink_gain=arguments.ink_gain / 1e6,
         margin=arguments.margin / 1e3,
         bleed=arguments.bleed / 1e3,
-        dot_diameter=arguments.dot_diameter or DOT_DIAMETER,
     )
     return printed_pattern(sensor, options)
 

@@ -15,7 +15,7 @@ from cmp_tactile_processing.printing.pattern import (
     checker_sides_px,
     code_advice,
 )
-from cmp_tactile_processing.printing.sheet import PrintedCopy, PrintSheet
+from cmp_tactile_processing.printing.sheet import PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription
 
 PROCESSES = {
@@ -24,8 +24,8 @@ PROCESSES = {
 }
 
 
-def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -> dict[str, str]:
-    """Size, process, side, marks and places on the sheet."""
+def print_facts(printed: PrintedPattern, sheet: PrintSheet) -> dict[str, str]:
+    """Size, process, side, and place on the sheet."""
     options = printed.options
     size = _size(printed)
     with_margin = size + 2e3 * options.margin
@@ -35,14 +35,12 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
         "Size": f"{_mm(size)}, {_mm(with_margin)} with its margin",
         "Process": PROCESSES[printed.process],
         "Seen from": "seen from the camera (mirrored): the printed side goes onto the gel"
-        if copy.mirrored
+        if sheet.mirrored
         else "seen from the touching side: the printed side faces away from the gel",
-        "Targets": (
-            f"at x = ±{copy.targets[0]:g} mm, y = ±{copy.targets[1]:g} mm of the flat print, with "
-            "the apex at (0, 0); one quarter of the mark at corner (0, 0) is filled"
+        "Sheet": f"{sheet.width:g} x {sheet.height:g} mm",
+        "Apex on the sheet": (
+            f"({sheet.apex[0]:.3f}, {sheet.apex[1]:.3f}) mm from the top left corner"
         ),
-        "Sheet": f"{sheet.width:g} x {sheet.height:g} mm, copies: {len(sheet.origins)}",
-        "Apex on the sheet": _places(sheet),
     }
     if printed.process == "unrolled":
         facts["Curved edges"] = f"polygons within {CHORD_TOLERANCE * 1e6:g} um"
@@ -55,16 +53,15 @@ def print_facts(printed: PrintedPattern, copy: PrintedCopy, sheet: PrintSheet) -
     return facts
 
 
-def seen_facts(sensor: SensorDescription, pattern_type: str = "cmp") -> dict[str, str]:
+def seen_facts(sensor: SensorDescription) -> dict[str, str]:
     """What the camera will see of it, and which checkers would be better."""
-    distance = "Checker side" if pattern_type == "cmp" else "Distance of dots"
     try:
         sides = checker_sides_px(sensor)
     except InputError as error:
-        return {distance: _not_known(sensor, error)}
-    facts = {f"{distance} {view}": _sides(values) for view, values in sides.items()}
+        return {"Checker side": _not_known(sensor, error)}
+    facts = {f"Checker side {view}": _sides(values) for view, values in sides.items()}
     facts["Advised"] = _advised(sensor)
-    if sensor.pattern.code != "none" and pattern_type == "cmp":
+    if sensor.pattern.code != "none":
         facts["Code"] = code_advice(sensor)
     return facts
 
@@ -110,24 +107,19 @@ def pattern_warnings(sensor: SensorDescription, printed: PrintedPattern) -> list
             "the gel's block is larger than its surface (pattern.surface.radius), so its outline "
             "is not drawn on the flat print"
         )
-    if printed.options.pattern_type == "dmp":
-        warnings.append("dots are for comparisons only: the nodes of cmp_tactile track checkers")
     return warnings
 
 
 def _kind(printed: PrintedPattern) -> str:
-    pattern, options = printed.pattern, printed.options
+    pattern = printed.pattern
     pitch = f"pitch {pattern.pitch * 1e3:.6g} mm"
-    if options.pattern_type == "dmp":
-        width = options.dot_diameter * pattern.pitch * 1e3
-        return f"{pattern.rows} x {pattern.cols} dots of {width:.6g} mm, {pitch}"
     outside = f"{pattern.corner_checker} checker outside corner (0, 0)"
     code = f", code: {pattern.code}, seed {pattern.code_seed}" if pattern.code != "none" else ""
     return f"{pattern.rows} x {pattern.cols} corners, {pitch}, {outside}{code}"
 
 
 def _ink(options: PrintOptions) -> str:
-    part = "the dark checkers" if options.pattern_type == "cmp" else "the dots"
+    part = "the dark checkers"
     if options.invert:
         part = f"everything except {part}, margin and bleed included (inverted)"
     gain = f";  {options.ink_gain * 1e6:g} um removed at each edge" if options.ink_gain else ""
@@ -146,21 +138,6 @@ def _sides(values: NDArray[np.float64]) -> str:
         return "not seen"
     hidden = "" if len(seen) == len(values) else "; some corners are outside the lens's field"
     return f"{seen.min():.1f} px at least, {seen.mean():.1f} px on average{hidden}"
-
-
-def _places(sheet: PrintSheet) -> str:
-    x, y = sheet.origins[0]
-    first = f"({x:.3f}, {y:.3f}) mm from the top left corner"
-    if len(sheet.origins) == 1:
-        return first
-    across = sorted({x for x, _ in sheet.origins})
-    down = sorted({y for _, y in sheet.origins})
-    steps = [
-        f"{axis[1] - axis[0]:.3f} mm {way}"
-        for axis, way in ((across, "to the right"), (down, "down"))
-        if len(axis) > 1
-    ]
-    return f"{first} for the first copy; {', '.join(steps)} to the next"
 
 
 def _mm(size: NDArray[np.float64]) -> str:

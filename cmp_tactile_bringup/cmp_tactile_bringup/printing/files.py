@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 # Of a coordinate in mm.
 SVG_DECIMALS, DXF_DECIMALS = 5, 6
-LINE_LAYERS = ("REGISTRATION", "OUTLINE", "CUT")
+LINE_LAYERS = ("OUTLINE", "MARKS")
 POINTS_PER_MM = 72 / 25.4
 FONT = "Helvetica"
 EVEN_ODD = 0
@@ -54,14 +54,13 @@ def _lines(sheet: PrintSheet, title: str) -> Iterator[str]:
         f'width="{width}mm" height="{height}mm" viewBox="0 0 {width} {height}">'
     )
     yield f"<title>{escape(title)}</title>"
-    ink = [contour for copy in sheet.drawing.ink for contour in copy]
-    yield from _layer("PATTERN", [_filled(ink)])
+    path = "".join(_path(contour, closed=True) for contour in sheet.ink)
+    filled = f'<path fill="#000" fill-rule="evenodd" stroke="none" d="{path}"/>'
+    yield from _layer("PATTERN", [filled])
     for layer in LINE_LAYERS:
-        lines = [line for line in sheet.drawing.lines if line.layer == layer]
-        solids = sheet.drawing.solids if layer == "REGISTRATION" else ()
-        paths = [_stroked(lines)] if lines else []
-        yield from _layer(layer, [*paths, *([_filled(solids)] if solids else [])])
-    yield from _layer("TEXT", [_text(label) for label in sheet.drawing.labels])
+        lines = [line for line in sheet.lines if line.layer == layer]
+        yield from _layer(layer, [_stroked(lines)] if lines else [])
+    yield from _layer("TEXT", [_text(label) for label in sheet.labels])
     yield "</svg>"
 
 
@@ -69,11 +68,6 @@ def _layer(name: str, elements: Iterable[str]) -> Iterator[str]:
     yield f'<g id="{name}" inkscape:groupmode="layer" inkscape:label="{name}">'
     yield from elements
     yield "</g>"
-
-
-def _filled(contours: Iterable[NDArray[np.float64]]) -> str:
-    path = "".join(_path(contour, closed=True) for contour in contours)
-    return f'<path fill="#000" fill-rule="evenodd" stroke="none" d="{path}"/>'
 
 
 def _stroked(lines: Iterable[Line]) -> str:
@@ -109,25 +103,19 @@ def pdf_bytes(sheet: PrintSheet, title: str) -> bytes:
     canvas.setTitle(title)
     canvas.setCreator("cmp_tactile")
     canvas.setViewerPreference("PrintScaling", "None")
-    drawing = sheet.drawing
-    _fill(canvas, sheet, [contour for copy in drawing.ink for contour in copy])
-    _fill(canvas, sheet, list(drawing.solids))
+    path = canvas.beginPath()
+    for contour in sheet.ink:
+        _trace(path, _on_page(sheet, contour), closed=True)
+    canvas.drawPath(path, stroke=0, fill=1, fillMode=EVEN_ODD)
     canvas.setLineWidth(LINE_WIDTH * POINTS_PER_MM)
     path = canvas.beginPath()
-    for line in drawing.lines:
+    for line in sheet.lines:
         _trace(path, _on_page(sheet, line.points), closed=line.closed)
     canvas.drawPath(path, stroke=1, fill=0)
-    for label in drawing.labels:
+    for label in sheet.labels:
         _write(canvas, sheet, label)
     canvas.save()
     return file.getvalue()
-
-
-def _fill(canvas: Any, sheet: PrintSheet, contours: list[NDArray[np.float64]]) -> None:
-    path = canvas.beginPath()
-    for contour in contours:
-        _trace(path, _on_page(sheet, contour), closed=True)
-    canvas.drawPath(path, stroke=0, fill=1, fillMode=EVEN_ODD)
 
 
 def _trace(path: Any, points: NDArray[np.float64], *, closed: bool) -> None:
@@ -158,7 +146,7 @@ def _on_page(sheet: PrintSheet, points: NDArray[np.float64]) -> NDArray[np.float
 def dxf_bytes(sheet: PrintSheet, title: str) -> bytes:
     """The file: x to the right, y up, origin at the sheet's bottom left.
 
-    Each polygon of the ink is a closed LWPOLYLINE on PATTERN; each copy's ink is a solid HATCH,
+    Each polygon of the ink is a closed LWPOLYLINE on PATTERN; the ink is a solid HATCH,
     too.  Raises ImportError without ezdxf.
     """
     with _fixed_metadata():
@@ -187,40 +175,33 @@ def _document_bytes(sheet: PrintSheet, title: str) -> bytes:
         document.layers.add(layer)
     document.header.custom_vars.append("Title", title)
     space = document.modelspace()
-    for copy in sheet.drawing.ink:
-        _add_ink(space, sheet, copy)
-    for solid in sheet.drawing.solids:
-        points = _on_sheet(sheet, solid)
-        attributes = {"layer": "REGISTRATION"}
-        space.add_hatch(dxfattribs=attributes).paths.add_polyline_path(points, is_closed=True)
-    for line in sheet.drawing.lines:
+    _add_ink(space, sheet)
+    for line in sheet.lines:
         points = _on_sheet(sheet, line.points)
         space.add_lwpolyline(points, close=line.closed, dxfattribs={"layer": line.layer})
-    for label in sheet.drawing.labels:
+    for label in sheet.labels:
         _add_text(space, sheet, label)
     stream = StringIO()
     document.write(stream)
     return stream.getvalue().encode()
 
 
-def _add_ink(space: Modelspace, sheet: PrintSheet, copy: tuple[NDArray[np.float64], ...]) -> None:
+def _add_ink(space: Modelspace, sheet: PrintSheet) -> None:
     hatch = space.add_hatch(dxfattribs={"layer": FILL_LAYER})
-    for contour, flags in zip(copy, _path_flags(copy), strict=True):
+    for contour, flags in zip(sheet.ink, _path_flags(sheet.ink), strict=True):
         points = _on_sheet(sheet, contour)
         space.add_lwpolyline(points, close=True, dxfattribs={"layer": "PATTERN"})
         hatch.paths.add_polyline_path(points, is_closed=True, flags=flags)
 
 
-def _path_flags(copy: tuple[NDArray[np.float64], ...]) -> list[int]:
+def _path_flags(ink: tuple[NDArray[np.float64], ...]) -> list[int]:
     """Outer, hole in it, and what lies in the hole; holes run the other way round than ink."""
     from ezdxf.lldxf import const
 
-    turns = [
-        np.sign(cv2.contourArea(contour.astype(np.float32), oriented=True)) for contour in copy
-    ]
+    turns = [np.sign(cv2.contourArea(contour.astype(np.float32), oriented=True)) for contour in ink]
     holes = [turn != turns[0] for turn in turns]
     if not any(holes):
-        return [const.BOUNDARY_PATH_EXTERNAL] * len(copy)
+        return [const.BOUNDARY_PATH_EXTERNAL] * len(ink)
     inner = [
         const.BOUNDARY_PATH_OUTERMOST if hole else const.BOUNDARY_PATH_DEFAULT for hole in holes
     ]

@@ -15,13 +15,12 @@ from documents import shell_lines
 from cmp_tactile_bringup.commands import description
 from cmp_tactile_bringup.printing.files import FORMATS, svg_bytes
 from cmp_tactile_processing.printing.pattern import (
-    PATTERN_TYPES,
     PROCESSES,
     PrintOptions,
     advise,
     printed_pattern,
 )
-from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet, printed_copy
+from cmp_tactile_processing.printing.sheet import PAPERS, print_sheet
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     load_sensor,
@@ -54,7 +53,7 @@ def test_the_files_lie_here_under_the_name_of_the_description(folder, capsys):
     assert re.findall(r"Written: (.*)", out) == names
     assert err == ""
     assert {path.name for path in folder.iterdir()} == {"my_sensor.yaml", *names}
-    for text in ("x = ±14 mm, y = ±14 mm", "(33.000, 41.000) mm", "along_axis", "touching side"):
+    for text in ("(30.448, 35.000) mm", "along_axis", "touching side"):
         assert text in out
     assert "Checker side right" in out
 
@@ -88,7 +87,6 @@ def test_a_code_is_laid_into_the_description_and_taken_out_again(folder, capsys)
         ("", ""),
         ("--code-seed 9", ""),
         ("--code none", None),
-        ("--type dmp", None),
         ("--rows 4 --cols 4", "25 checkers are too few, 42 are needed"),
         ("--pitch 0.5", "px in the image, 15 px are needed"),
         ("--ink-gain 70", "the ink would fill the dots"),
@@ -105,24 +103,22 @@ def test_dots_are_printed_where_they_cost_nothing(words, reason, folder, capsys)
 
 
 @pytest.mark.parametrize(
-    ("words", "options", "mirrored", "copies"),
+    ("words", "options", "mirrored"),
     [
-        ("", PrintOptions(), False, 1),
-        ("--mirror --invert --copies 3", PrintOptions(invert=True), True, 3),
-        ("--type dmp --dot-diameter 0.3", PrintOptions("dmp", dot_diameter=0.3), False, 1),
+        ("", PrintOptions(), False),
+        ("--mirror --invert", PrintOptions(invert=True), True),
         (
             "--process unrolled --ink-gain 20 --margin 1.5 --bleed 0.5",
             PrintOptions(process="unrolled", ink_gain=2e-5, margin=0.0015, bleed=0.0005),
             False,
-            1,
         ),
     ],
 )
-def test_the_options_reach_the_sheet(words, options, mirrored, copies, folder):
+def test_the_options_reach_the_sheet(words, options, mirrored, folder):
     assert pattern("my_sensor.yaml", *words.split(), "--format", "svg") == 0
     sensor = SensorDescription.load("my_sensor_pattern.yaml")
-    copy = printed_copy("my_sensor", printed_pattern(sensor, options), mirrored=mirrored)
-    expected = svg_bytes(print_sheet(copy, copies=copies), "my_sensor")
+    sheet = print_sheet("my_sensor", printed_pattern(sensor, options), mirrored=mirrored)
+    expected = svg_bytes(sheet, "my_sensor")
     assert Path("my_sensor_pattern.svg").read_bytes() == expected
 
 
@@ -198,9 +194,7 @@ def test_a_name_with_signs_of_every_format_is_printed(folder):
         ),
         (["--code", "dots", "--ink-gain", "120"], 1, "expected 0 to less than 62.14 um"),
         (["--advised", "--rows", "9"], 2, "--advised replaces --rows, --cols and --pitch"),
-        (["--dot-diameter", "0.3"], 2, "--dot-diameter needs --type dmp"),
         (["-o", "."], 1, "error: .: found a folder, expected a name, as my_pattern"),
-        (["--copies", "500"], 1, "error: copies: found 500, expected at most 16 of"),
         (["--ink-gain", "400"], 1, "error: ink gain: found 400 um, expected 0 to less than 345.2"),
         (["--pitch", "1.2", "--rows", "19"], 1, "(with --rows 19 --pitch 1.2)"),
         (["-o", "my_sensor.yaml/x"], 1, "error: my_sensor.yaml"),
@@ -218,9 +212,7 @@ def test_limits_and_choices_are_those_of_the_modules_that_do_the_work():
     assert description.FORMATS == FORMATS
     assert tuple(PAPERS) == description.PAPERS
     assert description.PROCESSES == PROCESSES
-    assert description.TYPES == PATTERN_TYPES
     assert (description.CODES, description.LARGEST_SEED) == (CODES, LARGEST_SEED)
-    assert PrintOptions().dot_diameter == description.DOT_DIAMETER
 
 
 def test_no_advice_of_a_print_that_the_lens_does_not_show_whole(folder, capsys):

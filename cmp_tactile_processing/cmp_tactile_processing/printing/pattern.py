@@ -36,7 +36,6 @@ ink, clockwise around a hole in it.
 PROCESSES = ("along_axis", "unrolled")
 # Curved edges are polygons within this, m: a tenth of what the best printers resolve.
 CHORD_TOLERANCE = 5e-7
-PATTERN_TYPES = ("cmp", "dmp")
 # Measured by a sweep of prints, resolutions and lights, with tables in
 # benchmarks/results/pattern_choice.md and the source, benchmarks/paper/pattern_choice.py, in commit
 # 43949c8.  Sides are the smallest of both views.  Of checkers of RECOMMENDED_SIDE_PX the field
@@ -60,11 +59,6 @@ ROUNDING = 1e-6
 def rectangle(half_x: float, half_y: float) -> Contour:
     """A rectangle of ink about the origin."""
     return np.array([[-half_x, -half_y], [half_x, -half_y], [half_x, half_y], [-half_x, half_y]])
-
-
-def without(contours: list[Contour]) -> list[Contour]:
-    """Holes in place of ink, and ink in place of holes."""
-    return [contour[::-1] for contour in contours]
 
 
 def checker_contours(pattern: Pattern) -> list[Contour]:
@@ -99,7 +93,7 @@ def code_contours(pattern: Pattern, *, dark_ink: bool) -> list[Contour]:
     dots, inked = pattern.dots(), pattern.dark_checkers() == dark_ink
     middles, diameter = pattern.checker_middles(), DOT_DIAMETER * pattern.pitch
     ink, holes = (dot_contours(middles[dots & chosen], diameter) for chosen in (~inked, inked))
-    return [*ink, *without(holes)]
+    return [*ink, *(hole[::-1] for hole in holes)]
 
 
 def on_print(
@@ -233,20 +227,17 @@ def rim_strain(surface: PatternSurface, process: str, xy: NDArray[np.float64]) -
 class PrintOptions:
     """How the pattern is printed; lengths in m.
 
-    pattern_type: cmp (checkers) or dmp (dots at the places of the corners, `dot_diameter` of the
-    pitch wide).  process: as printed_flat has them, empty for the surface's default.  invert: ink
-    is light, on dark skin.  ink_gain: by how much ink spreads at each edge, taken off beforehand.
-    margin: light skin around the checkers, on which nothing else is printed.  bleed: how far
-    inverted ink goes beyond it, and everything else stays away.
+    process: one of PROCESSES, empty for the surface's default.  invert: ink is light, on dark skin.
+    ink_gain: by how much ink spreads at each edge, taken off beforehand.  margin: light skin around
+    the checkers, on which nothing else is printed.  bleed: how far inverted ink goes beyond it, and
+    everything else stays away.
     """
 
-    pattern_type: str = "cmp"
     process: str = ""
     invert: bool = False
     ink_gain: float = 0.0
     margin: float = 0.001
     bleed: float = 0.0
-    dot_diameter: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -304,14 +295,10 @@ def printed_pattern(
 
 def _ink(pattern: Pattern, options: PrintOptions, clear: Contour) -> list[Contour]:
     """Contours on the gel, x and y, m."""
-    if options.pattern_type == "cmp":
-        code = code_contours(pattern, dark_ink=not options.invert)
-        if options.invert:
-            return [clear, *light_checker_contours(pattern), *code]
-        return [*checker_contours(pattern), *code]
-    places = pattern.corners()[..., :2].reshape(-1, 2)
-    dots = dot_contours(places, options.dot_diameter * pattern.pitch)
-    return [clear, *without(dots)] if options.invert else dots
+    code = code_contours(pattern, dark_ink=not options.invert)
+    if options.invert:
+        return [clear, *light_checker_contours(pattern), *code]
+    return [*checker_contours(pattern), *code]
 
 
 def _outline(gel: Contour, pattern: Pattern, process: str) -> Contour | None:
@@ -325,12 +312,6 @@ def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> No
     pattern = sensor.pattern
     if process not in PROCESSES:
         raise InputError(f"process: found {process!r}, expected one of {', '.join(PROCESSES)}")
-    if options.pattern_type not in PATTERN_TYPES:
-        expected = f"expected one of {', '.join(PATTERN_TYPES)}"
-        raise InputError(f"type: found {options.pattern_type!r}, {expected}")
-    if not 0 < options.dot_diameter < 1:
-        expected = "expected a share of the pitch, more than 0 and less than 1"
-        raise InputError(f"dot diameter: found {options.dot_diameter:g}, {expected}")
     for name in ("margin", "bleed"):
         if not getattr(options, name) >= 0:
             found = f"found {getattr(options, name) * 1e3:g} mm"
@@ -340,17 +321,15 @@ def _check(sensor: SensorDescription, options: PrintOptions, process: str) -> No
 
 
 def _check_gain(pattern: Pattern, options: PrintOptions) -> None:
-    """What is printed must not vanish: half a checker, a dot's radius or half the gap of dots."""
+    """What is printed must not vanish: half a checker, or a dot's radius."""
     share = 1.0 if pattern.code == "none" else DOT_DIAMETER
-    if options.pattern_type == "dmp":
-        share = 1 - options.dot_diameter if options.invert else options.dot_diameter
     most = share * pattern.pitch / 2
     if not 0 <= options.ink_gain < most:
         expected = f"expected 0 to less than {most * 1e6:.4g} um, at which nothing would be left"
         raise InputError(f"ink gain: found {options.ink_gain * 1e6:g} um, {expected}")
     # Light ink outside the checkers is a frame of margin and bleed, narrowed from both sides.
     frame = options.margin + options.bleed
-    if options.invert and options.pattern_type == "cmp" and 0 < options.ink_gain >= frame / 2:
+    if options.invert and 0 < options.ink_gain >= frame / 2:
         found = f"found {options.ink_gain * 1e6:g} um on inverted ink"
         expected = f"expected 0, or less than half of margin and bleed, {frame * 1e6 / 2:.4g} um"
         raise InputError(f"ink gain: {found}, {expected}")

@@ -114,20 +114,13 @@ def test_a_print_that_is_too_large_for_the_block_is_reported(rig):
     ("options", "message"),
     [
         ({"process": "rolled"}, "process: found 'rolled', expected one of along_axis, unrolled"),
-        ({"pattern_type": "dots"}, "type: found 'dots', expected one of cmp, dmp"),
         ({"ink_gain": 6e-4}, "ink gain: found 600 um, expected 0 to less than 600 um"),
-        ({"pattern_type": "dmp", "ink_gain": 3e-4}, "expected 0 to less than 300 um"),
-        (
-            {"pattern_type": "dmp", "invert": True, "dot_diameter": 0.9, "ink_gain": 1e-4},
-            "expected 0 to less than 60 um",
-        ),
         (
             {"invert": True, "margin": 5e-5, "bleed": 5e-5, "ink_gain": 5e-5},
             "on inverted ink, expected 0, or less than half of margin and bleed, 50 um",
         ),
         ({"margin": -1e-3}, "margin: found -1 mm, expected 0 mm or more"),
         ({"bleed": float("nan")}, "bleed: found nan mm, expected 0 mm or more"),
-        ({"dot_diameter": 1.0}, "dot diameter: found 1, expected a share of the pitch"),
     ],
 )
 def test_options_that_cannot_be_are_named(options, message, rig):
