@@ -22,7 +22,6 @@ from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, sim
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit, rest_shape
 
@@ -33,59 +32,31 @@ JUDGED_PERCENT = 95.0
 
 
 @dataclass(frozen=True)
-class CheckParameters(Parameters, section="check"):
+class CheckParameters:
     """What a recording of a well calibrated sensor keeps to.
 
-    The limits of statistics hold for 95 % of the markers.  Raises InputError for a value
-    outside its range.
+    The limits of statistics hold for 95 % of the markers.
     """
 
-    reprojection: float = parameter(
-        0.3,
-        "distance of a corner from the projection of its point in space",
-        unit="px",
-        within=(1e-3, 100.0),
-    )
-    epipolar: float = parameter(
-        0.6,
-        "distance of a corner of the right view from the epipolar curve of the left view's ray",
-        unit="px",
-        within=(1e-3, 100.0),
-    )
-    ray_gap: float = parameter(
-        25e-6, "distance between the rays of both views at a marker", unit="m", within=(1e-7, 1e-2)
-    )
-    tracked: float = parameter(
-        0.8, "share of the markers that both views measured in all frames", within=(0.0, 1.0)
-    )
-    rest_shape: float = parameter(
-        60e-6,
-        "deviation from the shape at rest, apart from a common shift and scale, up to which "
-        "nothing touches the gel",
-        unit="m",
-        within=(1e-6, 1e-2),
-    )
-    turn: float = parameter(
-        5e-3, "rotation of the gel at rest since the calibration", unit="rad", within=(1e-5, 1.0)
-    )
-    shift: float = parameter(
-        50e-6, "shift of the gel at rest since the calibration", unit="m", within=(1e-7, 1e-2)
-    )
-    scale: float = parameter(
-        5e-3, "relative growth of the gel at rest since the calibration", within=(1e-5, 1.0)
-    )
-    shape: float = parameter(
-        30e-6,
-        "deviation of the gel at rest from its known shape, apart from a rigid motion",
-        unit="m",
-        within=(1e-6, 1e-2),
-    )
-    rest_reprojection: float = parameter(
-        1.0,
-        "RMS distance of the corners at rest from the description",
-        unit="px",
-        within=(1e-3, 100.0),
-    )
+    # Distance of a corner from the projection of its point in space, px.
+    reprojection: float = 0.3
+    # Distance of a corner of the right view from the epipolar curve of the left view's ray, px.
+    epipolar: float = 0.6
+    # Distance between the rays of both views at a marker, m.
+    ray_gap: float = 25e-6
+    # Share of the markers that both views measured in all frames.
+    tracked: float = 0.8
+    # Deviation from the shape at rest, apart from a common shift and scale, up to which nothing
+    # touches the gel, m.
+    rest_shape: float = 60e-6
+    # Rotation (rad), shift (m) and relative growth of the gel at rest since the calibration.
+    turn: float = 5e-3
+    shift: float = 50e-6
+    scale: float = 5e-3
+    # Deviation of the gel at rest from its known shape, apart from a rigid motion, m.
+    shape: float = 30e-6
+    # RMS distance of the corners at rest from the description, px.
+    rest_reprojection: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -20,53 +20,31 @@ from cmp_tactile_processing.geometry.optics import (
     tilt_directions,
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.sensor.parts import Camera, Mirror, ViewDescription
 
 AXES = "xyz"
 
 
 @dataclass(frozen=True)
-class RigPrior(Parameters, section="rig"):
-    """How far the optical values of a sensor may be from its description.
+class RigPrior:
+    """How far the optical values of a sensor may be from its description: standard deviations.
 
-    A deviation of 0 holds a value: it is not fitted at all.  Raises InputError for a value
-    outside its range.
+    A deviation of 0 holds a value: it is not fitted at all.
     """
 
-    turn: float = parameter(
-        0.035,
-        "standard deviation of each rotation of the gel, a mirror or a view's camera",
-        unit="rad",
-        within=(0.0, 0.5),
-    )
-    shift: float = parameter(
-        1e-3,
-        "standard deviation of each shift of the gel, a mirror or a view's camera",
-        unit="m",
-        within=(0.0, 0.1),
-    )
-    focal: float = parameter(
-        0.02, "relative standard deviation of the focal length", within=(0.0, 0.5)
-    )
-    aspect: float = parameter(
-        0.0, "relative standard deviation of the ratio fy / fx", within=(0.0, 0.1)
-    )
-    principal_point: float = parameter(
-        5.0,
-        "standard deviation of the principal point along x and along y",
-        unit="px",
-        within=(0.0, 200.0),
-    )
-    distortion: float = parameter(
-        0.0, "standard deviation of each distortion coefficient", within=(0.0, 1.0)
-    )
-    layer_z: float = parameter(
-        0.0, "standard deviation of a refracting layer's plane", unit="m", within=(0.0, 0.01)
-    )
-    layer_index: float = parameter(
-        0.0, "standard deviation of a refracting layer's index", within=(0.0, 0.5)
-    )
+    # Each rotation (rad) and shift (m) of the gel, a mirror or a view's camera.
+    turn: float = 0.035
+    shift: float = 1e-3
+    # Focal length, relative, and the ratio fy / fx.
+    focal: float = 0.02
+    aspect: float = 0.0
+    # The principal point along x and along y, px.
+    principal_point: float = 5.0
+    # Each coefficient of distortion.
+    distortion: float = 0.0
+    # A refracting layer's plane (m) and index.
+    layer_z: float = 0.0
+    layer_index: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPri
 from cmp_tactile_processing.geometry.rigid_motion import local_mean
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parameters import parameter
 from cmp_tactile_processing.sensor.parts import Uncertainty
 from cmp_tactile_processing.stereo.rig import StereoRig
 
@@ -55,67 +54,34 @@ _LOOK = (
 
 
 @dataclass(frozen=True)
-class GelCalibrationParameters(RigPrior, section="gel calibration"):
+class GelCalibrationParameters(RigPrior):
     """What may differ from the description by how much, and when the result is good enough.
 
-    A deviation of 0 holds a value: it is not fitted at all.  Raises InputError for a value
-    outside its range.
+    A deviation of 0 holds a value: it is not fitted at all.
     """
 
-    largest_deviation: float = parameter(
-        4.0,
-        "deviation from the description, in standard deviations, above which it is the "
-        "description of another sensor",
-        within=(1.0, 100.0),
-    )
-    robust_scale: float = parameter(
-        3.0,
-        "deviation, in standard deviations, above which a corner counts less",
-        within=(0.5, 100.0),
-    )
-    fewest_frames: int = parameter(
-        3, "number of frames below which motion of the gel cannot be detected", within=(1, 1000)
-    )
-    wanted_frames: int = parameter(
-        8, "number of frames below which more frames would reduce the noise", within=(1, 1000)
-    )
-    least_seen: float = parameter(
-        0.5, "share of the pattern that each view must show", within=(0.1, 1.0)
-    )
-    wanted_seen: float = parameter(
-        0.95, "share of the pattern below which an object hides the gel", within=(0.1, 1.0)
-    )
-    still_limit: float = parameter(
-        0.1,
-        "common change of the corners between frames above which the gel moved",
-        unit="px",
-        within=(1e-3, 10.0),
-    )
-    shape_limit: float = parameter(
-        30e-6,
-        "distance of the marker surface from its shape at rest, averaged over 3 x 3 corners, "
-        "above which the gel is touched or the pattern is another one",
-        unit="m",
-        within=(1e-6, 1e-2),
-    )
-    shape_wanted: float = parameter(
-        10e-6,
-        "the same distance, above which the description of the pattern should be improved",
-        unit="m",
-        within=(1e-6, 1e-2),
-    )
-    reprojection_limit: float = parameter(
-        0.5,
-        "RMS of the reprojection residuals of a good calibration",
-        unit="px",
-        within=(1e-3, 10.0),
-    )
-    scale_limit: float = parameter(
-        0.1,
-        "relative change of all distances together above which the pitch of the pattern is "
-        "doubtful",
-        within=(1e-3, 1.0),
-    )
+    # Deviation, in standard deviations, above which it is the description of another sensor.
+    largest_deviation: float = 4.0
+    # Deviation, in standard deviations, above which a corner counts less.
+    robust_scale: float = 3.0
+    # Number of frames below which motion of the gel cannot be detected.
+    fewest_frames: int = 3
+    # Number of frames below which more frames would reduce the noise.
+    wanted_frames: int = 8
+    # Share of the pattern that each view must show, and below which an object hides the gel.
+    least_seen: float = 0.5
+    wanted_seen: float = 0.95
+    # Common change of the corners between frames above which the gel moved, px.
+    still_limit: float = 0.1
+    # Distance of the marker surface from its shape at rest, averaged over 3 x 3 corners, m: above
+    # the first the gel is touched or the pattern is another one, above the second the description
+    # of the pattern should be improved.
+    shape_limit: float = 30e-6
+    shape_wanted: float = 10e-6
+    # RMS of the reprojection residuals of a good calibration, px.
+    reprojection_limit: float = 0.5
+    # Relative change of all distances together above which the pitch of the pattern is doubtful.
+    scale_limit: float = 0.1
 
 
 @dataclass(frozen=True)
