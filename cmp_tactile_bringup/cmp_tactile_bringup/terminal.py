@@ -31,6 +31,7 @@ from cmp_tactile_processing.processes import OnProgress
 if TYPE_CHECKING:
     from cmp_tactile_bringup.report.results import TableRow
 
+RESULT_HEADINGS = ("Quantity", "Measured", "Limit", "")
 # No line of ours is longer.
 UNBOUNDED = 10_000
 
@@ -94,11 +95,13 @@ def facts_table(title: str, facts: Mapping[str, str]) -> Table:
 def results_table(title: str, rows: Sequence[TableRow]) -> Table:
     """Measured values with their limits."""
     table = titled_table(title)
-    for heading in ("Quantity", "Measured", "Limit", ""):
+    for heading in RESULT_HEADINGS:
         table.add_column(heading)
-    marks = {None: "", True: "[green]kept[/]", False: "[bold red]missed[/]"}
+    colours = {None: "", True: "green", False: "bold red"}
     for row in rows:
-        table.add_row(cell(row.name), cell(row.value), cell(row.limit), marks[row.passed])
+        *texts, mark = map(cell, row.texts)
+        mark.stylize(colours[row.passed])
+        table.add_row(*texts, mark)
     return table
 
 

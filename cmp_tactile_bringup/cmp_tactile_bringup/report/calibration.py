@@ -53,7 +53,10 @@ CAPTIONS = {
         "Force into the gel over time: from the elastic model alone, with the relaxation removed, "
         "and as known."
     ),
+    "truth.png": "Mean distance of each marker from its true place in the simulated recording.",
 }
+# Of an estimate of what several parameters do at once.
+COMBINATION = "together: "
 HEADINGS = ("Parameter", "Before", "After", "Change", "Std", "Unit", "")
 READABLE_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / math.pi), "Pa": ("kPa", 1e-3)}
 # So many digits below the first of the standard deviation.
@@ -62,6 +65,14 @@ FEWEST_DECIMALS, MOST_DECIMALS = 1, 6
 DECIMALS_WITHOUT_STD = 4
 LOAD_DECIMALS = 3
 LOAD_HEADINGS = ("Load", "", "Reference", "Before", "After", "Std", "Off", "")
+LOAD_NOTE = (
+    "Forces on the gel in the gel frame, N: into the gel is negative. Std: of noise and material, "
+    "after. Off: what the sensor shows too much, in per cent of the load."
+)
+ESTIMATE_NOTE = (
+    "Determined: found from the data, with this standard deviation. Partly: found only together "
+    "with others. Held: not found from the data, it kept what was known before."
+)
 NO_RELAXATION = GelRelaxation(0.0, math.nan)
 
 
@@ -217,98 +228,94 @@ def relaxation_figure(
     return figure
 
 
-def write_calibration_report(
-    outcome: CalibrationOutcome, pictures: Mapping[str, NDArray[np.uint8]], folder: Path, name: str
-) -> Path:
-    """Write the figures and index.html into the folder; returns the page's path.
+class ReportTable(NamedTuple):
+    """A table of texts.  note: what its columns mean."""
 
-    pictures: an image of each view, which the residuals are drawn over.  name: of the sensor.
+    title: str
+    headings: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is printed and written of a calibration, beside its findings and its verdict.
+
+    figures: by file name, one of CAPTIONS.  lines: sentences beside the tables.
     """
-    figures = {}
+
+    title: str
+    figures: Mapping[str, Figure]
+    tables: Sequence[ReportTable]
+    lines: Sequence[str] = ()
+
+    def write(self, folder: Path, outcome: WithFindings) -> Path:
+        """Write the figures and index.html into the folder; returns the page's path."""
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, figure in self.figures.items():
+            style.save_figure(figure, folder / file)
+        values = {"report": self, "outcome": outcome, "captions": CAPTIONS}
+        return style.write_page(folder / "index.html", "calibration.html.jinja", **values)
+
+
+def optics_report(outcome: CalibrationOutcome, pictures: Mapping[str, Image], name: str) -> Report:
+    """Of camera, mirrors and gel.  pictures: an image of each view.  name: of the sensor."""
+    figures, single, lines = {}, [], []
+    for estimate in outcome.estimates:
+        if estimate.name.startswith(COMBINATION):
+            lines.append(f"The images determine only {estimate.name}")
+        else:
+            single.append(estimate)
+    for item in outcome.residuals:
+        left_out = int((~item.used).sum())
+        more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
+        lines.append(f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
     if any(len(item.pixels) for item in outcome.residuals):
         figures["residuals.png"] = residual_figure(outcome.residuals, pictures)
-    values = {"name": name, "method": outcome.method, "source": "images"}
-    return _write(folder, figures, outcome, outcome.estimates, values)
+    tables = [estimate_table(single)] if single else []
+    return Report(f"Calibration of {name}: {outcome.method}", figures, tables, lines)
 
 
-def write_material_report(outcome: MaterialOutcome, folder: Path, name: str) -> Path:
-    """Write the figure and index.html into the folder; returns the page's path."""
+def material_report(outcome: MaterialOutcome) -> Report:
+    """Of the gel's material from loads."""
+    lines = []
+    if np.isfinite(outcome.offset).all():
+        offsets = zip(outcome.offset, outcome.offset_std, strict=True)
+        zero = ", ".join(f"{value:+.3f} +- {std:.3f}" for value, std in offsets)
+        lines.append(f"Offset of the reference sensor: {zero} N (x, y, z of the gel frame)")
     figures = {"loads.png": material_figure(outcome.loads)} if outcome.loads else {}
-    values = {
-        "name": name,
-        "method": outcome.method,
-        "source": "loads",
-        "loads": load_rows(outcome.loads),
-        "load_headings": LOAD_HEADINGS,
-    }
-    return _write(folder, figures, outcome, outcome.estimates, values)
+    tables = [load_table(outcome.loads)]
+    if outcome.estimates:
+        tables.append(estimate_table(outcome.estimates))
+    title = f"Calibration of {outcome.sensor.name}: {outcome.method}"
+    return Report(title, figures, tables, lines)
 
 
-def write_relaxation_report(report: RelaxationReport, folder: Path) -> Path:
-    """Write the figure and index.html into the folder; returns the page's path."""
-    curves = (report.time_s, report.reading, report.corrected)
-    figures = {"relaxation.png": relaxation_figure(*curves, report.reference)}
-    values = {"name": report.sensor.name, "method": "relaxation", "source": "record"}
-    return _write(folder, figures, report.outcome, report.estimates, values)
+def estimate_table(estimates: Sequence[Estimate]) -> ReportTable:
+    """A row for each estimate in the units that people read, the determined ones first.
 
-
-def _write(
-    folder: Path,
-    figures: Mapping[str, Figure],
-    outcome: WithFindings,
-    estimates: Sequence[Estimate],
-    values: Mapping[str, Any],
-) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, figure in figures.items():
-        style.save_figure(figure, folder / file)
-    return style.write_page(
-        folder / "index.html",
-        "calibration.html.jinja",
-        outcome=outcome,
-        captions={file: CAPTIONS[file] for file in figures},
-        headings=HEADINGS,
-        estimates=estimate_rows(estimates),
-        **values,
-    )
-
-
-class EstimateRow(NamedTuple):
-    """A parameter as texts, in the order of HEADINGS and in the units that people read.
-
-    state, of one that is not determined: "held" where it kept its value, "partly" where the data
-    determine it only together with others.
+    The last column: "held" where it kept its value, "partly" where the data determine it only
+    together with others.
     """
-
-    name: str
-    before: str
-    after: str
-    change: str
-    std: str
-    unit: str
-    state: str
-
-
-def estimate_rows(estimates: Sequence[Estimate]) -> list[EstimateRow]:
-    """A row for each estimate, those that the data determined first."""
     ordered = sorted(estimates, key=lambda item: (not item.determined, item.after == item.before))
-    return [_estimate_row(item) for item in ordered]
+    rows = [_estimate_row(item) for item in ordered]
+    return ReportTable("Parameters", HEADINGS, rows, ESTIMATE_NOTE)
 
 
-def _estimate_row(estimate: Estimate) -> EstimateRow:
+def _estimate_row(estimate: Estimate) -> tuple[str, ...]:
     unit, factor = READABLE_UNITS.get(estimate.unit, (estimate.unit, 1.0))
     std = estimate.std * factor
     places = _decimals(std)
     change = (estimate.after - estimate.before) * factor
     held = "held" if estimate.after == estimate.before else "partly"
-    return EstimateRow(
-        name=estimate.name,
-        before=_number(estimate.before * factor, places),
-        after=_number(estimate.after * factor, places),
-        change=_number(change, places, "+") if change else "-",
-        std=_number(std, places) if estimate.determined else "-",
-        unit=unit,
-        state="determined" if estimate.determined else held,
+    return (
+        estimate.name,
+        _number(estimate.before * factor, places),
+        _number(estimate.after * factor, places),
+        _number(change, places, "+") if change else "-",
+        _number(std, places) if estimate.determined else "-",
+        unit,
+        "determined" if estimate.determined else held,
     )
 
 
@@ -323,49 +330,32 @@ def _decimals(std: float) -> int:
     return min(max(below, FEWEST_DECIMALS), MOST_DECIMALS)
 
 
-class LoadRow(NamedTuple):
-    """One component of a load as texts, N, in the order of LOAD_HEADINGS.
-
-    off: what the sensor shows too much, in per cent of the load.
-    """
-
-    name: str
-    component: str
-    reference: str
-    before: str
-    after: str
-    std: str
-    off: str
-    remark: str
-
-
-def load_rows(loads: Sequence[LoadResult]) -> list[LoadRow]:
+def load_table(loads: Sequence[LoadResult]) -> ReportTable:
     """Rows of all loads: each known component that is a good part of its force."""
-    return [
+    rows = [
         _load_row(load, int(axis), first=number == 0)
         for load in loads
         for number, axis in enumerate(np.flatnonzero(known_components(load)))
     ]
+    return ReportTable("Loads, N", LOAD_HEADINGS, rows, LOAD_NOTE)
 
 
-def _load_row(load: LoadResult, axis: int, *, first: bool) -> LoadRow:
+def _load_row(load: LoadResult, axis: int, *, first: bool) -> tuple[str, ...]:
     size = float(np.linalg.norm(load.reference[np.isfinite(load.reference)]))
     off = load.residual_after[axis] / size if size else math.nan
-    return LoadRow(
-        name=load.name if first else "",
-        component=AXES[axis],
-        reference=_number(load.reference[axis], LOAD_DECIMALS),
-        before=_number(load.before[axis], LOAD_DECIMALS),
-        after=_number(load.after[axis], LOAD_DECIMALS),
-        std=_number(load.after_std[axis], LOAD_DECIMALS),
+    values = load.reference, load.before, load.after, load.after_std
+    return (
+        load.name if first else "",
+        AXES[axis],
+        *(_number(item[axis], LOAD_DECIMALS) for item in values),
         # Towards 0 or away from it: forces into the gel are negative.
-        off=f"{100 * off * math.copysign(1, load.reference[axis]):+.1f} %",
-        remark=f"left out: {load.reason}" if first and not load.used else "",
+        f"{100 * off * math.copysign(1, load.reference[axis]):+.1f} %",
+        f"left out: {load.reason}" if first and not load.used else "",
     )
 
 
 @dataclass(frozen=True)
-class RelaxationReport:
+class RelaxationRecord:
     """A record and what came of it; time_s (n,), reading (n,) N.
 
     reference: true force, (n,) N or one number, None where not known.
@@ -376,6 +366,13 @@ class RelaxationReport:
     time_s: NDArray[np.float64]
     reading: NDArray[np.float64]
     reference: NDArray[np.float64] | float | None
+
+    @property
+    def report(self) -> Report:
+        """The record over time, and the values."""
+        figure = relaxation_figure(self.time_s, self.reading, self.corrected, self.reference)
+        title = f"Calibration of {self.sensor.name}: relaxation"
+        return Report(title, {"relaxation.png": figure}, [estimate_table(self.estimates)])
 
     @cached_property
     def scale(self) -> float:

@@ -18,6 +18,7 @@ from scipy.interpolate import RegularGridInterpolator
 from cmp_tactile_bringup.report import style
 from cmp_tactile_bringup.report.evaluation import BAND
 from cmp_tactile_bringup.report.results import DemoResults, FrameResult, TableRow
+from cmp_tactile_bringup.terminal import RESULT_HEADINGS
 from cmp_tactile_processing.force.advice import SLIP_WORDS
 from cmp_tactile_processing.measured import ForceField, SlipState, Surface, gridline_points
 
@@ -26,23 +27,8 @@ MARGIN_PX = 45
 ARROW_STEP = 2
 LONGEST_ARROW_MM = 1.2
 AXES = ("x", "y", "z")
-SHORT_PHASE_FRAMES = 2
-STATES = {
-    SlipState.NO_CONTACT: style.MUTED,
-    SlipState.STICK: style.SERIES[2],
-    SlipState.INCIPIENT: style.COLUMN,
-    SlipState.FULL: style.OBJECT,
-}
-NOT_KNOWN: dict[str, Any] = {
-    "facecolor": "white",
-    "edgecolor": style.MUTED,
-    "hatch": "////",
-    "lw": 0,
-}
-TIME_LABEL = (
-    "time of the recording, s\n"
-    "stripes: phases of the motion, named at the top; orange: a phase of a single frame"
-)
+STATES = (SlipState.NO_CONTACT, SlipState.STICK, SlipState.INCIPIENT, SlipState.FULL)
+TIME_LABEL = "time of the recording, s; stripes: phases of the motion, named at the top"
 MEASURED, TRUE = style.SERIES[0], style.MUTED
 Panel = Callable[[Axes, DemoResults], None]
 
@@ -62,6 +48,7 @@ def write_report(results: DemoResults, rows: Sequence[TableRow], folder: Path) -
         pictures[name] = f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
     values = {
         "results": results,
+        "headings": RESULT_HEADINGS,
         "rows": rows,
         "pictures": pictures,
         "felt": _felt(strongest, results),
@@ -256,21 +243,12 @@ def _draw_phases(axes: Axes, results: DemoResults, *, names: bool) -> None:
     for number, phase in enumerate(results.recording.phases):
         # Half a frame early: a phase begins between the frame before it and its first.
         begin, end = ((frame - 0.5) * step_s for frame in (starts[number], ends[number]))
-        short = ends[number] - starts[number] < SHORT_PHASE_FRAMES
-        colour = style.MARKER if short else style.MUTED
-        if short or number % 2:
-            axes.axvspan(begin, end, color=colour, alpha=0.25 if short else 0.1, lw=0)
+        if number % 2:
+            axes.axvspan(begin, end, color=style.MUTED, alpha=0.1, lw=0)
         if names:
-            axes.annotate(
-                phase.name,
-                ((begin + end) / 2, 1.0),
-                xycoords=axes.get_xaxis_transform(),
-                xytext=(0, 6),
-                textcoords="offset points",
-                ha="center",
-                fontsize=10,
-                color=style.MARKER if short else style.INK,
-                weight="bold" if short else "normal",
+            look: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 10}
+            axes.text(
+                (begin + end) / 2, 1.03, phase.name, transform=axes.get_xaxis_transform(), **look
             )
 
 
@@ -316,35 +294,15 @@ def _draw_area(axes: Axes, results: DemoResults) -> None:
 
 
 def _draw_states(axes: Axes, results: DemoResults) -> None:
-    """Two bands of colour: what was measured, and what is true."""
-    bands = (
-        (1.0, results.time_s, _states(results)),
-        (0.0, _truth_s(results), true_states(results)),
+    """Whether the contact slips; gaps where that is not known."""
+    true, measured = (
+        np.where(states == SlipState.UNKNOWN, np.nan, states)
+        for states in (true_states(results), _states(results))
     )
-    step_s = float(np.median(np.diff(_truth_s(results))))
-    shown: set[int] = set()
-    for base, time_s, states in bands:
-        shown |= set(states.tolist())
-        for state in SlipState:
-            look = {"color": STATES[state], "lw": 0} if state in STATES else NOT_KNOWN
-            spans = [(time - step_s / 2, step_s) for time in time_s[states == state]]
-            axes.broken_barh(spans, (base + 0.1, 0.8), zorder=2, **look)
-    share = results.sensor.slip.incipient_ratio
-    rules = {
-        SlipState.INCIPIENT: f": {share:.0%} or more of the contact slides",
-        SlipState.FULL: ": all of it slides; measured once\nthe tangential force no longer rises",
-    }
-    for state, colour in STATES.items():
-        if state in shown:
-            label = SLIP_WORDS[state] + rules.get(state, "")
-            axes.plot([], [], color=colour, lw=8, label=label)
-    if SlipState.UNKNOWN in shown:
-        axes.fill_between([], [], label="hatched, or a gap below: not known", **NOT_KNOWN)
-    if len(results.frames) < len(results.recording.truth.stamp_ns):
-        words = "white: frame lost"
-        axes.fill_between([], [], facecolor="white", edgecolor=style.MUTED, lw=0.8, label=words)
-    axes.set_yticks([0.5, 1.5], ["true", "measured"])
-    axes.set_ylim(0, 2)
+    _draw_true(axes, results, true)
+    _draw_line(axes, results.time_s, measured, MEASURED, "measured")
+    axes.set_yticks(list(STATES), [SLIP_WORDS[state] for state in STATES])
+    axes.set_ylim(min(STATES) - 0.4, max(STATES) + 0.4)
 
 
 def true_states(results: DemoResults) -> NDArray[np.int64]:

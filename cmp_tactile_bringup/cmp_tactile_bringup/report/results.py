@@ -134,3 +134,9 @@ class TableRow:
     value: str
     limit: str = ""
     passed: bool | None = None
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The four cells of the line."""
+        kept = {None: "", True: "kept", False: "missed"}[self.passed]
+        return self.name, self.value, self.limit, kept

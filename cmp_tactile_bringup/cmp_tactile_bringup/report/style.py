@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 # Okabe and Ito's palette, which stays distinct for all common kinds of colour blindness.
 ROW = "#56b4e9"
 COLUMN = "#e69f00"
-MARKER = "#d55e00"
 OBJECT = "#cc79a7"
 SERIES = ("#0072b2", "#d55e00", "#009e73")
 INK = "#1f2933"

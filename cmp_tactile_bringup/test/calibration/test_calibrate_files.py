@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-from cmp_tactile_bringup.report.calibration import estimate_rows
+from cmp_tactile_bringup.report.calibration import estimate_table
 from cmp_tactile_processing.calibration.outcome import Estimate
 from cmp_tactile_processing.errors import OutputError
 
@@ -27,14 +27,14 @@ def test_a_file_is_no_folder_for_cameras(tmp_path):
 
 
 def test_estimates_are_in_millimetres_and_degrees_as_exact_as_they_are_known():
-    rows = estimate_rows(
+    rows = estimate_table(
         [
             Estimate("held", "", 1.0, 1.0, float("nan"), determined=False),
             Estimate("shared", "m", 0.0, 2e-4, float("nan"), determined=False),
             Estimate("distance", "m", 9.8e-3, 10.3e-3, 4.7e-6, determined=True),
             Estimate("turn", "rad", 0.0, np.radians(1.25), np.radians(0.03), determined=True),
         ]
-    )
+    ).rows
     assert rows[0] == (
         "distance", "9.8000", "10.3000", "+0.5000", "0.0047", "mm", "determined",
     )  # fmt: skip

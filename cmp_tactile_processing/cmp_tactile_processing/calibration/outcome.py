@@ -70,6 +70,7 @@ class WithFindings:
     """A result that findings speak against, or do not."""
 
     findings: tuple[Finding, ...]
+    verdict: str
 
     @property
     def accepted(self) -> bool:

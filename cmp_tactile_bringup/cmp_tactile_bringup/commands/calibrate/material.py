@@ -13,15 +13,10 @@ from cmp_tactile_bringup.commands.options import Number, argument, misuse, optio
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-    from rich.table import Table
 
     from cmp_tactile_bringup.calibration.gel_recording import GelMotion
     from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
-    from cmp_tactile_processing.calibration.material.loads import (
-        LoadResult,
-        LoadSample,
-        MaterialOutcome,
-    )
+    from cmp_tactile_processing.calibration.material.loads import LoadSample, MaterialOutcome
     from cmp_tactile_processing.processes import OnProgress
     from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -30,7 +25,6 @@ KILOGRAMS = Number(1e-4, 100, "kg")
 # Samples that are taken of a recording with a force sensor, and what a good six-axis one resolves.
 MOST_SAMPLES, WRENCH_STD_N = 60, 0.01
 WEIGHTS, FORCE_SENSOR = "weights", "force_sensor"
-WORDY_COLUMNS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,50 +222,15 @@ def _sensor_samples(
 
 def _conclude(outcome: MaterialOutcome, files: CalibrationFiles, source: str) -> int:
     """Draw the report, print what was found, write what is accepted; returns the exit code."""
-    import numpy as np
-
-    from cmp_tactile_bringup.commands.calibrate.outcome import estimates_table, print_end
-    from cmp_tactile_bringup.report.calibration import write_material_report
-    from cmp_tactile_bringup.terminal import output_console, print_line
-
-    page = write_material_report(outcome, files.report, outcome.sensor.name)
-    console = output_console()
-    console.print(_loads_table(outcome.loads))
-    if np.isfinite(outcome.offset).all():
-        zero = ", ".join(
-            f"{value:+.3f} +- {std:.3f}"
-            for value, std in zip(outcome.offset, outcome.offset_std, strict=True)
-        )
-        print_line(console, f"Offset of the reference sensor: {zero} N (x, y, z of the gel frame)")
-    if outcome.estimates:
-        # A terminal is narrow; the page has the keys in full.
-        short = [replace(item, name=_short(item.name)) for item in outcome.estimates]
-        console.print(estimates_table(short))
+    from cmp_tactile_bringup.commands.calibrate.outcome import conclude
+    from cmp_tactile_bringup.report.calibration import material_report
 
     def write() -> Sequence[Path]:
         record = outcome.record and replace(outcome.record, source=source)
         gel = replace(outcome.sensor.elastomer, calibration=record)
         return files.write(replace(outcome.sensor, elastomer=gel))
 
-    return print_end(console, outcome, page, write)
-
-
-def _short(key: str) -> str:
-    return key.removeprefix("elastomer.").replace("shading_layer.", "layer.")
-
-
-def _loads_table(loads: Sequence[LoadResult]) -> Table:
-    from cmp_tactile_bringup.report.calibration import LOAD_HEADINGS, load_rows
-    from cmp_tactile_bringup.terminal import cell, titled_table
-
-    table = titled_table("Loads, N", box=None, pad_edge=False)
-    last = len(LOAD_HEADINGS) - 1
-    for number, heading in enumerate(LOAD_HEADINGS):
-        words = number < WORDY_COLUMNS or number == last
-        table.add_column(heading, justify="left" if words else "right", no_wrap=number != last)
-    for row in load_rows(loads):
-        table.add_row(*map(cell, row), style="dim" if row.remark else "")
-    return table
+    return conclude(outcome, material_report(outcome), files.report, write)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,14 +263,10 @@ class Relaxation(sources.Output, sources.WrenchSensor):
 
     def run(self) -> int:
         """Calibrate, report, and write what is accepted."""
-        from cmp_tactile_bringup.commands.calibrate.outcome import (
-            CalibrationFiles,
-            estimates_table,
-            print_end,
-        )
+        from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude
         from cmp_tactile_bringup.recordings.library import check_source, required_sensor
-        from cmp_tactile_bringup.report.calibration import RelaxationReport, write_relaxation_report
-        from cmp_tactile_bringup.terminal import output_console, shown_stages
+        from cmp_tactile_bringup.report.calibration import RelaxationRecord
+        from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
         from cmp_tactile_processing.sensor.description import load_sensor
 
@@ -323,11 +278,10 @@ class Relaxation(sources.Output, sources.WrenchSensor):
         with shown_stages() as on_stage:
             time_s, reading, reference = _record(self, sensor, on_stage)
         outcome = fit_relaxation(time_s, reading, reference)
-        report = RelaxationReport(sensor, outcome, time_s, reading, reference)
-        page = write_relaxation_report(report, files.report)
-        console = output_console()
-        console.print(estimates_table(report.estimates))
-        return print_end(console, outcome, page, lambda: files.write(report.new_sensor))
+        record = RelaxationRecord(sensor, outcome, time_s, reading, reference)
+        return conclude(
+            outcome, record.report, files.report, lambda: files.write(record.new_sensor)
+        )
 
 
 def _record(

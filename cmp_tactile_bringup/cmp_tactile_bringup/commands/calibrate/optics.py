@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
+    from cmp_tactile_bringup.report.calibration import Report
     from cmp_tactile_bringup.report.evaluation import TruthErrors
     from cmp_tactile_bringup.report.results import TableRow
     from cmp_tactile_processing.calibration.board.target import BoardTarget
@@ -140,7 +143,6 @@ class Gel(Output, FrameInput):
         """Calibrate, report, and write what is accepted."""
         from cmp_tactile_bringup.commands.calibrate.outcome import (
             CalibrationFiles,
-            conclude,
             view_pictures,
             warn,
         )
@@ -159,13 +161,28 @@ class Gel(Output, FrameInput):
         with shown_stages() as on_stage:
             outcome = calibrate_gel(sensor, frames.images, on_progress=on_stage)
         warn(frames.problem)
-        return conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
+        return _conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
+
+
+def _conclude(
+    outcome: CalibrationOutcome,
+    files: CalibrationFiles,
+    pictures: dict[str, NDArray[np.uint8]],
+    name: str,
+) -> int:
+    from cmp_tactile_bringup.commands.calibrate.outcome import conclude
+    from cmp_tactile_bringup.report.calibration import optics_report
+
+    def write() -> Sequence[Path]:
+        return files.write(outcome.sensor, outcome.cameras, name)
+
+    return conclude(outcome, optics_report(outcome, pictures, name), files.report, write)
 
 
 def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
     from cmp_tactile_bringup.calibration.frames import read_images
-    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, conclude, warn
+    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, warn
     from cmp_tactile_bringup.terminal import shown_stages
     from cmp_tactile_driver.bags.pairs import pairs_by_number
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
@@ -189,7 +206,7 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
             images["left"], images.get("right"), target, on_progress=on_stage
         )
     pictures = {view: items[0] for view, items in images.items()}
-    return conclude(outcome, files, pictures, arguments.output.name)
+    return _conclude(outcome, files, pictures, arguments.output.name)
 
 
 def _run_sensor(arguments: Board, target: BoardTarget) -> int:
@@ -197,7 +214,6 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     from cmp_tactile_bringup.calibration.frames import read_frames
     from cmp_tactile_bringup.commands.calibrate.outcome import (
         CalibrationFiles,
-        conclude,
         view_pictures,
         warn,
     )
@@ -215,7 +231,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
         frames = found.images
     with shown_stages() as on_stage:
         outcome = _calibrate(frames, target, sensor, on_stage)
-    return conclude(outcome, files, view_pictures(sensor, frames[0]), sensor.name)
+    return _conclude(outcome, files, view_pictures(sensor, frames[0]), sensor.name)
 
 
 def _calibrate(
@@ -301,17 +317,14 @@ class Check(FrameInput):
     sensor: Annotated[str, option("description to check: a file or a packaged name")] = ""
     frames: Annotated[int, option("use at most N frames", Number(1, 100_000, kind=int))] = 200
     report: Annotated[
-        Path | None, option("write figures of the residuals to this folder", metavar="DIR")
+        Path | None,
+        option("write a page with figures of the residuals to this folder", metavar="DIR"),
     ] = None
 
     def run(self) -> int:
         """Check and print the result; 1 where a limit is missed."""
         from cmp_tactile_bringup import terminal
-        from cmp_tactile_bringup.commands.calibrate.outcome import (
-            print_findings,
-            print_verdict,
-            warn,
-        )
+        from cmp_tactile_bringup.commands.calibrate.outcome import print_verdict, warn
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
         from cmp_tactile_bringup.recordings.library import required_sensor
         from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
@@ -343,17 +356,23 @@ class Check(FrameInput):
         title = f"{sensor.name}, {report.frames} frames, {len(report.rest_frames)} of them at rest"
         console.print(terminal.results_table(title, rows))
         warn(frames.problem)
-        print_findings(console, report.findings)
-        print_verdict(console, report.verdict, accepted=report.accepted)
         if errors is not None and not errors.kept:
-            print_verdict(
-                console,
-                "The markers differ from the recording's truth: see the errors above.",
-                accepted=False,
-            )
+            report = _with_truth_missed(report)
+        print_verdict(console, report)
         if self.report is not None:
-            _write_figures(report, frames.images[0], errors, expanded_path(self.report))
-        return int(not report.accepted or (errors is not None and not errors.kept))
+            page = _report(report, frames.images[0], errors, rows)
+            print(f"Figures: {page.write(expanded_path(self.report), report)}")
+        return int(not report.accepted)
+
+
+def _with_truth_missed(report: CheckReport) -> CheckReport:
+    from cmp_tactile_processing.calibration.outcome import Finding, Severity
+
+    text = "The markers differ from the recording's truth: see the errors above."
+    advice = "Calibrate again; this is not the rig that was simulated."
+    verdict = report.verdict if not report.accepted else f"Do not measure. {text}"
+    finding = Finding(Severity.ERROR, text, advice)
+    return replace(report, findings=(*report.findings, finding), verdict=verdict)
 
 
 def _row(figure: CheckFigure) -> TableRow:
@@ -371,23 +390,29 @@ def _row(figure: CheckFigure) -> TableRow:
     return TableRow(figure.name, value, limit, figure.kept)
 
 
-def _write_figures(
-    report: CheckReport, frame: NDArray[np.uint8], errors: TruthErrors | None, folder: Path
-) -> None:
+def _report(
+    report: CheckReport,
+    frame: NDArray[np.uint8],
+    errors: TruthErrors | None,
+    rows: Sequence[TableRow],
+) -> Report:
     from cmp_tactile_bringup.commands.calibrate.outcome import view_pictures
-    from cmp_tactile_bringup.report import style
-    from cmp_tactile_bringup.report.calibration import residual_figure, truth_figure
+    from cmp_tactile_bringup.report.calibration import (
+        Report,
+        ReportTable,
+        residual_figure,
+        truth_figure,
+    )
+    from cmp_tactile_bringup.terminal import RESULT_HEADINGS
 
-    folder.mkdir(parents=True, exist_ok=True)
-    written = []
+    figures = {}
     if any(len(item.pixels) for item in report.residuals):
-        figure = residual_figure(report.residuals, view_pictures(report.sensor, frame))
-        written.append(style.save_figure(figure, folder / "residuals.png"))
+        pictures = view_pictures(report.sensor, frame)
+        figures["residuals.png"] = residual_figure(report.residuals, pictures)
     if errors is not None:
-        figure = truth_figure(errors.position, report.sensor.pattern)
-        written.append(style.save_figure(figure, folder / "truth.png"))
-    for path in written:
-        print(f"Written: {path}")
+        figures["truth.png"] = truth_figure(errors.position, report.sensor.pattern)
+    table = ReportTable("Limits", RESULT_HEADINGS, [row.texts for row in rows])
+    return Report(f"Check of {report.sensor.name}", figures, [table])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,20 +8,16 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
+from rich.console import Console, JustifyMethod
 from rich.table import Table
 
-from cmp_tactile_bringup.report.calibration import HEADINGS, estimate_rows, write_calibration_report
+from cmp_tactile_bringup.report.calibration import Report, ReportTable
 from cmp_tactile_bringup.terminal import cell, output_console, print_line, titled_table
 from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.calibration.check import CheckReport
 from cmp_tactile_processing.calibration.material.loads import MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
-from cmp_tactile_processing.calibration.outcome import (
-    CalibrationOutcome,
-    Estimate,
-    Finding,
-    Severity,
-)
+from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo, write_camera_info
@@ -30,11 +26,10 @@ from cmp_tactile_processing.sensor.description import SensorDescription, write_s
 
 SUFFIXES = (".yaml", ".yml")
 
-# Of an estimate of what several parameters do at once.
-COMBINATION = "together: "
-NUMBER_COLUMNS = ("Before", "After", "Change", "Std")
-WORDY_COLUMNS = ("Parameter", "Unit")
-Outcome = CalibrationOutcome | MaterialOutcome | RelaxationOutcome
+# They hold numbers, which stand at the right and do not wrap.
+NUMBER_COLUMNS = ("Before", "After", "Change", "Std", "Reference", "Off")
+DIM_REMARKS = ("held", "left out")
+Outcome = CalibrationOutcome | MaterialOutcome | RelaxationOutcome | CheckReport
 FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
 
 
@@ -105,40 +100,21 @@ class CalibrationFiles:
 
 
 def conclude(
-    outcome: CalibrationOutcome,
-    files: CalibrationFiles,
-    pictures: Mapping[str, NDArray[np.uint8]],
-    name: str,
+    outcome: Outcome, report: Report, folder: Path, write: Callable[[], Sequence[Path]]
 ) -> int:
-    """Draw the report, print what was found, write what is accepted; returns the exit code."""
-    page = write_calibration_report(outcome, pictures, files.report, name)
-    console = output_console()
-    single = [item for item in outcome.estimates if not item.name.startswith(COMBINATION)]
-    if single:
-        console.print(estimates_table(single))
-    for estimate in outcome.estimates:
-        if estimate.name.startswith(COMBINATION):
-            print_line(console, f"The images determine only {estimate.name}")
-    for item in outcome.residuals:
-        left_out = int((~item.used).sum())
-        more = f", {left_out} of {len(item.used)} points left out" if left_out else ""
-        print_line(console, f"{item.view} view: reprojection {item.rms:.3f} px RMS{more}")
-    return print_end(
-        console, outcome, page, lambda: files.write(outcome.sensor, outcome.cameras, name)
-    )
+    """Print what was found, write the page and what is accepted; returns the exit code.
 
-
-def print_end(
-    console: Console, result: Outcome, page: Path, write: Callable[[], Sequence[Path]]
-) -> int:
-    """Print findings and verdict, write what is accepted; returns the exit code.
-
-    page: where the figures are.  write: writes and names the files.
+    folder: of the page.  write: writes and names the files.
     """
-    print_findings(console, result.findings)
-    print_verdict(console, result.verdict, accepted=result.accepted)
+    page = report.write(folder, outcome)
+    console = output_console()
+    for table in report.tables:
+        console.print(text_table(table))
+    for line in report.lines:
+        print_line(console, line)
+    print_verdict(console, outcome)
     print_line(console, f"Figures: {page}")
-    if not result.accepted:
+    if not outcome.accepted:
         print_line(console, "Nothing else was written.")
         return 1
     for path in write():
@@ -146,16 +122,12 @@ def print_end(
     return 0
 
 
-def print_findings(console: Console, findings: Sequence[Finding]) -> None:
-    """What is wrong, and what to do about it, the errors first."""
-    for item in sorted(findings, key=lambda item: item.severity is not Severity.ERROR):
+def print_verdict(console: Console, outcome: Outcome) -> None:
+    """What is wrong, and what to do about it, the errors first; then the verdict."""
+    for item in sorted(outcome.findings, key=lambda item: item.severity is not Severity.ERROR):
         print_line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
         print_line(console, f"  what to do: {item.advice}")
-
-
-def print_verdict(console: Console, verdict: str, *, accepted: bool) -> None:
-    """The verdict in words."""
-    print_line(console, verdict, "bold green" if accepted else "bold red")
+    print_line(console, outcome.verdict, "bold green" if outcome.accepted else "bold red")
 
 
 def warn(problem: str) -> None:
@@ -172,17 +144,13 @@ def view_pictures(
     return {name: split_frame(grey, view.placement) for name, view in build_views(sensor).items()}
 
 
-def estimates_table(single: Sequence[Estimate]) -> Table:
-    """Parameters before and after."""
-    table = titled_table("Parameters", box=None, pad_edge=False)
-    for heading in HEADINGS:
-        words = heading in WORDY_COLUMNS
-        table.add_column(
-            heading,
-            justify="left" if words else "right",
-            overflow="fold",
-            no_wrap=heading in NUMBER_COLUMNS,
-        )
-    for row in estimate_rows(single):
-        table.add_row(*map(cell, row), style="dim" if row.state == "held" else "")
-    return table
+def text_table(table: ReportTable) -> Table:
+    """The table for a terminal."""
+    shown = titled_table(table.title, box=None, pad_edge=False)
+    for heading in table.headings:
+        number = heading in NUMBER_COLUMNS
+        justify: JustifyMethod = "right" if number else "left"
+        shown.add_column(heading, justify=justify, overflow="fold", no_wrap=number)
+    for row in table.rows:
+        shown.add_row(*map(cell, row), style="dim" if row[-1].startswith(DIM_REMARKS) else "")
+    return shown
