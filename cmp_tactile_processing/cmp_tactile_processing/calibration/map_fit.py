@@ -88,14 +88,13 @@ def map_fit(
     prior_std: NDArray[np.float64],
     *,
     start: NDArray[np.float64] | None = None,
-    jacobian: Residuals | None = None,
     robust_scale: float | None = 3.0,
 ) -> MapFit:
     """Fit parameters x (n,) to whitened residuals(x) (m,), each with the prior N(0, prior_std^2).
 
     The data's loss is soft (from `robust_scale` standard deviations on it grows linearly, of None
-    never), the priors' is not.  jacobian(x): (m, n); without it, differences: one-sided on the way,
-    central ones for the covariance.  start: default zero.
+    never), the priors' is not.  Derivatives are differences: one-sided on the way, central ones for
+    the covariance.  start: default zero.
     Residuals may be NaN away from the start: such steps are refused.  A prior_std of 0 is no
     prior: leave the parameter out instead.  Raises CalibrationError where residuals at the start
     are not finite.
@@ -103,14 +102,13 @@ def map_fit(
     scale = np.asarray(prior_std, dtype=np.float64)
     first = np.zeros(len(scale)) if start is None else np.asarray(start, dtype=np.float64) / scale
     count = len(_checked(residuals(first * scale)))
-    on_the_way = jacobian or (lambda x: _forward_jacobian(residuals, x, STEP * scale))
-    at_the_end = jacobian or (lambda x: central_jacobian(residuals, x, STEP * scale))
 
     def whole(y: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.concatenate([residuals(y * scale), y])
 
     def whole_slope(y: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([on_the_way(y * scale) * scale, np.eye(len(y))])
+        slope = _forward_jacobian(residuals, y * scale, STEP * scale)
+        return np.concatenate([slope * scale, np.eye(len(y))])
 
     def loss(z: NDArray[np.float64]) -> NDArray[np.float64]:
         rho = soft_loss(z, None)
@@ -129,7 +127,8 @@ def map_fit(
     )
     data = residuals(found.x * scale)
     weights = soft_loss(data**2, robust_scale)[1]
-    weighted = at_the_end(found.x * scale) * scale * np.sqrt(weights)[:, None]
+    slope = central_jacobian(residuals, found.x * scale, STEP * scale)
+    weighted = slope * scale * np.sqrt(weights)[:, None]
     information = weighted.T @ weighted + np.eye(len(scale))
     covariance = np.linalg.inv(information) * np.outer(scale, scale)
     return MapFit(found.x * scale, covariance, scale, data, weights, bool(found.status > 0))
