@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.recordings.library import DEFAULT_SCENE
+from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, ContactError, InputError, OutputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
@@ -35,7 +34,6 @@ from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard
 from cmp_tactile_simulation.rendering.renderer import Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
-from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import SENSOR_FILE, load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
@@ -52,8 +50,6 @@ MARGIN_PX = 8.0
 TRIES = 2000
 # Squares of white paper around the board's squares.
 PAPER = 1
-BOARD_FOLDER, REST_FOLDER, CONTACT_FOLDER, TRUTH_FOLDER = "board", "rest", "contact", "truth"
-FOLDERS = (BOARD_FOLDER, REST_FOLDER, CONTACT_FOLDER, TRUTH_FOLDER)
 # The board fills this share of the pattern's extent: it is seen whole in both views, tilted too.
 BOARD_SHARE = 0.75
 BOARD_COLS, BOARD_ROWS = 9, 6
@@ -106,11 +102,15 @@ def _shows_all(sensor: SensorDescription) -> bool:
     for view in views:
         q = view.project(sensor.pattern.corners())
         side = max(float(np.abs(np.diff(q, axis=axis)).max()) for axis in (0, 1))
-        limit = np.array([view.placement.width, view.placement.height]) - 1
-        margin = MARGIN_CHECKERS * side
-        if not ((q > margin) & (q < limit - margin)).all():
+        if not _within(view, q, MARGIN_CHECKERS * side):
             return False
     return True
+
+
+def _within(view: ViewGeometry, q: NDArray[np.float64], margin: float) -> bool:
+    """Whether all pixels keep a distance from the borders of their view, px."""
+    last = np.array([view.placement.width, view.placement.height]) - 1.0
+    return bool(((q > margin) & (q < last - margin)).all())
 
 
 def bare_views(sensor: SensorDescription) -> dict[str, ViewGeometry]:
@@ -207,118 +207,72 @@ def _shows(view: ViewGeometry, points: NDArray[np.float64], inwards: NDArray[np.
     """Whether a view sees all points on the front of a board, well within its borders."""
     if ((points - view.centre) @ inwards <= 0).any():
         return False
-    q = view.project(points)
-    last = np.array([view.placement.width, view.placement.height]) - 1.0
-    return bool(((q >= MARGIN_PX) & (q <= last - MARGIN_PX)).all())
+    return _within(view, view.project(points), MARGIN_PX)
 
 
-@dataclass(frozen=True)
-class PracticeSet:
-    """nominal: the description that the rig was built by.  seed: of how it really is, and of noise.
-
-    board_images: number of images of the board.
-    """
-
-    nominal: SensorDescription
-    seed: int
-    board_images: int
-
-    @cached_property
-    def target(self) -> BoardTarget:
-        """The board that is shown."""
-        extent = self.nominal.pattern.pitch * (self.nominal.pattern.cols + 1)
-        square = BOARD_SHARE * extent / (BOARD_COLS + 1)
-        square = max(round(square / SQUARE_STEP), 1) * SQUARE_STEP
-        return BoardTarget("chessboard", BOARD_COLS, BOARD_ROWS, square)
+def board_for(sensor: SensorDescription) -> BoardTarget:
+    """A board that fits into the views of a sensor."""
+    extent = sensor.pattern.pitch * (sensor.pattern.cols + 1)
+    square = BOARD_SHARE * extent / (BOARD_COLS + 1)
+    square = max(round(square / SQUARE_STEP), 1) * SQUARE_STEP
+    return BoardTarget("chessboard", BOARD_COLS, BOARD_ROWS, square)
 
 
 def make_practice_set(
-    practice: PracticeSet, folder: Path, progress: OnProgress, *, overwrite: bool = False
+    nominal: SensorDescription, seed: int, board_images: int, folder: Path, progress: OnProgress
 ) -> None:
-    """Write the whole set into the folder.  progress: called with what is done and its share.
+    """Write the whole set into a new folder.  progress: called with what is done and its share.
 
-    Raises OutputError where the folder holds something, unless it is an earlier set that may be
-    replaced; ContactError for a sensor that cannot be simulated, CalibrationError for one whose
-    views do not show a board.
+    nominal: the description that the rig was built by.  seed: of how it really is, and of noise.
+    Raises OutputError where the folder holds something; ContactError for a sensor that cannot be
+    simulated, CalibrationError for one whose views do not show a board.
     """
-    _make_room(folder, overwrite=overwrite)
-    true_rig = changed_rig(practice.nominal, practice.seed)
-    write_sensor_description(folder / SENSOR_FILE, practice.nominal)
-    _write_board(practice, true_rig, folder / BOARD_FOLDER, progress)
-    _write_rest(practice, true_rig, folder / REST_FOLDER, progress)
-    _write_contact(practice, true_rig, folder / CONTACT_FOLDER, progress)
-    (folder / TRUTH_FOLDER).mkdir()
-    write_sensor_description(folder / TRUTH_FOLDER / SENSOR_FILE, true_rig)
-
-
-def _make_room(folder: Path, *, overwrite: bool) -> None:
-    there = sorted(item.name for item in folder.iterdir()) if folder.is_dir() else []
-    if folder.exists() and not folder.is_dir():
-        msg = f"{folder}: found a file, expected a folder or a new name"
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        msg = f"{folder}: exists already, expected a new folder"
         raise OutputError(msg)
-    strange = [name for name in there if name not in (*FOLDERS, SENSOR_FILE)]
-    if strange:
-        msg = f"{folder}: found {strange[0]}, expected a new folder or an earlier practice set"
-        raise OutputError(msg)
-    if there and not overwrite:
-        msg = f"{folder}: exists already; --overwrite replaces it"
-        raise OutputError(msg)
-    for name in FOLDERS:
-        shutil.rmtree(folder / name, ignore_errors=True)
+    true_rig = changed_rig(nominal, seed)
+    camera, target, surface = (
+        CameraSettings(read_noise=FRAME_NOISE),
+        board_for(nominal),
+        DeformedSurface.rest(true_rig.pattern),
+    )
+    boards = (
+        photograph_board(true_rig, target, T_gel_board, camera, seed + number)
+        for number, T_gel_board in enumerate(board_poses(true_rig, target, board_images, seed))
+    )
+    rendered = Renderer(true_rig, Checkerboard(true_rig.pattern)).render(surface)
+    noises = (random_stream(Purpose.FRAME_NOISE, seed, number) for number in range(REST_FRAMES))
+    rest = (expose(rendered, camera, noise, seed) for noise in noises)
     folder.mkdir(parents=True, exist_ok=True)
-
-
-def _write_board(
-    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: OnProgress
-) -> None:
-    poses = board_poses(true_rig, practice.target, practice.board_images, practice.seed)
-    folder.mkdir()
-    for number, T_gel_board in enumerate(poses):
-        progress("photographing the board", number / len(poses))
-        image = photograph_board(
-            true_rig,
-            practice.target,
-            T_gel_board,
-            CameraSettings(read_noise=FRAME_NOISE),
-            practice.seed + number,
-        )
-        _write_png(folder / f"{number:02d}.png", image)
-    progress("photographing the board", 1.0)
-
-
-def _write_rest(
-    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: OnProgress
-) -> None:
-    folder.mkdir()
-    camera, pattern = CameraSettings(read_noise=FRAME_NOISE), true_rig.pattern
-    rendered = Renderer(true_rig, Checkerboard(pattern)).render(DeformedSurface.rest(pattern))
-    for number in range(REST_FRAMES):
-        progress("photographing the gel at rest", number / REST_FRAMES)
-        noise = random_stream(Purpose.FRAME_NOISE, practice.seed, number)
-        _write_png(folder / f"{number:02d}.png", expose(rendered, camera, noise, practice.seed))
-    progress("photographing the gel at rest", 1.0)
+    write_sensor_description(folder / SENSOR_FILE, nominal)
+    for name, frames, count in (("board", boards, board_images), ("rest", rest, REST_FRAMES)):
+        (folder / name).mkdir()
+        for number, image in enumerate(frames):
+            progress(f"photographing: {name}", (number + 1) / count)
+            write_whole(
+                folder / name / f"{number:02d}.png", cv2.imencode(".png", image)[1].tobytes()
+            )
+    _write_contact(nominal, true_rig, seed, folder / "contact", progress)
+    (folder / "truth").mkdir()
+    write_sensor_description(folder / "truth" / SENSOR_FILE, true_rig)
 
 
 def _write_contact(
-    practice: PracticeSet, true_rig: SensorDescription, folder: Path, progress: OnProgress
+    nominal: SensorDescription,
+    true_rig: SensorDescription,
+    seed: int,
+    folder: Path,
+    progress: OnProgress,
 ) -> None:
     """A bag as the rig's driver records it: its camera_info is that of the nominal description."""
-    scene: Scene = load_scene(DEFAULT_SCENE)
+    scene = load_scene(DEFAULT_SCENE)
     camera = replace(scene.camera, read_noise=FRAME_NOISE / 2)
-    scene = replace(scene, sensor=true_rig, camera=camera, seed=practice.seed)
-    simulation = Simulation(scene, progress=progress)
-    writer = RecordingWriter(folder, practice.nominal)
-    try:
-        with closing(simulation.frames()) as frames:
-            for frame in frames:
-                writer.append(frame)
-                progress("simulating a contact", (frame.index + 1) / scene.frame_count)
-    finally:
-        writer.close()
-    write_sensor_description(folder / SENSOR_FILE, practice.nominal)
-
-
-def _write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    if not cv2.imwrite(str(path), image):
-        msg = f"{path}: cannot be written"
-        raise OutputError(msg)
+    scene = replace(scene, sensor=true_rig, camera=camera, seed=seed)
+    with (
+        closing(RecordingWriter(folder, nominal)) as writer,
+        closing(Simulation(scene, progress=progress).frames()) as frames,
+    ):
+        for frame in frames:
+            writer.append(frame)
+            progress("simulating a contact", (frame.index + 1) / scene.frame_count)
+    write_sensor_description(folder / SENSOR_FILE, nominal)

@@ -95,11 +95,8 @@ def test_a_wrong_input_is_one_line(arguments, complaint, practice_set, monkeypat
     assert not (practice_set / "new.yaml").exists()
 
 
-def test_a_practice_set_is_replaced_only_with_overwrite_and_no_other_folder(tmp_path, capsys):
-    (tmp_path / "truth").mkdir()
-    assert calibrate("practice", "--output", tmp_path) == 1
-    assert "exists already; --overwrite replaces it" in printed(capsys)
+def test_a_practice_set_needs_a_new_folder(tmp_path, capsys):
     (tmp_path / "thesis.txt").write_text("precious")
-    assert calibrate("practice", "--output", tmp_path, "--overwrite") == 1
-    assert "found thesis.txt, expected a new folder" in printed(capsys)
-    assert (tmp_path / "thesis.txt").read_text() == "precious"
+    assert calibrate("practice", "--output", tmp_path) == 1
+    assert "exists already, expected a new folder" in printed(capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]

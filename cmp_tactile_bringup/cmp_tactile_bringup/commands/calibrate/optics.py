@@ -443,32 +443,27 @@ class Practice(Command):
         ),
     ] = None
     images: Annotated[int, option("number of images of the board", Number(3, 200, kind=int))] = 20
-    overwrite: Annotated[bool, option("replace an earlier practice set")] = False
 
     def run(self) -> int:
         """Make the set and say what is in it."""
         import secrets
 
-        from cmp_tactile_bringup.calibration.practice import PracticeSet, make_practice_set
+        from cmp_tactile_bringup.calibration.practice import board_for, make_practice_set
         from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.sensor.description import load_sensor
 
         seed = secrets.randbelow(MAX_SEED) if self.seed is None else self.seed
-        practice = PracticeSet(load_sensor(self.sensor), seed, self.images)
-        folder = expanded_path(self.output)
+        sensor, folder = load_sensor(self.sensor), expanded_path(self.output)
         with shown_stages() as on_stage:
-            make_practice_set(practice, folder, on_stage, overwrite=self.overwrite)
-        target = practice.target
+            make_practice_set(sensor, seed, self.images, folder, on_stage)
+        target, quoted = board_for(sensor), shlex.quote(str(folder))
         board = f"--board {target.cols}x{target.rows} --square {target.square:g}"
         print(f"Practice set in {folder}: docs/tutorials/calibrate.md goes through it.")
-        quoted = shlex.quote(str(folder))
-        print(f"  cmp_tactile calibrate check {quoted}/contact --sensor {quoted}/sensor.yaml")
-        print(
-            f"  cmp_tactile calibrate board {quoted}/board --sensor {quoted}/sensor.yaml {board} "
-            "--output board.yaml"
-        )
-        print(
-            f"  cmp_tactile calibrate gel {quoted}/rest --sensor board.yaml --output my_sensor.yaml"
-        )
-        print(f"  cmp_tactile calibrate check {quoted}/contact --sensor my_sensor.yaml")
+        for words in (
+            f"check {quoted}/contact --sensor {quoted}/sensor.yaml",
+            f"board {quoted}/board --sensor {quoted}/sensor.yaml {board} --output board.yaml",
+            f"gel {quoted}/rest --sensor board.yaml --output my_sensor.yaml",
+            f"check {quoted}/contact --sensor my_sensor.yaml",
+        ):
+            print(f"  cmp_tactile calibrate {words}")
         return 0
