@@ -55,7 +55,7 @@ setup(
     name=package_name,
     version="0.2.0",
     packages=find_packages(exclude=excluded),
-    package_data={package_name: ["py.typed"]},
+    package_data={package_name: ["py.typed", "calibration/findings.yaml"]},
     data_files=[
         *index,
         (f"share/{package_name}/config", sorted(map(str, Path("config").glob("*.yaml")))),

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration import observation, outcome
+from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
@@ -378,12 +379,7 @@ def _findings(
         text = f"{name}: found {value}{whom}, expected {wanted} {limit}."
         findings.append(outcome.Finding(outcome.Severity.ERROR, text, figure.advice))
     if not len(rest):
-        text = "No two consecutive frames show the gel at rest, so its drift is not known."
-        advice = (
-            "Record some frames while nothing touches the gel. If nothing touched it in these "
-            "frames, the pattern is too far from its described place: calibrate again."
-        )
-        findings.append(outcome.Finding.graded(text, advice, error=len(sensor.views) != 2))
+        findings.append(finding("no rest", error=len(sensor.views) != 2))
     return tuple(findings)
 
 

@@ -28,6 +28,7 @@ from cmp_tactile_processing.calibration.board.start import (
     start_of_cameras,
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian
 from cmp_tactile_processing.calibration.outcome import Estimate, Finding, rig_estimates
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
@@ -101,7 +102,7 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     on_progress("fitting the cameras", 0.0)
     fitted_rig = fit_cameras(model, target, corners_of(images), images.sizes, sensor)
     if fitted_rig is None:
-        return result.refused([*found, result.of_no_fit()])
+        return result.refused([*found, finding("no fit", error=True)])
     rig, fit = fitted_rig
     on_progress("fitting the cameras", 1.0)
     residuals = result.residuals_of(fit)
@@ -123,7 +124,9 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
         rectified = Rectification(calibrated)
         infos = {view: rectified.info(view) for view in calibrated.views}
     except CmpTactileError as error:
-        return result.outcome_of(None, {}, fitted, [*found, result.of_unusable(str(error))])
+        return result.outcome_of(
+            None, {}, fitted, [*found, finding("unusable", error=True, reason=str(error))]
+        )
     return result.outcome_of(calibrated, infos, fitted, found)
 
 
@@ -249,7 +252,7 @@ def _findings_of_pair(
         # A right camera is to the right, unless the cameras stand one above the other.
         known = np.array([abs(way[0]) if abs(way[0]) > abs(way[1]) else 0.0, 0.0, 0.0])
     if way @ known < 0:
-        return [result.of_swapped_views()]
+        return [finding("board swapped", error=True)]
     if sensor is None:
         return []
     return result.of_square(target, [float(np.linalg.norm(way) / np.linalg.norm(known))])
@@ -299,10 +302,10 @@ def calibrate_mirror_rig(
     start, error = _start(rig, target, seen)
     far = FAR_OFF * next(iter(described.values())).placement.width
     if error > far and _start(_exchanged(sensor), target, seen)[1] < MUCH_NEARER * error:
-        return result.refused([*found, result.of_swapped_views()])
+        return result.refused([*found, finding("board swapped", error=True)])
     fit = fit_rig(rig, start, target, seen)
     if fit is None:
-        return result.refused([*found, result.of_no_fit()])
+        return result.refused([*found, finding("no fit", error=True)])
     on_progress("fitting camera and mirrors", 1.0)
     residuals = result.residuals_of(fit)
     estimates = [
@@ -324,7 +327,7 @@ def calibrate_mirror_rig(
         infos = {view: rectified.info(view) for view in views}
         shown = {view: views[view].project(sensor.pattern.corners()) for view in views}
     except CmpTactileError as error:
-        found.append(result.of_unusable(str(error)))
+        found.append(finding("unusable", error=True, reason=str(error)))
     if not result.residuals_are_bad(residuals):
         found += result.of_directions(fit.bundle.poses, estimates)
         ratios = [b / a for a, b in zip(_lengths(sensor), _lengths(calibrated), strict=True)]

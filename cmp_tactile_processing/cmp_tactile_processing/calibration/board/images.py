@@ -16,7 +16,8 @@ from cmp_tactile_processing.calibration.board.target import (
     chessboard_size,
     find_board,
 )
-from cmp_tactile_processing.calibration.outcome import Finding, Severity
+from cmp_tactile_processing.calibration.findings import finding
+from cmp_tactile_processing.calibration.outcome import Finding
 from cmp_tactile_processing.processes import OnProgress
 
 Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]
@@ -140,14 +141,8 @@ def findings_of_images(images: BoardImages) -> list[Finding]:
     seen, repeated = images.seen, _repeated(images)
     distinct = len(seen) - len(repeated)
     if repeated:
-        text = (
-            f"{len(repeated)} of {len(seen)} images repeat a pose of the board; {distinct} "
-            "different poses remain."
-        )
-        advice = (
-            "Move and tilt the board between images: more images of one pose add no information."
-        )
-        findings.append(Finding.graded(text, advice, error=distinct < LEAST_POSES))
+        values = {"repeated": len(repeated), "seen": len(seen), "distinct": distinct}
+        findings.append(finding("poses repeated", error=distinct < LEAST_POSES, **values))
     findings += _of_count(images, distinct)
     return findings + _of_blur(images)
 
@@ -167,17 +162,12 @@ def _of_missing(images: BoardImages) -> list[Finding]:
     findings = []
     if images.other_board is not None:
         cols, rows = images.other_board
-        text = (
-            f"The images show a chessboard of {cols} x {rows} inner corners, expected "
-            f"{images.target.cols} x {images.target.rows}."
-        )
-        advice = (
-            f"Count the inner corners, not the squares. If the board is right, use {cols}x{rows}."
-        )
-        expected = sorted((images.target.cols, images.target.rows))
-        if all(found <= whole for found, whole in zip(sorted((cols, rows)), expected, strict=True)):
-            advice = f"The image must show the whole board, with a white margin. {advice}"
-        return [Finding(Severity.ERROR, text, advice)]
+        expected = images.target.cols, images.target.rows
+        sides = zip(sorted((cols, rows)), sorted(expected), strict=True)
+        whole = "The image must show the whole board, with a white margin. "
+        values = {"cols": cols, "rows": rows, "expected": f"{expected[0]} x {expected[1]}"}
+        values["whole"] = whole if all(found <= side for found, side in sides) else ""
+        return [finding("another board", error=True, **values)]
     for view, sightings in images.sightings.items():
         missing = [number + 1 for number, item in enumerate(sightings) if item is None]
         if len(missing) <= MANY_MISSING * len(sightings):
@@ -197,24 +187,15 @@ def _of_missing(images: BoardImages) -> list[Finding]:
 
 def _of_count(images: BoardImages, distinct: int) -> list[Finding]:
     findings = []
-    advice = (
-        f"Take {ENOUGH_POSES} to 20 images with the board in different places, tilted by 20 to 40 "
-        "degrees in all directions."
-    )
     if distinct < ENOUGH_POSES:
         few = distinct < LEAST_POSES
-        text = f"{distinct} different poses of the board are "
-        text += f"too few: at least {LEAST_POSES} are needed." if few else "few."
-        findings.append(Finding.graded(text, advice, error=few))
+        values = {"distinct": distinct, "least": LEAST_POSES, "enough": ENOUGH_POSES}
+        findings.append(finding("too few poses" if few else "few poses", error=few, **values))
     if len(images.sightings) == 2 and distinct >= LEAST_POSES:
         both = sum(len(views) == 2 for views in images.seen.values())
         if both < LEAST_SHARED:
-            text = (
-                f"Both views show the board in {both} images; at least {LEAST_SHARED} are needed "
-                "to find their relative pose."
-            )
-            advice = "Hold the board so that both views see it."
-            findings.append(Finding(Severity.ERROR, text, advice))
+            values = {"both": both, "least": LEAST_SHARED}
+            findings.append(finding("few pairs", error=True, **values))
     return findings
 
 
@@ -237,9 +218,7 @@ def _of_blur(images: BoardImages) -> list[Finding]:
     )
     if not blurred:
         return []
-    text = f"Blurred images: {_listed(blurred)} (edges are usually {usual:.1f} px wide)."
-    advice = "Hold the board still while you take the image, light it well, and check the focus."
-    return [Finding(Severity.WARNING, text, advice)]
+    return [finding("blurred", error=False, images=_listed(blurred), usual=usual)]
 
 
 def _repeated(images: BoardImages) -> list[int]:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.board.start import RigFit
 from cmp_tactile_processing.calibration.board.target import BoardTarget
+from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
-    Severity,
     ViewResiduals,
     errors_in,
     provenance,
@@ -51,26 +51,19 @@ def of_residuals(residuals: Sequence[ViewResiduals]) -> list[Finding]:
         out = _left_out(item)
         if item.rms > HIGH_RMS_PX:
             bad = item.rms > BAD_RMS_PX
-            limit = BAD_RMS_PX if bad else HIGH_RMS_PX
-            text = f"Reprojection error of the {item.view} view: {item.rms:.2f} px, limit {limit}."
-            advice = (
-                "Check that the board is flat and rigid, that the camera model is right, and "
-                "that board and camera did not move."
-            )
-            findings.append(Finding.graded(text, advice, error=bad))
+            values = {
+                "view": item.view,
+                "rms": item.rms,
+                "limit": BAD_RMS_PX if bad else HIGH_RMS_PX,
+            }
+            findings.append(finding("reprojection of a view", error=bad, **values))
         if out > MANY_OUTLIERS:
-            text = (
-                f"{100 * out:.0f} % of the corners of the {item.view} view do not fit the others."
-            )
-            advice = "Look at the plot of residuals, and remove images that differ from the others."
-            findings.append(Finding.graded(text, advice, error=out > BAD_OUTLIERS))
+            values = {"share": 100 * out, "view": item.view}
+            findings.append(finding("corners left out", error=out > BAD_OUTLIERS, **values))
     misfits = _misfits(residuals)
     if misfits:
-        text = f"Images do not fit the others: {', '.join(str(image + 1) for image in misfits)}."
-        advice = (
-            "The board moved between the two views, or it is another board: remove these images."
-        )
-        findings.append(Finding(Severity.WARNING, text, advice))
+        images = ", ".join(str(image + 1) for image in misfits)
+        findings.append(finding("images left out", error=False, images=images))
     return findings
 
 
@@ -99,12 +92,8 @@ def of_directions(
         share = item.std / abs(item.after) if item.name.endswith(FOCAL_NAMES) else 0.0
         if share <= VAGUE_FOCAL:
             continue
-        text = (
-            f"{item.name} is known only to {100 * share:.2g} %: all images show the board from "
-            f"nearly the same direction (tilted by {np.median(lean):.0f} degrees from the mean)."
-        )
-        advice = "Tilt the board by 20 to 40 degrees in all directions, near and far."
-        findings.append(Finding.graded(text, advice, error=share > UNKNOWN_FOCAL))
+        values = {"name": item.name, "share": 100 * share, "lean": np.median(lean)}
+        findings.append(finding("one direction", error=share > UNKNOWN_FOCAL, **values))
     return findings
 
 
@@ -125,11 +114,8 @@ def of_coverage(
         share = float(np.mean(inside))
         if share >= LOW_COVERAGE:
             continue
-        text = (
-            f"The board covers {100 * share:.0f} % of the measuring part of the {item.view} view."
-        )
-        advice = "Take images with the board in every part of the view, also in its corners."
-        findings.append(Finding.graded(text, advice, error=share < NO_COVERAGE))
+        values = {"share": 100 * share, "view": item.view}
+        findings.append(finding("not covered", error=share < NO_COVERAGE, **values))
     return findings
 
 
@@ -142,37 +128,9 @@ def of_square(target: BoardTarget, ratios: Sequence[float]) -> list[Finding]:
     if abs(common) < DOUBTFUL_SQUARE or spread > abs(common):
         return []
     factor = float(np.exp(common))
-    text = (
-        f"All lengths of the rig are {factor:.2f} times those of the sensor description: the "
-        f"squares are probably {1e3 * target.square / factor:.3g} mm, not "
-        f"{1e3 * target.square:.3g} mm."
-    )
-    advice = (
-        "Measure several squares together and give the side of one. If the side is right, "
-        "correct the lengths in the sensor description."
-    )
-    return [Finding.graded(text, advice, error=abs(common) > WRONG_SQUARE)]
-
-
-def of_swapped_views() -> Finding:
-    """The left view is the right one."""
-    text = "The views are swapped: the left view looks from the right."
-    advice = "Swap the two folders or topics, or the two views in the sensor description."
-    return Finding(Severity.ERROR, text, advice)
-
-
-def of_no_fit() -> Finding:
-    """Nothing fits."""
-    text = "The images do not fit the rig: no pose of the board explains any of them."
-    advice = "Check which images belong to which view, the number of corners and the description."
-    return Finding(Severity.ERROR, text, advice)
-
-
-def of_unusable(reason: str) -> Finding:
-    """The calibrated description cannot be used."""
-    text = f"The sensor cannot work with this result: {reason}."
-    advice = "Check squares and views first, then whether this is the description of the sensor."
-    return Finding(Severity.ERROR, text, advice)
+    given = 1e3 * target.square
+    values = {"factor": factor, "probable": given / factor, "given": given}
+    return [finding("other squares", error=abs(common) > WRONG_SQUARE, **values)]
 
 
 def residuals_of(fit: RigFit) -> tuple[ViewResiduals, ...]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import observation
+from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.gel.fit import (
     GelCalibrationParameters,
     GelFit,
@@ -35,7 +36,6 @@ from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
-    Severity,
     errors_in,
     length_text,
     number_text,
@@ -196,11 +196,8 @@ def _swap_findings(evidence: _Evidence, options: GelCalibrationParameters) -> li
     better = _rms(swapped, exchanged)
     if better * SWAP_GAIN > rms or better > options.reprojection_limit:
         return []
-    text = (
-        f"The views are swapped: the error of the corners is {number_text(better, 2)} px with "
-        f"left and right swapped, and {number_text(rms, 2)} px as they are."
-    )
-    return [Finding(Severity.ERROR, text, f"{_EXCHANGE[0].upper()}{_EXCHANGE[1:]}.")]
+    texts = {"better": number_text(better, 2), "rms": number_text(rms, 2)}
+    return [finding("views swapped", error=True, exchange=_EXCHANGE.capitalize(), **texts)]
 
 
 def _rms(found: GelFit, seen: Sequence[observation.ViewObservation]) -> float:

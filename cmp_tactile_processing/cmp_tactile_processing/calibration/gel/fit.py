@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
-from cmp_tactile_processing.calibration.outcome import Finding, Severity, ViewResiduals, number_text
+from cmp_tactile_processing.calibration.outcome import Finding, ViewResiduals, number_text
 from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
@@ -46,11 +47,6 @@ NOISE_SHAPE = 4.0
 MOST_LISTED = 6
 # The pitch, and the share of its deviation by which it is changed to see what follows it.
 PITCH, PITCH_STEP = "pattern.pitch", 0.1
-
-_LOOK = (
-    "Check in the recording that the whole pattern is lit, in focus, clean, and within its part "
-    "of the frame."
-)
 
 
 @dataclass(frozen=True)
@@ -298,18 +294,9 @@ def count_findings(count: int, options: GelCalibrationParameters) -> list[Findin
     if count >= options.wanted_frames:
         return []
     few = count < options.fewest_frames
-    text = f"Only {count} frame{'s' if count != 1 else ''} could be used"
-    if few:
-        text += ": too few to check that the gel was still."
-    else:
-        text += ": more frames would reduce the noise."
-    return [
-        Finding(
-            Severity.ERROR if few else Severity.WARNING,
-            text,
-            f"Record {options.wanted_frames} frames or more while nothing touches the gel.",
-        )
-    ]
+    only = f"Only {count} frame{'s' if count != 1 else ''} could be used"
+    values = {"only": only, "wanted": options.wanted_frames}
+    return [finding("too few frames" if few else "few frames", error=few, **values)]
 
 
 def sight_findings(
@@ -322,20 +309,15 @@ def sight_findings(
     for name, view in grids.items():
         bad = [k for k, grid in enumerate(view) if grid.found_fraction < options.least_seen]
         if bad:
-            text = (
-                f"The {name} view shows less than {options.least_seen:.0%} of the pattern in "
-                f"{frame_list(bad)}: {usual_complaint([view[k] for k in bad])}. These frames were "
-                "left out."
-            )
-            findings.append(Finding(Severity.WARNING, text, _LOOK))
+            values = {"view": name, "least": options.least_seen, "frames": frame_list(bad)}
+            complaint = usual_complaint([view[k] for k in bad])
+            findings.append(finding("frames left out", error=False, complaint=complaint, **values))
     for item in seen:
         share = float(item.seen.mean())
         if share >= options.wanted_seen:
             continue
-        text = (
-            f"The {item.view} view shows {share:.0%} of the pattern: {usual_complaint(item.grids)}."
-        )
-        findings.append(Finding.graded(text, _LOOK, error=share < options.least_seen))
+        values = {"view": item.view, "share": share, "complaint": usual_complaint(item.grids)}
+        findings.append(finding("part hidden", error=share < options.least_seen, **values))
     return findings
 
 
@@ -349,15 +331,9 @@ def motion_findings(
         motion = item.motion
         moved = [int(number) for number in item.numbers[motion > limit]]
         if moved:
-            text = (
-                f"The gel or the rig moved during the recording: {frame_list(moved)} differ from "
-                f"the others by up to {number_text(motion.max(), 2)} px in the {item.view} view "
-                f"(limit {number_text(limit, 2)} px)."
-            )
-            advice = (
-                "Let the gel recover from the last contact, then record again without touching it."
-            )
-            findings.append(Finding(Severity.ERROR, text, advice))
+            texts = {"most": number_text(motion.max(), 2), "limit": number_text(limit, 2)}
+            values = {"frames": frame_list(moved), "view": item.view, **texts}
+            findings.append(finding("moved", error=True, **values))
     return findings
 
 
@@ -377,26 +353,13 @@ def shape_findings(
         for axis, value in zip("xyz", off, strict=True)
         if np.isfinite(value)
     )
+    place = f"x = {x:.1f} mm, y = {y:.1f} mm"
     if shape.local:
-        text = (
-            f"The marker surface differs from its shape at rest around x = {x:.1f} mm, "
-            f"y = {y:.1f} mm (corner {row}, {col}) {how}: the gel was touched."
-        )
-        advice = "Let the gel recover, then record it while nothing touches it."
-        return [Finding.graded(text, advice, error=error)]
-    text = (
-        f"The marker surface as a whole differs from its shape at rest, most at x = {x:.1f} mm, "
-        f"y = {y:.1f} mm {how}: the pattern or its surface is not as described."
-    )
-    surface = sensor.pattern.surface
-    known = f", pattern.surface ({surface.type}"
-    known += f" of radius {surface.radius * 1e3:.4g} mm)" if np.isfinite(surface.radius) else ")"
-    advice = (
-        "If a flat object touches the gel, remove it. Otherwise measure pattern.pitch "
-        f"({sensor.pattern.pitch * 1e3:.4g} mm){known}, the camera's distortion and "
-        "optics.layers, and correct the description."
-    )
-    return [Finding.graded(text, advice, error=error)]
+        return [finding("touched", error=error, place=place, row=row, col=col, how=how)]
+    surface, pitch = sensor.pattern.surface, sensor.pattern.pitch * 1e3
+    known = f" of radius {surface.radius * 1e3:.4g} mm" if np.isfinite(surface.radius) else ""
+    values = {"place": place, "how": how, "pitch": pitch, "surface": f"{surface.type}{known}"}
+    return [finding("other surface", error=error, **values)]
 
 
 def deviation_findings(
@@ -407,27 +370,14 @@ def deviation_findings(
     far = found.fit.deviations > options.largest_deviation
     if far.any():
         names = [name for name, is_far in zip(found.parameters.names, far, strict=True) if is_far]
-        text = (
-            f"The result is too far from the description: {', '.join(names)} "
-            f"{'differ' if len(names) > 1 else 'differs'} by more than "
-            f"{options.largest_deviation:g} standard deviations."
-        )
-        advice = (
-            "Check that this is the description of this kind of sensor. If it is, correct its "
-            "rough values."
-        )
-        findings.append(Finding(Severity.ERROR, text, advice))
+        verb = "differ" if len(names) > 1 else "differs"
+        values = {"names": f"{', '.join(names)} {verb}", "limit": options.largest_deviation}
+        findings.append(finding("too far", error=True, **values))
     growth = _growth(sensor, found.sensor)
     if abs(growth) > options.scale_limit:
-        text = (
-            f"All distances {'grew' if growth > 0 else 'shrank'} by {abs(growth):.0%}: this also "
-            "happens if the pattern is larger or smaller than described."
-        )
-        pitch = sensor.pattern.pitch * 1e3
-        advice = (
-            f"Measure pattern.pitch ({pitch:.4g} mm): images cannot separate pitch and distance."
-        )
-        findings.append(Finding(Severity.WARNING, text, advice))
+        values = {"share": abs(growth), "pitch": sensor.pattern.pitch * 1e3}
+        changed = "grew" if growth > 0 else "shrank"
+        findings.append(finding("scaled", error=False, changed=changed, **values))
     return findings
 
 
@@ -435,15 +385,8 @@ def reprojection_findings(rms: float, options: GelCalibrationParameters) -> list
     """Does the fitted model describe the images?  rms: px, of the corners that are no outliers."""
     if rms <= options.reprojection_limit:
         return []
-    text = (
-        f"The error of the pattern's corners is too large: {number_text(rms, 2)} px (limit "
-        f"{options.reprojection_limit:g} px)."
-    )
-    advice = (
-        "Check that the gel was at rest. If it was, check pattern, distortion of the camera and "
-        "optics.layers in the description; they are not refined."
-    )
-    return [Finding(Severity.ERROR, text, advice)]
+    values = {"rms": number_text(rms, 2), "limit": options.reprojection_limit}
+    return [finding("reprojection", error=True, **values)]
 
 
 def _growth(before: SensorDescription, after: SensorDescription) -> float:

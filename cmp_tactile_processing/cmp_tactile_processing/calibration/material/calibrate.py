@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.threads import one_thread
+from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.material.loads import (
     LoadResult,
     LoadSample,
@@ -28,7 +29,6 @@ from cmp_tactile_processing.calibration.material.loads import (
 from cmp_tactile_processing.calibration.outcome import (
     Estimate,
     Finding,
-    Severity,
     provenance,
 )
 from cmp_tactile_processing.elastic.mesh import MeshDensity
@@ -287,8 +287,7 @@ class _Calibration:
             readings = self._readings(self.used)
             return axis_finding(readings.shown, readings.reference)
         seen = "; ".join(f"{self._name(k)}: {reason}" for k, reason in self.reasons.items())
-        advice = "Press harder, inside the marker area, and check the reference at rest."
-        return Finding(Severity.ERROR, f"No load can be used: {seen}.", advice)
+        return finding("no load", error=True, seen=seen)
 
     def nothing(self, wrong: Finding) -> MaterialOutcome:
         """The outcome where nothing was fitted: the description as it is."""
@@ -353,20 +352,15 @@ class _Calibration:
                 return fit, []
             wrong += 1
             if len(used) < 3 or wrong > MOST_WRONG * len(self.samples):
-                text = (
-                    "The loads contradict one another: no material fits all of them; "
-                    f"{self._name(used[worst])} is {misfit:.1f} standard deviations off (limit "
-                    f"{OUTLIER:g})."
-                )
-                advice = "Check the values of the loads, and that the gel was at rest under each."
-                return fit, [Finding(Severity.ERROR, text, advice)]
+                name = self._name(used[worst])
+                values = {"load": name, "misfit": misfit, "limit": OUTLIER}
+                return fit, [finding("contradiction", error=True, **values)]
             reason = f"it is {misfit:.0f} standard deviations from the fit of the others"
             self.reasons[used[worst]] = reason
 
     def _left_out_findings(self) -> list[Finding]:
-        advice = "Check this load, and correct or replace it: it has no effect on the result."
         return [
-            Finding(Severity.WARNING, f"L{self._name(k)[1:]} was left out: {why}.", advice)
+            finding("load left out", error=False, load=f"L{self._name(k)[1:]}", why=why)
             for k, why in self.reasons.items()
         ]
 
@@ -423,16 +417,10 @@ def axis_finding(shown: Array, given: Array) -> Finding | None:
     """Does the reference point where the sensor does?  shown, given (n, 3) N; given may be NaN."""
     scale = float(np.nanmax(np.abs(given)))
     if _likeness(shown[:, 2:], given[:, 2:], scale) < -MIN_AXIS_CORRELATION:
-        text = "The reference has the wrong sign: along z, it is opposite to the sensor's force."
-    elif _likeness(shown[:, :2], given[:, :2], scale) < MIN_AXIS_CORRELATION:
-        text = "The reference's sideways forces have another direction than the sensor's."
-    else:
-        return None
-    advice = (
-        "Give forces on the gel, in the gel frame: z points out of the gel, so a press is "
-        "negative. Rotate the reference into this frame (--wrench-rotation, --wrench-reaction)."
-    )
-    return Finding(Severity.ERROR, text, advice)
+        return finding("wrong sign", error=True)
+    if _likeness(shown[:, :2], given[:, :2], scale) < MIN_AXIS_CORRELATION:
+        return finding("turned", error=True)
+    return None
 
 
 def _likeness(a: Array, b: Array, scale: float) -> float:
@@ -448,31 +436,18 @@ def load_findings(sensor: SensorDescription, samples: Sequence[LoadSample]) -> l
     findings = []
     forces = np.array([np.nan_to_num(sample.force) for sample in samples])
     if len(samples) == 1:
-        advice = "Give three loads or more over the range in which you use the sensor."
-        text = "There is only one load, so it cannot be checked."
-        findings.append(Finding(Severity.WARNING, text, advice))
+        findings.append(finding("one load", error=False))
     sideways = np.linalg.norm(forces[:, :2], axis=1) > LEAST_SIDEWAYS * np.abs(forces[:, 2])
     if not sideways.any():
-        text = (
-            "All loads are presses, so the accuracy of sideways forces depends on Poisson's ratio."
-        )
-        advice = "Add a sideways load: a weight on the tilted sensor, or a sideways pull."
-        findings.append(Finding(Severity.WARNING, text, advice))
+        findings.append(finding("presses alone", error=False))
     choice, neo_hookean = sensor.force.large_press, sensor.elastomer.model == "neo_hookean"
     depth = max(float(np.nanmax(np.abs(sample.displacement[..., 2]))) for sample in samples)
     share = depth / sensor.elastomer.size[2]
     corrected = choice == "on" or (choice == "auto" and neo_hookean)
-    if not corrected and LINEAR_STD_PER_DEPTH_RATIO * share > STRAIN_ERROR:
-        text = (
-            f"Loads press the gel by up to {depth * 1e3:.2g} mm, {share:.1%} of its thickness, and "
-            "the gel is modelled as linear. If it is rubber-like, forces are wrong by up to "
-            f"{LINEAR_STD_PER_DEPTH_RATIO * share:.0%} (limit {STRAIN_ERROR:.0%})."
-        )
-        advice = (
-            "For a silicone gel set elastomer.model to neo_hookean and do not set "
-            "force.large_press to off, or use smaller loads."
-        )
-        findings.append(Finding(Severity.WARNING, text, advice))
+    error = LINEAR_STD_PER_DEPTH_RATIO * share
+    if not corrected and error > STRAIN_ERROR:
+        values = {"depth": depth * 1e3, "share": share, "limit": STRAIN_ERROR}
+        findings.append(finding("large press", error=False, linear_error=error, **values))
     return findings
 
 
@@ -481,16 +456,9 @@ def unit_findings(sensor: SensorDescription, factor: float) -> list[Finding]:
     for unit, newtons in FORCE_UNITS_N.items():
         if abs(math.log(factor * newtons)) > math.log(MAX_UNIT_RATIO):
             continue
-        young = sensor.elastomer.young
-        text = (
-            f"The loads are {factor:.3g} times the forces that the described modulus gives, as if "
-            f"they were in {unit}, not in newtons (factor {1 / newtons:.3g})."
-        )
-        advice = (
-            "Give the forces in newtons. If they are, set elastomer.young to about "
-            f"{factor * young:.3g} Pa in the description, then calibrate again."
-        )
-        return [Finding(Severity.ERROR, text, advice)]
+        values = {"factor": factor, "unit": unit, "unit_factor": 1 / newtons}
+        young = factor * sensor.elastomer.young
+        return [finding("other unit", error=True, young=young, **values)]
     return []
 
 
@@ -499,18 +467,9 @@ def certainty_findings(fit: ScaleFit) -> list[Finding]:
     findings = []
     if fit.normal_std > WANTED_STD:
         error = fit.normal_std > LARGEST_STD
-        limit = LARGEST_STD if error else WANTED_STD
-        text = f"The normal force is known only to {fit.normal_std:.1%} (limit {limit:.0%})."
-        advice = (
-            "Add loads, or give larger or more certain ones, on a foot or ball that is narrower "
-            "than the gel is thick; or set --poisson-std."
-        )
-        findings.append(Finding.graded(text, advice, error=error))
+        values = {"std": fit.normal_std, "limit": LARGEST_STD if error else WANTED_STD}
+        findings.append(finding("normal force uncertain", error=error, **values))
     if fit.sideways_std > WANTED_STD:
-        text = f"The sideways force is known only to {fit.sideways_std:.1%} (limit 3%)."
-        advice = (
-            "If you know Poisson's ratio better, set --poisson-std. If a sideways load was measured"
-            " wrongly, correct elastomer.poisson and elastomer.size."
-        )
-        findings.append(Finding(Severity.WARNING, text, advice))
+        values = {"std": fit.sideways_std, "limit": WANTED_STD}
+        findings.append(finding("sideways force uncertain", error=False, **values))
     return findings

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from cmp_tactile_processing.calibration.outcome import Finding, Severity, WithFindings, errors_in
+from cmp_tactile_processing.calibration.findings import finding
+from cmp_tactile_processing.calibration.outcome import Finding, WithFindings, errors_in
 from cmp_tactile_processing.elastic.relaxation import step_weights
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.sensor.parts import GelRelaxation
@@ -56,8 +57,6 @@ USELESS_SHARE, USELESS_TIME = 0.3, 0.5
 # Residuals that are correlated over more samples than those of noise, and larger than this share of
 # the highest reading, are not those of one time constant.
 HANGS_TOGETHER, MISFIT_SHARE = 3.0, 0.001
-
-_LONGER = f"Hold the load for {HELD_WANTED:g} time constants or more."
 
 
 @dataclass(frozen=True)
@@ -100,11 +99,12 @@ def fit_relaxation(
     least_share = SEEN * usual.share_std
     creeps = elastic.squares - fit.squares >= SIGNIFICANT * fit.variance
     seen = creeps and fit.share > 0
-    findings = [*_start_findings(record), *_step_findings(record)]
+    findings = _start_findings(record)
     if not creeps:
-        findings.append(_unseen_finding(record, least_share))
+        values = {"held": record.held_s, "least": least_share}
+        findings.append(finding("no relaxation", error=False, **values))
     elif not seen:
-        findings.append(_opposite_finding(fit))
+        findings.append(finding("opposite", error=True, share=fit.share))
     else:
         findings += _time_findings(record, fit) + _misfit_findings(record, fit)
     chosen = fit if seen else elastic
@@ -363,71 +363,32 @@ def _correlated_samples(residuals: Array) -> float:
 
 
 def _start_findings(record: _Record) -> list[Finding]:
+    """Is the gel untouched at first, and does the load come at once?"""
+    findings = []
     at_start = abs(float(record.reading[0])) / record.highest
-    if at_start < STARTS_LOADED:
-        return []
-    text = f"The record begins with {at_start:.0%} of the highest reading."
-    advice = (
-        "Begin the record while nothing touches the gel, after it has recovered from the last "
-        "contact."
-    )
-    return [Finding(Severity.ERROR, text, advice)]
-
-
-def _step_findings(record: _Record) -> list[Finding]:
-    if not record.step < MIN_STEP_SHARE * record.highest:
-        return []
-    text = (
-        f"Within {SETTLE_S:g} s the reading rises by {record.step / record.highest:.0%} of its "
-        f"highest at most (limit {MIN_STEP_SHARE:.0%}), so it is not known when the weight came."
-    )
-    advice = "Put the weight down quickly, or use a force sensor (--wrench-topic)."
-    return [Finding(Severity.ERROR, text, advice)]
-
-
-def _unseen_finding(record: _Record, least_share: float) -> Finding:
-    text = (
-        f"No relaxation was found in {record.held_s:.3g} s of load: its share is below "
-        f"{least_share:.2g}."
-    )
-    advice = (
-        "If the force still drifts, hold a larger load for longer, and begin the record before "
-        "the load."
-    )
-    return Finding(Severity.WARNING, text, advice)
-
-
-def _opposite_finding(fit: _Fit) -> Finding:
-    text = (
-        f"The fit gives a share of {fit.share:.2g}: the measured force changes in the opposite "
-        "direction to that of a relaxing gel."
-    )
-    advice = "Check that reading and reference have the same sign and are not swapped."
-    return Finding(Severity.ERROR, text, advice)
+    if at_start >= STARTS_LOADED:
+        findings.append(finding("loaded start", error=True, share=at_start))
+    if record.step < MIN_STEP_SHARE * record.highest:
+        share = record.step / record.highest
+        values = {"settle": SETTLE_S, "share": share, "limit": MIN_STEP_SHARE}
+        findings.append(finding("slow load", error=True, **values))
+    return findings
 
 
 def _time_findings(record: _Record, fit: _Fit) -> list[Finding]:
     """Is the record long enough for its time constant?"""
     held_s = record.held_s
-    useless = (
+    if (
         fit.share_std > USELESS_SHARE * fit.share
         or fit.time_std > USELESS_TIME * fit.time
         or fit.lag >= AT_LONGEST * record.longest
-    )
-    if useless:
-        text = (
-            f"A load of {held_s:.3g} s is too short to determine the relaxation: share "
-            f"{fit.share:.2g} (std {fit.share_std:.1g}), time constant {fit.time:.3g} s (std "
-            f"{fit.time_std:.1g} s)."
-        )
-        return [Finding(Severity.ERROR, text, _LONGER)]
+    ):
+        values = {"held": held_s, "fit": fit, "wanted": HELD_WANTED}
+        return [finding("too short", error=True, **values)]
     if held_s >= HELD_WANTED * fit.time:
         return []
-    text = (
-        f"The load was held for {held_s:.3g} s, {held_s / fit.time:.2g} time constants: "
-        "slower relaxation is not found."
-    )
-    return [Finding(Severity.WARNING, text, _LONGER)]
+    values = {"held": held_s, "constants": held_s / fit.time, "wanted": HELD_WANTED}
+    return [finding("short", error=False, **values)]
 
 
 def _misfit_findings(record: _Record, fit: _Fit) -> list[Finding]:
@@ -435,11 +396,7 @@ def _misfit_findings(record: _Record, fit: _Fit) -> list[Finding]:
     share = fit.rms / record.highest
     if _correlated_samples(fit.residuals) < HANGS_TOGETHER or share < MISFIT_SHARE:
         return []
-    text = (
-        "One time constant does not describe the gel: the remaining error of the force is "
-        f"{share:.1%} of its maximum."
-    )
-    return [Finding(Severity.WARNING, text, "Fit a record of the length of your contacts.")]
+    return [finding("several constants", error=False, share=share)]
 
 
 def _verdict(found: RelaxationOutcome, least_share: float) -> str:
