@@ -17,6 +17,7 @@ node_classes = {
 requirements = [
     "filelock>=3.13",
     "platformdirs>=4",
+    "ruamel.yaml>=0.18",
     "scikit-fem>=10",
     "simplejpeg>=1.7",
     "threadpoolctl>=3",
@@ -43,7 +44,6 @@ if "bdist_wheel" in sys.argv or "dist_info" in sys.argv:
         "numba>=0.59",
         "numpy>=1.24",
         "opencv-contrib-python-headless<5",
-        "pyyaml>=6",
         "scipy>=1.11",
     ]
     excluded += [

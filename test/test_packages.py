@@ -49,6 +49,7 @@ WITHOUT_ROSDEP_KEY = {
     "mcap": "mcap",
     "platformdirs": "platformdirs",
     "pyarrow": "pyarrow",
+    "ruamel": "ruamel.yaml",
     "simplejpeg": "simplejpeg",
     "skfem": "scikit-fem",
     "threadpoolctl": "threadpoolctl",

@@ -6,9 +6,10 @@ camera_info_manager, and with it the camera drivers of ROS, loads.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from cmp_tactile_processing.geometry.split import check_image
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
 from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
-from cmp_tactile_processing.sensor.yaml_text import yaml_numbers, yaml_text
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 # Share of the image that is left free around the pattern at rest, both sides together.
 MARGIN = 0.1
@@ -367,7 +368,18 @@ def write_camera_info(path: str | Path, name: str, info: ViewCameraInfo) -> None
 
 def camera_info_text(name: str, info: ViewCameraInfo) -> str:
     """The file as text; `read_camera_info` gives the same model of it, to the last bit."""
-    return "".join(f"{line}\n" for line in _lines(name, info))
+    return dump_yaml(
+        {
+            "image_width": info.width,
+            "image_height": info.height,
+            "camera_name": name,
+            "camera_matrix": _matrix(info.K),
+            "distortion_model": info.model,
+            "distortion_coefficients": _matrix(np.reshape(info.D, (1, -1))),
+            "rectification_matrix": _matrix(info.R),
+            "projection_matrix": _matrix(info.P),
+        }
+    )
 
 
 def read_camera_info(path: str | Path) -> tuple[str, ViewCameraInfo]:
@@ -381,22 +393,8 @@ def read_camera_info(path: str | Path) -> tuple[str, ViewCameraInfo]:
     return _camera_info_of(read_yaml(Path(path)))
 
 
-def _lines(name: str, info: ViewCameraInfo) -> Iterator[str]:
-    yield f"image_width: {info.width}"
-    yield f"image_height: {info.height}"
-    yield f"camera_name: {yaml_text(name)}"
-    yield from _matrix("camera_matrix", info.K)
-    yield f"distortion_model: {info.model}"
-    yield from _matrix("distortion_coefficients", np.reshape(info.D, (1, -1)))
-    yield from _matrix("rectification_matrix", info.R)
-    yield from _matrix("projection_matrix", info.P)
-
-
-def _matrix(key: str, matrix: NDArray[np.float64]) -> Iterator[str]:
-    yield f"{key}:"
-    yield f"  rows: {matrix.shape[0]}"
-    yield f"  cols: {matrix.shape[1]}"
-    yield f"  data: {yaml_numbers(matrix.ravel())}"
+def _matrix(matrix: NDArray[np.float64]) -> dict[str, Any]:
+    return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
 
 
 def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, astuple, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -24,14 +24,7 @@ from cmp_tactile_processing.sensor.yaml_section import (
     read_yaml,
     text,
 )
-from cmp_tactile_processing.sensor.yaml_text import (
-    Comment,
-    lines_of,
-    with_values,
-    yaml_number,
-    yaml_numbers,
-    yaml_text,
-)
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml, updated_yaml, yaml_content
 
 FORMAT_VERSION = 1
 # A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.
@@ -50,16 +43,8 @@ COMMENTS = {
     "roi": "x y width height",
     "mirror": "plane {p : normal . p = distance} in the camera's optical frame",
     "size": "x, y, thickness at the apex",
+    "distortion": "k1 k2 p1 p2 k3 (ROS: plumb_bob); of an equidistant camera k1 k2 k3 k4",
 }
-COEFFICIENTS = {"pinhole": "k1 k2 p1 p2 k3 (ROS: plumb_bob)", "equidistant": "k1 k2 k3 k4"}
-ON_ONE_LINE = (
-    parts.ImageSize,
-    parts.RefractingLayer,
-    parts.PatternSurface,
-    parts.ShadingLayer,
-    parts.GelRelaxation,
-)
-
 DEFAULT_SENSOR = "prototype"
 SENSOR_NAME_HELP = (
     "name of this sensor, the beginning of its tf frames; empty for the name in the sensor "
@@ -75,7 +60,7 @@ class SensorDescription:
     One without optics has neither camera nor views, and NO_IMAGE.
 
     file: that it was read from, which errors name; empty for one that was made otherwise.
-    comments: of that file by key path; a written file has those whose values are still the same.
+    text: of that file; a written file has its layout and comments where values are still the same.
     """
 
     name: str = field(metadata=text())
@@ -105,7 +90,7 @@ class SensorDescription:
         default_factory=parts.Uncertainty, metadata=part(parts.Uncertainty)
     )
     file: str = field(default="", compare=False, repr=False)
-    comments: Mapping[str, Comment] = field(default_factory=dict, compare=False, repr=False)
+    text: str = field(default="", compare=False, repr=False)
 
     @property
     def origin(self) -> str:
@@ -181,11 +166,10 @@ def sensor_description_of(top: YamlSection) -> SensorDescription:
         optics=optics,
         views=views,
         file=str(top.path),
-        comments={},
+        text=top.text_of_file,
     )
     _check_gel(top, sensor.pattern, sensor.elastomer)
-    plain = [(line.path, line.text) for line in _file_lines(sensor)]
-    return replace(sensor, comments=with_values(top.comments, plain))
+    return sensor
 
 
 def _read_camera(section: YamlSection, image: parts.ImageSize) -> parts.Camera:
@@ -285,58 +269,38 @@ def sensor_description_text(sensor: SensorDescription) -> str:
     """The file of a sensor as text.
 
     SensorDescription.load gives the same sensor of it, to the last bit.  Of the stages' parameters
-    those that are not the default are written.  A comment of the file that the sensor was read from
-    is kept as long as all that it is about is the same.
+    those that are not the default are written.  What is the same in the file that the sensor was
+    read from keeps its layout and comments.
     """
-    lines = list(_file_lines(sensor))
-    plain = [(line.path, line.text) for line in lines]
-    kept = {
-        path: comment
-        for path, comment in sensor.comments.items()
-        if comment.about == lines_of(plain, path)
-    }
-    head = kept.get("", Comment(tuple(HEADER.splitlines()))).above
-    written = [*head, *(text for line in lines for text in _commented(line, kept.get(line.path)))]
-    return "".join(f"{text}\n" for text in written)
+    if sensor.text:
+        given = yaml_content(Path(sensor.origin), sensor.text)[0]
+        read = sensor_description_of(parse_yaml(Path(sensor.origin), sensor.text))
+        before, after = (_mapping(item, given, item.camera) for item in (read, sensor))
+        return updated_yaml(sensor.text, before, after)
+    text = HEADER + dump_yaml({"version": FORMAT_VERSION, **_mapping(sensor, {}, sensor.camera)})
+    for key, comment in COMMENTS.items():
+        text = re.sub(rf"(?m)^( +{key}:.*)$", rf"\1  # {comment}", text)
+    return text
 
 
-class _Line(NamedTuple):
-    """path: of its key.  comment: that the line has where there is no other."""
+def _mapping(part: Any, given: Any, shared: parts.Camera | None) -> dict[str, Any]:
+    """What a file says of a part.
 
-    path: str
-    text: str
-    comment: str = ""
-
-
-def _commented(line: _Line, comment: Comment | None) -> Iterator[str]:
-    comment = comment or Comment()
-    indent = line.text[: len(line.text) - len(line.text.lstrip())]
-    yield from (f"{indent}{text}" for text in comment.above)
-    behind = comment.behind or line.comment
-    yield f"{line.text}  # {behind}" if behind else line.text
-
-
-def _file_lines(sensor: SensorDescription) -> Iterator[_Line]:
-    """All lines but those of comments."""
-    yield _Line("version", f"version: {FORMAT_VERSION}")
-    yield from _lines(sensor, "", sensor.camera)
-
-
-def _lines(part: Any, above: str, shared: parts.Camera | None) -> Iterator[_Line]:
-    """Lines of the fields of a part.  above: its path.  shared: the camera of all views."""
+    given: by the file that the part was read from; a default that it states is written again.
+    shared: the camera of all views.
+    """
+    found: dict[str, Any] = {}
+    given = given if isinstance(given, dict) else {}
     for item in fields(part):
-        value = getattr(part, item.name)
-        repeated = isinstance(value, parts.Camera) and isinstance(part, parts.ViewDescription)
-        repeated = repeated and value == shared
-        no_image = isinstance(value, parts.ImageSize) and value == parts.NO_IMAGE
-        absent = value is None or no_image or (item.name == "views" and not value)
-        if item.compare and not absent and not repeated and not _goes_without(item, value):
-            key = item.metadata.get("key") or item.name
-            comment = COMMENTS.get(key, "")
-            if isinstance(part, parts.Camera) and key == "distortion":
-                comment = COEFFICIENTS.get(part.model, "")
-            line = _Line(f"{above}.{key}".lstrip("."), f"{key}:", comment)
-            yield from _entry(line, value, shared)
+        key, value = item.metadata.get("key") or item.name, getattr(part, item.name)
+        repeated = isinstance(part, parts.ViewDescription) and isinstance(value, parts.Camera)
+        unused = isinstance(part, parts.PatternSurface) and key not in parts.SURFACE_KEYS[part.type]
+        if not item.compare or unused or value is None or (repeated and value == shared):
+            continue
+        plain = _plain(value, given.get(key), shared)
+        if (plain != {} and not _goes_without(item, value)) or given.get(key, MISSING) == plain:
+            found[key] = plain
+    return found
 
 
 def _goes_without(item: Field[Any], value: Any) -> bool:
@@ -346,59 +310,20 @@ def _goes_without(item: Field[Any], value: Any) -> bool:
     return value == item.default or (isinstance(value, float) and math.isnan(value))
 
 
-def _entry(line: _Line, value: Any, shared: parts.Camera | None) -> Iterator[_Line]:
-    """line: that of the key, without the value."""
-    path, text, _ = line
-    inline = _inline(value)
-    if inline:
-        yield line._replace(text=f"{text} {inline}", comment=line.comment if inline != "[]" else "")
-        return
+def _plain(value: Any, given: Any, shared: parts.Camera | None) -> Any:
+    if isinstance(value, parts.Roi):
+        return list(astuple(value))
+    if is_dataclass(value):
+        return {} if value == parts.NO_IMAGE else _mapping(value, given, shared)
     if isinstance(value, Mapping):
-        below = [
-            found
-            for name, item in value.items()
-            for found in _entry(_Line(f"{path}.{name}", f"{yaml_text(name)}:"), item, shared)
-        ]
-    elif is_dataclass(value):
-        below = list(_lines(value, path, shared))
-    else:
-        # A pose has a last row that says nothing.
-        items = value[:3] if isinstance(value, np.ndarray) else value
-        below = [
-            _Line(f"{path}[{number}]", f"- {_inline(item)}") for number, item in enumerate(items)
-        ]
-    if below:
-        yield line
-        yield from (found._replace(text=f"  {found.text}") for found in below)
-
-
-def _inline(value: Any) -> str:
-    """A value in one line; empty for one that takes several."""
-    if isinstance(value, int):
-        return str(value).lower()
-    if isinstance(value, str):
-        return yaml_text(value)
-    if isinstance(value, float):
-        return yaml_number(value)
-    if isinstance(value, (parts.Roi, *ON_ONE_LINE)):
-        return _flow(value)
-    return yaml_numbers(value) if _are_numbers(value) else ""
-
-
-def _are_numbers(value: Any) -> bool:
-    """Whether it is a list of them, or empty."""
-    is_list = isinstance(value, (tuple, np.ndarray))
-    return is_list and (len(value) == 0 or isinstance(value[0], (int, float)))
-
-
-def _flow(part: Any) -> str:
-    given = (item for item in fields(part) if not _goes_without(item, getattr(part, item.name)))
-    names = [item.name for item in given]
-    if isinstance(part, parts.Roi):
-        return f"[{', '.join(str(getattr(part, name)) for name in names)}]"
-    if isinstance(part, parts.PatternSurface):
-        names = list(parts.SURFACE_KEYS[part.type])
-    return f"{{{', '.join(f'{name}: {_inline(getattr(part, name))}' for name in names)}}}"
+        below = given if isinstance(given, dict) else {}
+        return {name: _plain(item, below.get(name), shared) for name, item in value.items()}
+    if isinstance(value, np.ndarray):
+        # The last row of a pose is the same in all.
+        return value[:3].tolist()
+    if isinstance(value, tuple):
+        return [_plain(item, None, shared) for item in value]
+    return value
 
 
 def _config_folders() -> list[Path]:

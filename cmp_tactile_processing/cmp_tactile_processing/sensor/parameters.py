@@ -28,15 +28,8 @@ def parameter(
 
     within: least and largest value, None for one that is not limited.
     """
-
-    def read(section: YamlSection, key: str) -> Any:
-        value = section.raw(key)
-        # YAML takes on and off without quotes for true and false.
-        word = "on" if value is True else "off"
-        return word if isinstance(value, bool) and word in choices else value
-
     limits = {"unit": unit, "low": within[0], "high": within[1], "choices": choices}
-    metadata = {**read_by(read), **limits, "description": description}
+    metadata = {**read_by(YamlSection.raw), **limits, "description": description}
     return field(default=default, metadata=metadata)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from cmp_tactile_processing.errors import InputError, found_text, printable, shortened
-from cmp_tactile_processing.sensor.yaml_text import Comment, yaml_comments, yaml_content
+from cmp_tactile_processing.sensor.yaml_text import yaml_content
 
 MAX_FILE_BYTES = 1_000_000
 # How alike a misspelt word is to the one that is meant.
@@ -56,7 +57,7 @@ def read_yaml(path: Path) -> YamlSection:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        msg = f"{path}: line {line}: found the byte {data[error.start]:#x}, expected UTF-8 text"
+        msg = f"{path}:{line}: found the byte {data[error.start]:#x}, expected UTF-8 text"
         raise InputError(msg) from None
     return parse_yaml(path, text)
 
@@ -66,16 +67,23 @@ def parse_yaml(path: Path, text: str) -> YamlSection:
 
     Raises InputError, naming the file, for what is not YAML or not a mapping.
     """
-    return YamlSection(path, "", yaml_content(path, text), text)
+    content, lines = yaml_content(path, text)
+    return YamlSection(path, "", content, lines, text)
 
 
 class YamlSection:
     """One mapping of a file; remembers which keys were read so that `finish` can name the rest."""
 
-    def __init__(self, path: Path, key_path: str, content: object, text: str = "") -> None:
-        """text: of the file, for its comments."""
-        self._path = path
-        self._text = text
+    def __init__(
+        self,
+        path: Path,
+        key_path: str,
+        content: object,
+        lines: Mapping[str, int] | None = None,
+        text: str = "",
+    ) -> None:
+        """lines: of the file's key paths.  text: of the file."""
+        self._path, self._lines, self.text_of_file = path, lines or {}, text
         self._key_path = key_path
         if not isinstance(content, dict):
             raise self.error("", content, "a mapping")
@@ -92,11 +100,6 @@ class YamlSection:
         """The error for a key of this section without a value."""
         return self.error(key, _MISSING, expected)
 
-    @property
-    def comments(self) -> dict[str, Comment]:
-        """Comments of the file by key path; empty for a section that is no file."""
-        return yaml_comments(self._path, self._text)
-
     def error(self, key: str, found: object, expected: str) -> InputError:
         """The error for a key of this section."""
         where = ".".join(part for part in (self._key_path, key) if part) or "top level"
@@ -104,8 +107,15 @@ class YamlSection:
             return MissingKeysError(
                 self._path, [printable(f"{where}: found nothing, expected {expected}")]
             )
-        msg = f"{self._path}: {where}: found {found_text(found)}, expected {expected}"
+        msg = f"{self._at(where)}: {where}: found {found_text(found)}, expected {expected}"
         return InputError(printable(msg))
+
+    def _at(self, key_path: str) -> str:
+        """The file, with the line of the key or of what it is below, where it is known."""
+        while key_path and key_path not in self._lines:
+            key_path = re.sub(r"(\.|^)[^.\[]*$|\[\d+\]$", "", key_path)
+        line = self._lines.get(key_path)
+        return f"{self._path}:{line}" if line else str(self._path)
 
     def refused(self, problem: Exception) -> InputError:
         """The error for values with a problem that names section and key itself."""
@@ -148,7 +158,7 @@ class YamlSection:
     def section(self, key: str) -> YamlSection:
         """A mapping below this one."""
         value = self.raw(key, "a mapping")
-        return YamlSection(self._path, f"{self._key_path}.{key}".lstrip("."), value)
+        return YamlSection(self._path, f"{self._key_path}.{key}".lstrip("."), value, self._lines)
 
     def sections(self, key: str) -> Iterator[YamlSection]:
         """The mappings of a list; none where the key is absent."""
@@ -157,7 +167,8 @@ class YamlSection:
         if not isinstance(value, list):
             raise self.error(key, value, "a list of mappings")
         for number, item in enumerate(value):
-            yield YamlSection(self._path, f"{self._key_path}.{key}[{number}]".lstrip("."), item)
+            where = f"{self._key_path}.{key}[{number}]".lstrip(".")
+            yield YamlSection(self._path, where, item, self._lines)
 
     def items(self) -> Iterator[tuple[str, Any]]:
         """All keys with their values, each marked as read."""

@@ -155,5 +155,5 @@ def test_wrong_key_is_named_with_file_found_and_expected(tmp_path, old, new, exp
     path = tmp_path / "ros.yaml"
     assert old in FOREIGN
     path.write_text(FOREIGN.replace(old, new, 1))
-    with pytest.raises(InputError, match=rf"ros\.yaml: .*({expected})"):
+    with pytest.raises(InputError, match=rf"ros\.yaml(:\d+)?: .*({expected})"):
         read_camera_info(path)

@@ -176,7 +176,7 @@ def test_a_coded_pattern_beyond_the_view_is_the_middle_of_the_largest_sheet(cont
     ],
 )
 def test_wrong_key_is_named_with_file_found_and_expected(content, load, key_path, value, expected):
-    with pytest.raises(InputError, match=rf"rig\.yaml: {expected}"):
+    with pytest.raises(InputError, match=rf"rig\.yaml(:\d+)?: {expected}"):
         load(changed(content, key_path, value))
 
 
@@ -197,8 +197,8 @@ def test_on_and_off_without_quotes_are_words(content, load_text, word):
         ("a: [{<<: {b: 1}}]\n", r"a\[0\]: found a merge key"),
         ("a: {b: 1, 'b': 2}\n", r"a: found a duplicate key 'b'"),
         ("a: &a [*a]\n", r"a\[0\]: found an alias .*\*a"),
-        ("a: *b\n", r"a: not a YAML file: line 1, column 4: found undefined alias"),
-        ("a: 1\nb: c\0d\n", r"line 2: not a YAML file: found the character 0x0"),
+        ("a: *b\n", r"rig\.yaml:1: a: found an alias of no value before it, \*b"),
+        ("a: 1\nb: c\0d\n", r"rig\.yaml:2: not a YAML file: found the character 0x0"),
         pytest.param("version: " + "9" * 5000, "version: found 5000 digits", id="digits"),
         pytest.param("a: " + "[" * 9000, r"a\[0\].*: found more nested levels", id="deep"),
         ("", "top level: found None, expected a mapping"),
@@ -222,7 +222,7 @@ def test_binary_huge_and_absent_files_are_refused(tmp_path):
 @pytest.mark.parametrize("number", ["0512", "0x200", "5_12", "1:30", "08"])
 def test_only_decimal_integers_are_numbers(load_sample, number):
     """YAML 1.1 takes 0512 for 330: a part of the frame of another width, and wrong forces."""
-    expected = rf"rig\.yaml: views\.right\.roi\[0\]: found '{number}', expected a decimal number"
+    expected = rf"rig\.yaml:\d+: views\.right\.roi\[0\]: found '{number}', expected a decimal"
     with pytest.raises(InputError, match=expected):
         load_sample("roi: [512,", f"roi: [{number},")
     assert load_sample("name: sample_rig", f"name: '{number}'").name == number
@@ -280,7 +280,7 @@ def alias_bomb():
     ids=["aliases", "list", "itself"],
 )
 def test_what_grows_without_bounds_is_refused_where_it_does(load_text, text, where):
-    with pytest.raises(InputError, match=rf"rig\.yaml: {where}: found") as error:
+    with pytest.raises(InputError, match=rf"rig\.yaml:\d+: {where}: found") as error:
         load_text(text)
     assert len(str(error.value)) < 1000
 

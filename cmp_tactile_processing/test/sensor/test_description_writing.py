@@ -200,7 +200,7 @@ SAMPLE = RIGS["sample_rig"]
 def test_description_that_could_not_be_read_is_not_written(tmp_path, broken, expected):
     path = tmp_path / "rig.yaml"
     path.write_text("what was there")
-    with pytest.raises(InputError, match=rf"rig\.yaml: {expected}"):
+    with pytest.raises(InputError, match=rf"rig\.yaml(:\d+)?: {expected}"):
         write_sensor_description(path, broken)
     assert path.read_text() == "what was there"
     assert [item.name for item in tmp_path.iterdir()] == ["rig.yaml"]
@@ -261,7 +261,7 @@ def commented(tmp_path):
 
 
 def test_comments_of_what_stays_the_same_are_kept(commented, tmp_path):
-    """In place of ours, in the lines that the writer makes of it.
+    """The lines stay as they are, but for the indentation of lists.
 
     Reports of the kind, tried here:
     NousResearch/hermes-agent 92554 (a setting is changed, the reasons beside all others are gone or
@@ -272,20 +272,9 @@ def test_comments_of_what_stays_the_same_are_kept(commented, tmp_path):
     lightbend/config 149 (the first comment lost, one after a blank line moved): both stay.
     """
     same = sensor_description_text(commented)
-    assert same.splitlines()[:3] == COMMENTED.splitlines()[:3]
-    for line in (
-        'name: mine  # "#1" on the shelf',
-        "image: {width: 1024, height: 768}  # width: assumed",
-        "  # assumed, as the whole lid\n  T_camera_gel:  # of the drawing",
-        "    - {z: -0.0087, index: 1.49}  # lower face, überall",
-        "views:  # mirrors assumed",
-        "    mirror:  # glued",
-        "  pitch: 0.0006904761904761905  # assumed: 21 checkers over 14.5 mm",
-        "  young: 500000.0  # assumed: soft PDMS",
-        "  poisson: 0.48  # assumed",
-        "  shading_layer: {thickness: 0.0003, young: 500000.0}  # young: assumed",
-    ):
-        assert f"{line}\n" in same
+    assert [line.split() for line in same.splitlines()] == [
+        line.split() for line in COMMENTED.splitlines()
+    ]
     (tmp_path / "again.yaml").write_text(same, encoding="utf-8")
     assert sensor_description_text(SensorDescription.load(tmp_path / "again.yaml")) == same
 
@@ -295,8 +284,8 @@ def test_a_comment_goes_with_the_value_that_it_is_about(commented):
     views = {**commented.views, "left": replace(commented.views["left"], mirror=mirror)}
     changed = with_gel(replace(commented, views=views), young=2e5)
     before, after = (sensor_description_text(item) for item in (commented, changed))
-    gone = {"mirrors assumed", "glued", "soft PDMS", "Its values are guesses"}
+    gone = {"mirrors assumed", "glued", "soft PDMS"}
     assert {text for text in gone if text in before} == gone
     assert not {text for text in gone if text in after}
-    assert "poisson: 0.48  # assumed" in after
-    assert "T_camera_gel:  # of the drawing" in after
+    assert "poisson: 0.48        # assumed" in after
+    assert "T_camera_gel:        # of the drawing" in after
