@@ -17,6 +17,7 @@ node_classes = {
 requirements = [
     "filelock>=3.13",
     "platformdirs>=4",
+    "pydantic>=2.9",
     "ruamel.yaml>=0.18",
     "scikit-fem>=10",
     "simplejpeg>=1.7",

@@ -22,7 +22,7 @@ from cmp_tactile_bringup.calibration.loads import read_known_loads
 from cmp_tactile_bringup.graphs.description import PARAMETERS, parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml, yaml_value
 from cmp_tactile_simulation.scenes.file import read_scene
 
@@ -74,7 +74,7 @@ def read_scene_text(folder: Path, text: str) -> None:
 
 def read_scene_with(folder: Path, **part: Any) -> None:
     """The washer's scene with a part of it replaced."""
-    whole = dict(read_yaml(WASHER / "washer.yaml").items())
+    whole = read_yaml(WASHER / "washer.yaml").content
     read_scene_text(folder, dump_yaml(whole | part))
 
 

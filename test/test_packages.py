@@ -39,7 +39,8 @@ ROSDEP_KEYS = {
     "yaml": "python3-yaml",
 }
 # No package of its own is asked for: numba stands on one version of it.
-COME_WITH = {"llvmlite": "numba"}
+# Version 1 of pydantic, which some systems have, comes without pydantic_core.
+COME_WITH = {"llvmlite": "numba", "pydantic": "pydantic_core"}
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "linuxpy": "linuxpy",
@@ -49,6 +50,7 @@ WITHOUT_ROSDEP_KEY = {
     "mcap": "mcap",
     "platformdirs": "platformdirs",
     "pyarrow": "pyarrow",
+    "pydantic_core": "pydantic",
     "ruamel": "ruamel.yaml",
     "simplejpeg": "simplejpeg",
     "skfem": "scikit-fem",

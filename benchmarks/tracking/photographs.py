@@ -28,7 +28,7 @@ from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.prepared import Prefilter
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.sensor.description import SensorDescription, sensor_description_of
-from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+from cmp_tactile_processing.sensor.yaml_file import parse_yaml
 from cmp_tactile_processing.tracking.corners.saddle_lattice import SaddleLattice
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid
 from cmp_tactile_processing.tracking.numbering.components import GridlinePointers

@@ -55,7 +55,7 @@ class CmpTactileError(Exception):
     trace = ""
 
 
-class InputError(CmpTactileError):
+class InputError(CmpTactileError, ValueError):
     """A file, parameter or argument that cannot be used: names where, what was found and expected.
 
     Also arrays whose shapes do not belong together, and a rig that lacks what is asked of it.
@@ -92,3 +92,14 @@ class NotConvergedError(CmpTactileError):
     def __init__(self, message: str = "found no equilibrium", residual: float = inf) -> None:
         super().__init__(message)
         self.residual = residual
+
+
+class RefusedValueError(ValueError):
+    """A value of a file that is wrong: what is expected.
+
+    key: of the value, below the part that is checked.  found: instead of what the file says.
+    """
+
+    def __init__(self, expected: str, *key: str | int, found: object = None) -> None:
+        super().__init__(expected)
+        self.expected, self.key, self.found = expected, key, found

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,9 @@ from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import timeline
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
-from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameSourceError, RefusedValueError
 from cmp_tactile_processing.measured import NS_PER_S, Status
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, read_yaml
+from cmp_tactile_processing.sensor.yaml_file import Check, Part, number, positive, read_yaml, text
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
 
 TF_STATIC = "/tf_static"
@@ -178,6 +178,15 @@ def _fixed_rotations(bag: Path) -> dict[str, dict[str, Rotation]]:
     return edges
 
 
+def _interval(given: tuple[float, float]) -> tuple[float, float]:
+    if not 0 <= given[0] < given[1] <= MOST_S:
+        raise RefusedValueError("seconds [from, to], from below to")
+    return given
+
+
+Interval = Annotated[tuple[float, float], Check(_interval)]
+
+
 @dataclass(frozen=True)
 class KnownLoad:
     """A load on the gel and the frames that show it.
@@ -211,84 +220,84 @@ def weight_on_gel(
     return weight * along, np.sqrt((along * sure) ** 2 + (1 - along**2) * aside**2)
 
 
+@dataclass(frozen=True)
+class _LoadKeys(Part):
+    """A load as a file holds it."""
+
+    mass: float | None = field(default=None, metadata=positive(MOST_KG, "kg"))
+    force: tuple[float, float, float] | None = None
+    std: float | None = field(default=None, metadata=positive(MOST_N))
+    direction: tuple[float, float, float] | None = None
+    name: str = field(default="", metadata=text())
+    recording: str = field(default="", metadata=text())
+    time: Interval | None = None
+
+    def checked(self) -> _LoadKeys:
+        """One of mass and force is there, and what belongs to it."""
+        if (self.mass is None) == (self.force is None):
+            found = "neither" if self.mass is None else "both"
+            raise RefusedValueError("one of them", found=f"{found} of mass and force")
+        if self.force is not None and not 0 < math.hypot(*self.force) <= MOST_N:
+            raise RefusedValueError(f"a force above 0, at most {MOST_N:g} N", "force")
+        if self.mass is not None and self.std is not None and self.std > self.mass:
+            raise RefusedValueError(f"a number above 0, at most {self.mass:g} kg", "std")
+        if self.direction is None:
+            return self
+        if self.force is not None:
+            raise RefusedValueError("no such key beside force", "direction")
+        if not 0 < math.hypot(*self.direction) <= MOST_DIRECTION:
+            expected = f"a vector other than 0, of length {MOST_DIRECTION:g} at most"
+            raise RefusedValueError(expected, "direction")
+        return self
+
+    def load(self, folder: Path, gravity: float) -> KnownLoad:
+        """The load.  folder: of the file.  gravity: m/s^2."""
+        if self.force is None:
+            mass = self.mass or 0.0
+            force, std = weight_on_gel(mass, self.std, self.direction or STRAIGHT_IN, gravity)
+            name = _mass_text(mass)
+        else:
+            force, size = np.array(self.force), math.hypot(*self.force)
+            std = np.full(3, FORCE_STD * size if self.std is None else self.std)
+            name = f"{size:.3g} N"
+        beside = folder / expanded_path(self.recording)
+        recording = beside if beside.exists() else Path(self.recording)
+        return KnownLoad(
+            self.name or name, force, std, recording if self.recording else None, self.time
+        )
+
+
+@dataclass(frozen=True)
+class _LoadsFile(Part):
+    loads: tuple[_LoadKeys, ...] = ()
+    gravity: float = field(
+        default=STANDARD_GRAVITY, metadata=number(LEAST_GRAVITY, MOST_GRAVITY, "m/s^2")
+    )
+    rest: Interval | None = None
+
+    def checked(self) -> _LoadsFile:
+        """There are loads, none of them while nothing touches the gel."""
+        if not self.loads:
+            raise RefusedValueError("a list of known loads", "loads")
+        for place, load in enumerate(self.loads):
+            if not load.recording and _overlap(self.rest, load.time):
+                expected = (
+                    f"a time outside `rest`, {list(self.rest or ())}, in which nothing touches the "
+                    "gel"
+                )
+                raise RefusedValueError(expected, "loads", place, "time")
+        return self
+
+
 def read_known_loads(path: Path) -> tuple[tuple[KnownLoad, ...], tuple[float, float] | None]:
     """The loads of a YAML file, and when nothing touches the gel (None where it does not say).
 
     Raises InputError naming file, key, what was found and what is expected.
     """
     path = expanded_path(path)
-    section = read_yaml(path)
-    gravity = STANDARD_GRAVITY
-    if "gravity" in section:
-        gravity = section.number("gravity", LEAST_GRAVITY, MOST_GRAVITY)
-    rest = _interval(section, "rest") if "rest" in section else None
-    loads = tuple(_read_load(item, path.parent, gravity) for item in section.sections("loads"))
-    if not loads:
-        raise section.error("loads", [], "a list of known loads")
-    for number, load in enumerate(loads):
-        if load.recording is None and _overlap(rest, load.time_s):
-            expected = (
-                f"a time outside `rest`, {list(rest or ())}, in which nothing touches the gel"
-            )
-            raise section.error(f"loads[{number}].time", list(load.time_s or ()), expected)
-    section.finish()
-    return loads, rest
-
-
-def _read_load(section: YamlSection, folder: Path, gravity: float) -> KnownLoad:
-    if ("mass" in section) == ("force" in section):
-        found = "both" if "mass" in section else "neither"
-        raise section.error("", f"{found} of mass and force", "one of them")
-    if "mass" in section:
-        force, std = _read_weight(section, gravity)
-        name = _mass_text(section.positive("mass", MOST_KG, "kg"))
-    else:
-        force, std = _read_force(section)
-        name = f"{np.linalg.norm(force):.3g} N"
-    recording = None
-    if "recording" in section:
-        text = section.text("recording")
-        beside = folder / expanded_path(text)
-        recording = beside if beside.exists() else Path(text)
-    load = KnownLoad(
-        name=section.text("name") if "name" in section else name,
-        force=force,
-        std=std,
-        recording=recording,
-        time_s=_interval(section, "time") if "time" in section else None,
-    )
-    section.finish()
-    return load
-
-
-def _read_weight(
-    section: YamlSection, gravity: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    mass = section.positive("mass", MOST_KG, "kg")
-    std = section.positive("std", mass, "kg") if "std" in section else None
-    direction: tuple[float, ...] = STRAIGHT_IN
-    if "direction" in section:
-        direction = section.numbers("direction", 3)
-        if not 0 < math.hypot(*direction) <= MOST_DIRECTION:
-            expected = f"a vector other than 0, of length {MOST_DIRECTION:g} at most"
-            raise section.error("direction", list(direction), expected)
-    return weight_on_gel(mass, std, direction, gravity)
-
-
-def _read_force(section: YamlSection) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    force = np.array(section.numbers("force", 3))
-    size = math.hypot(*force)
-    if not 0 < size <= MOST_N:
-        raise section.error("force", force.tolist(), f"a force above 0, at most {MOST_N:g} N")
-    std = section.positive("std", MOST_N, "N") if "std" in section else FORCE_STD * size
-    return force, np.full(3, std)
-
-
-def _interval(section: YamlSection, key: str) -> tuple[float, float]:
-    begin, end = section.numbers(key, 2)
-    if not 0 <= begin < end <= MOST_S:
-        raise section.error(key, [begin, end], "seconds [from, to], from below to")
-    return begin, end
+    found = read_yaml(path).read(_LoadsFile)
+    loads = tuple(item.load(path.parent, found.gravity) for item in found.loads)
+    return loads, found.rest
 
 
 def _overlap(one: tuple[float, float] | None, other: tuple[float, float] | None) -> bool:

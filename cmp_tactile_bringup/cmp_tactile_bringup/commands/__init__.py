@@ -107,7 +107,7 @@ class _Group(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """As click has it, but for the message."""
         if args[0] not in self.commands and not ctx.resilient_parsing:
-            from cmp_tactile_processing.sensor.yaml_section import did_you_mean
+            from cmp_tactile_processing.sensor.yaml_file import did_you_mean
 
             msg = f"found {args[0]!r}, expected one of {', '.join(self.commands)}"
             raise typer.BadParameter(msg + did_you_mean(args[0], self.commands))

@@ -342,7 +342,7 @@ class Init(Looking):
         from cmp_tactile_processing.cache.files import write_whole
         from cmp_tactile_processing.errors import OutputError
         from cmp_tactile_processing.sensor.description import sensor_description_of
-        from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+        from cmp_tactile_processing.sensor.yaml_file import parse_yaml
 
         output = expanded_path(self.output)
         if output.exists():

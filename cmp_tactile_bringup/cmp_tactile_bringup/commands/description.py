@@ -226,7 +226,7 @@ def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
         sensor_description_of,
         sensor_description_text,
     )
-    from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+    from cmp_tactile_processing.sensor.yaml_file import parse_yaml
 
     of_the_code = "code", "code_seed"
     options = ("rows", "cols", "pitch", "corner_checker", *of_the_code)

@@ -65,7 +65,7 @@ class Choice:
     def parse(self, text: str) -> str:
         """The word; BadParameter lists all of them."""
         if text not in self.words:
-            from cmp_tactile_processing.sensor.yaml_section import did_you_mean
+            from cmp_tactile_processing.sensor.yaml_file import did_you_mean
 
             msg = f"found {text!r}, expected one of {', '.join(self.words)}"
             raise typer.BadParameter(msg + did_you_mean(text, self.words))

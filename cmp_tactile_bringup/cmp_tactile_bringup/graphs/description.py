@@ -21,7 +21,7 @@ from cmp_tactile_processing.cache.files import expanded_path, split_paths
 from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, InputError
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import load_sensor
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, did_you_mean, read_yaml
+from cmp_tactile_processing.sensor.yaml_file import YamlFile, did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import yaml_value
 
 TYPES = {str: "text", bool: "boolean", int: "integer", float: "number"}
@@ -142,7 +142,8 @@ def parameters_of_nodes(path: Path, full_names: Sequence[str]) -> dict[str, dict
 
     Raises InputError for a file that cannot be used, and for an entry that fits none of the nodes.
     """
-    entries = list(_entries(read_yaml(path), ""))
+    file = read_yaml(path)
+    entries = list(_entries(file, file.content, ()))
     found: dict[str, dict[str, Value]] = {}
     for pattern, parameters in entries:
         text = re.escape(pattern)
@@ -157,26 +158,33 @@ def parameters_of_nodes(path: Path, full_names: Sequence[str]) -> dict[str, dict
     return found
 
 
-def _entries(section: YamlSection, above: str) -> Iterator[tuple[str, dict[str, Value]]]:
-    for key, value in section.items():
+def _entries(
+    file: YamlFile, content: Mapping[str, Any], keys: tuple[str, ...]
+) -> Iterator[tuple[str, dict[str, Value]]]:
+    """Patterns of node names and what they set.  keys: of the content in the file."""
+    for key, value in content.items():
+        below = (*keys, key)
+        if not isinstance(value, dict):
+            raise file.error(".".join(below), value, f"a mapping with {PARAMETERS}")
         if key == PARAMETERS:
-            inner = section.section(key)
-            yield above or "/**", dict(_flat(inner, ""))
-        elif not isinstance(value, dict):
-            raise section.error(key, value, f"a mapping with {PARAMETERS}")
+            name = "".join(f"/{item.strip('/')}" for item in keys)
+            yield name or "/**", dict(_flat(file, value, below, ""))
         else:
-            yield from _entries(section.section(key), f"{above}/{key.strip('/')}")
+            yield from _entries(file, value, below)
 
 
-def _flat(section: YamlSection, prefix: str) -> Iterator[tuple[str, Value]]:
+def _flat(
+    file: YamlFile, content: Mapping[str, Any], keys: tuple[str, ...], prefix: str
+) -> Iterator[tuple[str, Value]]:
     """Parameters with those of nested mappings as `outer.inner`."""
-    for key, value in section.items():
+    for key, value in content.items():
         if isinstance(value, dict):
-            yield from _flat(section.section(key), f"{prefix}{key}.")
+            yield from _flat(file, value, (*keys, key), f"{prefix}{key}.")
             continue
         kinds = {type(item) for item in value} if isinstance(value, list) else {type(value)}
         if len(kinds) != 1 or not kinds <= {bool, int, float, str}:
-            raise section.error(key, value, "a boolean, number, text or list of one kind")
+            where = ".".join((*keys, key))
+            raise file.error(where, value, "a boolean, number, text or list of one kind")
         yield f"{prefix}{key}", value
 
 

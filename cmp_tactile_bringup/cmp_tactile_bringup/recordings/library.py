@@ -14,7 +14,7 @@ from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, d
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import packaged_sensors
-from cmp_tactile_processing.sensor.yaml_section import did_you_mean, read_yaml
+from cmp_tactile_processing.sensor.yaml_file import did_you_mean, read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 DEFAULT_SCENE = "grasp"
@@ -81,7 +81,7 @@ def sensor_of_recordings(sources: Sequence[Path]) -> str:
     found = {source: sensor for source, sensor in found.items() if sensor}
     first = next(iter(found), "")
     for source, sensor in found.items():
-        if dict(read_yaml(Path(sensor)).items()) != dict(read_yaml(Path(found[first])).items()):
+        if read_yaml(Path(sensor)).content != read_yaml(Path(found[first])).content:
             expected = f"that of {first}; give one description for all (--sensor or sensor:=)"
             msg = f"{source}: found another sensor description, expected {expected}"
             raise FrameSourceError(msg)
@@ -110,7 +110,7 @@ def sensor_of_scene(name_or_path: str) -> str:
 
     mapping = dict(load_scene(name_or_path).sensor_mapping)
     for path in packaged_sensors().values():
-        if dict(read_yaml(path).items()) == mapping:
+        if read_yaml(path).content == mapping:
             return str(path)
     return _kept(dump_yaml(mapping))
 

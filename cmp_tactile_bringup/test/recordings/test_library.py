@@ -114,7 +114,7 @@ def test_wrong_files_beside_the_bag_are_named(copied):
         find_recording(str(copied))
     sensor.write_text(good)
     scene.write_text(scene.read_text() + "colour: blue\n")
-    with pytest.raises(InputError, match=r"scene\.yaml: colour"):
+    with pytest.raises(InputError, match=r"scene\.yaml:\d+: colour"):
         find_recording(str(copied))
 
 

@@ -23,7 +23,7 @@ from rosbags.rosbag2.storage_mcap import McapWriter
 from cmp_tactile_processing.errors import CmpTactileError, OutputError
 from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
 from cmp_tactile_processing.sensor.description import find_sensor_description
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 SENSOR_FILE = "sensor.yaml"
@@ -41,7 +41,7 @@ def put_sensor_beside(bag: Path, sensor_description: str, sensor_name: str = "")
     source = find_sensor_description(sensor_description)
     text = source.read_text(encoding="utf-8")
     if sensor_name:
-        text = dump_yaml({**dict(read_yaml(source).items()), "name": sensor_name})
+        text = dump_yaml({**read_yaml(source).content, "name": sensor_name})
     path = bag / SENSOR_FILE
     try:
         path.write_text(text, encoding="utf-8")

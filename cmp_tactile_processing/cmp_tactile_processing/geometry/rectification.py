@@ -7,22 +7,29 @@ camera_info_manager, and with it the camera drivers of ROS, loads.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.files import write_whole
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.geometry.lens import Lens, fit_stock_lens
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import check_image
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, parse_yaml, read_yaml
+from cmp_tactile_processing.sensor.yaml_file import (
+    Part,
+    YamlFile,
+    choice,
+    number,
+    parse_yaml,
+    read_yaml,
+)
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 
 # Share of the image that is left free around the pattern at rest, both sides together.
@@ -397,65 +404,105 @@ def _matrix(matrix: NDArray[np.float64]) -> dict[str, Any]:
     return {"rows": matrix.shape[0], "cols": matrix.shape[1], "data": matrix.ravel().tolist()}
 
 
-def _camera_info_of(top: YamlSection) -> tuple[str, ViewCameraInfo]:
-    name = top.text("camera_name") if "camera_name" in top else "unknown"
-    model = "plumb_bob"
-    if "distortion_model" in top:
-        model = top.choice("distortion_model", tuple(DISTORTION_LENGTHS))
-    elif "camera_model" in top and top.text("camera_model") in DISTORTION_LENGTHS:
-        # As camera_calibration of Melodic wrote it; another tool's may be the projection.
-        model = top.text("camera_model")
-    info = ViewCameraInfo(
-        width=top.integer("image_width", 1, MAX_IMAGE_SIDE),
-        height=top.integer("image_height", 1, MAX_IMAGE_SIDE),
-        model=model,
-        D=_read_distortion(top, model),
-        K=_read_matrix(top, "camera_matrix", 3, 3),
-        R=_read_matrix(top, "rectification_matrix", 3, 3),
-        P=_read_matrix(top, "projection_matrix", 3, 4),
-    )
-    for key, matrix in (("camera_matrix", info.K), ("projection_matrix", info.P[:, :3])):
-        if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
-            expected = "a calibrated camera: focal lengths above 0 and the last row 0 0 1"
-            raise top.error(key, matrix.tolist(), expected)
-    # Nothing in a rotation is above 1; numpy would warn of what overflows.
-    R = np.clip(info.R, -2.0, 2.0)
-    off = float(np.abs(R @ R.T - np.eye(3)).max())
-    if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
-        expected = f"a right-handed rotation; here R R^T is off by {off:.2g}"
-        raise top.error("rectification_matrix", info.R.tolist(), expected)
-    _refuse_parts_of_images(top, info)
-    return name, info
+class _Foreign(Part):
+    """A part of a file in which other tools have keys of their own."""
+
+    __pydantic_config__: ClassVar[Any] = {**Part.__pydantic_config__, "extra": "ignore"}
 
 
-def _read_distortion(top: YamlSection, model: str) -> NDArray[np.float64]:
-    section, lengths = top.section("distortion_coefficients"), DISTORTION_LENGTHS[model]
-    section.integer("rows", 1, 1)
-    # Kalibr and others have no k3, the last of plumb_bob; Orbbec's drivers have k4 to k6, too.
-    count = section.integer("cols", *DISTORTION_COLS[model])
-    values = np.array(section.numbers("data", count))
-    length = next((length for length in lengths if length >= count), lengths[-1])
-    if values[length:].any():
-        expected = f"0 after the {length} coefficients of {model}"
-        raise section.error("data", values.tolist(), expected)
-    return np.pad(values[:length], (0, max(length - count, 0)))
+@dataclass(frozen=True)
+class _Matrix(_Foreign):
+    rows: int
+    cols: int
+    data: tuple[float, ...]
+
+    def of_shape(self, rows: int, cols: int, key: str) -> NDArray[np.float64]:
+        """The numbers, (rows, cols); RefusedValueError for those of another shape."""
+        for name, found, wanted in (("rows", self.rows, rows), ("cols", self.cols, cols)):
+            if found != wanted:
+                raise RefusedValueError(str(wanted), key, name)
+        if len(self.data) != rows * cols:
+            raise RefusedValueError(f"a list of {rows * cols} numbers", key, "data")
+        return np.array(self.data).reshape(rows, cols)
 
 
-def _read_matrix(top: YamlSection, key: str, rows: int, cols: int) -> NDArray[np.float64]:
-    section = top.section(key)
-    section.integer("rows", rows, rows)
-    section.integer("cols", cols, cols)
-    return np.array(section.numbers("data", rows * cols)).reshape(rows, cols)
+@dataclass(frozen=True)
+class _PartOfImage(_Foreign):
+    x_offset: int
+    y_offset: int
+    width: int
+    height: int
 
 
-def _refuse_parts_of_images(top: YamlSection, info: ViewCameraInfo) -> None:
-    for key in ("binning_x", "binning_y"):
-        if key in top:
-            top.integer(key, 0, 1)
-    if "roi" not in top:
-        return
-    roi = top.section("roi")
-    found = [roi.integer(key, 0, MAX_IMAGE_SIDE) for key in ("x_offset", "y_offset")]
-    found += [roi.integer(key, 0, MAX_IMAGE_SIDE) for key in ("width", "height")]
-    if found not in ([0, 0, 0, 0], [0, 0, info.width, info.height]):
-        raise top.error("roi", found, f"the whole image of {info.width} x {info.height} px")
+@dataclass(frozen=True)
+class _CameraInfoFile(_Foreign):
+    image_width: int = field(metadata=number(1, MAX_IMAGE_SIDE))
+    image_height: int = field(metadata=number(1, MAX_IMAGE_SIDE))
+    camera_matrix: _Matrix
+    distortion_coefficients: _Matrix
+    rectification_matrix: _Matrix
+    projection_matrix: _Matrix
+    camera_name: str = "unknown"
+    distortion_model: str = field(default="", metadata=choice(*DISTORTION_LENGTHS))
+    camera_model: str = ""
+    binning_x: int = field(default=0, metadata=number(0, 1))
+    binning_y: int = field(default=0, metadata=number(0, 1))
+    roi: _PartOfImage | None = None
+
+    def checked(self) -> _CameraInfoFile:
+        """The matrices are those of a camera; the image is whole."""
+        info = self.info
+        for key, matrix in (("camera_matrix", info.K), ("projection_matrix", info.P[:, :3])):
+            if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[2].tolist() != [0.0, 0.0, 1.0]:
+                expected = "a calibrated camera: focal lengths above 0 and the last row 0 0 1"
+                raise RefusedValueError(expected, key, found=matrix.tolist())
+        # Nothing in a rotation is above 1; numpy would warn of what overflows.
+        R = np.clip(info.R, -2.0, 2.0)
+        off = float(np.abs(R @ R.T - np.eye(3)).max())
+        if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            expected = f"a right-handed rotation; here R R^T is off by {off:.2g}"
+            raise RefusedValueError(expected, "rectification_matrix", found=info.R.tolist())
+        whole = ((0, 0, 0, 0), (0, 0, info.width, info.height))
+        if self.roi is not None and astuple(self.roi) not in whole:
+            expected = f"the whole image of {info.width} x {info.height} px"
+            raise RefusedValueError(expected, "roi", found=list(astuple(self.roi)))
+        return self
+
+    @property
+    def info(self) -> ViewCameraInfo:
+        """The camera model; RefusedValueError for matrices of the wrong shape."""
+        return ViewCameraInfo(
+            width=self.image_width,
+            height=self.image_height,
+            model=self._model,
+            D=self._distortion(),
+            K=self.camera_matrix.of_shape(3, 3, "camera_matrix"),
+            R=self.rectification_matrix.of_shape(3, 3, "rectification_matrix"),
+            P=self.projection_matrix.of_shape(3, 4, "projection_matrix"),
+        )
+
+    @property
+    def _model(self) -> str:
+        # camera_calibration of Melodic wrote `camera_model`; another tool's may be the projection.
+        earlier = self.camera_model if self.camera_model in DISTORTION_LENGTHS else "plumb_bob"
+        return self.distortion_model or earlier
+
+    def _distortion(self) -> NDArray[np.float64]:
+        model, found = self._model, self.distortion_coefficients
+        # Kalibr and others have no k3, the last of plumb_bob; Orbbec's drivers have k4 to k6, too.
+        least, most = DISTORTION_COLS[model]
+        if not least <= found.cols <= most:
+            expected = str(least) if least == most else f"a whole number from {least} to {most}"
+            raise RefusedValueError(expected, "distortion_coefficients", "cols")
+        values = found.of_shape(1, found.cols, "distortion_coefficients")[0]
+        lengths = DISTORTION_LENGTHS[model]
+        length = next((length for length in lengths if length >= found.cols), lengths[-1])
+        if values[length:].any():
+            expected = f"0 after the {length} coefficients of {model}"
+            raise RefusedValueError(expected, "distortion_coefficients", "data")
+        return np.pad(values[:length], (0, max(length - found.cols, 0)))
+
+
+def _camera_info_of(file: YamlFile) -> tuple[str, ViewCameraInfo]:
+    found = file.read(_CameraInfoFile)
+    return found.camera_name, found.info

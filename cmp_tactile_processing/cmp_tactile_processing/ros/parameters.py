@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from cmp_tactile_processing.errors import CmpTactileError, InputError
 from cmp_tactile_processing.sensor.description import DEFAULT_SENSOR, SENSOR_NAME_HELP
 from cmp_tactile_processing.sensor.parameters import Parameters, numbers_text, parameter
-from cmp_tactile_processing.sensor.yaml_section import did_you_mean
+from cmp_tactile_processing.sensor.yaml_file import did_you_mean
 
 TYPES = {
     ParameterType.PARAMETER_BOOL: "true or false",

@@ -15,7 +15,7 @@ from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import get_parameter_value
 
 from cmp_tactile_processing.errors import CmpTactileError, found_text
-from cmp_tactile_processing.sensor.yaml_section import did_you_mean
+from cmp_tactile_processing.sensor.yaml_file import did_you_mean
 
 SERVICE_S, ANSWER_S = 1.0, 30.0
 # Nodes come one after another: what was found is all once nothing new came for the second of these.

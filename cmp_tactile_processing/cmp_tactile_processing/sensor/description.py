@@ -8,19 +8,19 @@ import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, astuple, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from cmp_tactile_processing.cache.files import expanded_path, write_whole
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor import parameters, parts
-from cmp_tactile_processing.sensor.yaml_section import (
-    YamlSection,
-    field_values,
+from cmp_tactile_processing.sensor.yaml_file import (
+    NotInFile,
+    OrElse,
+    Part,
+    YamlFile,
     parse_yaml,
-    part,
-    read_fields,
     read_yaml,
     text,
 )
@@ -54,7 +54,7 @@ PACKAGE = "cmp_tactile_processing"
 
 
 @dataclass(frozen=True)
-class SensorDescription:
+class SensorDescription(Part):
     """One sensor.  `views` holds "left" and "right"; a monocular sensor has one of them.
 
     One without optics has neither camera nor views, and NO_IMAGE.
@@ -64,33 +64,77 @@ class SensorDescription:
     """
 
     name: str = field(metadata=text())
-    image: parts.ImageSize = field(metadata=part(parts.ImageSize))
-    camera: parts.Camera | None
+    image: Annotated[parts.ImageSize, OrElse(parts.NO_IMAGE)]
+    camera: Annotated[parts.Camera | None, OrElse(None)]
     optics: parts.Optics
-    views: Mapping[str, parts.ViewDescription]
-    pattern: parts.Pattern = field(metadata=part(parts.Pattern))
-    elastomer: parts.Elastomer = field(metadata=part(parts.Elastomer))
-    tracking: parameters.TrackingParameters = field(
-        default_factory=parameters.TrackingParameters, metadata=part(parameters.TrackingParameters)
-    )
+    views: Annotated[Mapping[str, parts.ViewDescription], OrElse({})]
+    pattern: parts.Pattern
+    elastomer: parts.Elastomer
+    tracking: parameters.TrackingParameters = field(default_factory=parameters.TrackingParameters)
     triangulation: parameters.TriangulationParameters = field(
-        default_factory=parameters.TriangulationParameters,
-        metadata=part(parameters.TriangulationParameters),
+        default_factory=parameters.TriangulationParameters
     )
-    force: parameters.ForceParameters = field(
-        default_factory=parameters.ForceParameters, metadata=part(parameters.ForceParameters)
-    )
-    slip: parameters.SlipParameters = field(
-        default_factory=parameters.SlipParameters, metadata=part(parameters.SlipParameters)
-    )
-    calibration: parts.CalibrationRecord | None = field(
-        default=None, metadata=part(parts.CalibrationRecord)
-    )
-    uncertainty: parts.Uncertainty = field(
-        default_factory=parts.Uncertainty, metadata=part(parts.Uncertainty)
-    )
-    file: str = field(default="", compare=False, repr=False)
-    text: str = field(default="", compare=False, repr=False)
+    force: parameters.ForceParameters = field(default_factory=parameters.ForceParameters)
+    slip: parameters.SlipParameters = field(default_factory=parameters.SlipParameters)
+    calibration: parts.CalibrationRecord | None = None
+    uncertainty: parts.Uncertainty = field(default_factory=parts.Uncertainty)
+    file: Annotated[str, NotInFile()] = field(default="", compare=False, repr=False)
+    text: Annotated[str, NotInFile()] = field(default="", compare=False, repr=False)
+
+    def checked(self) -> SensorDescription:
+        """The parts belong together; views without a camera of their own have the common one."""
+        counts = self.pattern.cols, self.pattern.rows
+        extent = [(count - 1) * self.pattern.pitch for count in counts]
+        if self.elastomer.size[0] < extent[0] or self.elastomer.size[1] < extent[1]:
+            expected = f"at least the markers' {extent[0]:.6g} x {extent[1]:.6g} m"
+            raise RefusedValueError(expected, "elastomer", "size")
+        kind = self.optics.type
+        with_image = kind != parts.NO_OPTICS
+        for key, is_given in (("image", self.image != parts.NO_IMAGE), ("views", bool(self.views))):
+            if is_given != with_image:
+                expected = "a mapping" if with_image else "no such key for optics of type none"
+                raise RefusedValueError(expected, key)
+        if kind != "two_view" and with_image != (self.camera is not None):
+            expected = "a mapping" if with_image else "no such key for optics of type none"
+            raise RefusedValueError(expected, "camera")
+        for name in self.views:
+            if name not in VIEW_NAMES:
+                raise RefusedValueError("no such key; allowed: left, right", "views", name)
+        if kind == "monocular" and len(self.views) != 1:
+            expected = "one view, left or right, for a monocular sensor"
+            raise RefusedValueError(expected, "views", found=list(self.views))
+        names = list(self.views) if kind == "monocular" else VIEW_NAMES if self.views else ()
+        if self.camera is not None:
+            _check_focal(self.camera, self.image, "camera")
+        return replace(self, views={name: self._checked_view(name) for name in names})
+
+    def _checked_view(self, name: str) -> parts.ViewDescription:
+        view, kind = self.views.get(name), self.optics.type
+        if view is None:
+            raise RefusedValueError("a mapping", "views", name)
+        roi, image = view.roi, self.image
+        inside = min(roi.x, roi.y) >= 0 and min(roi.width, roi.height) >= 16
+        if not inside or roi.x + roi.width > image.width or roi.y + roi.height > image.height:
+            expected = (
+                f"[x, y, width, height] in whole px inside {image.width} x {image.height}, the "
+                "size `image`"
+            )
+            raise RefusedValueError(expected, "views", name, "roi")
+        wanted = {
+            "camera": kind == "two_view" and self.camera is None,
+            "T_view_gel": kind == "two_view",
+            "mirror": kind == "mirror_stereo",
+        }
+        allowed = {"camera": kind == "two_view", "mirror": kind != "two_view"}
+        for key, is_wanted in wanted.items():
+            is_given = getattr(view, key) is not None
+            if is_wanted and not is_given:
+                raise RefusedValueError("a value", "views", name, key)
+            if is_given and not allowed.get(key, is_wanted):
+                raise RefusedValueError(f"no such key for {kind}", "views", name, key)
+        if view.camera is not None:
+            _check_focal(view.camera, image, "views", name, "camera")
+        return replace(view, camera=view.camera or self.camera) if kind == "two_view" else view
 
     @property
     def origin(self) -> str:
@@ -148,110 +192,21 @@ def read_sensor_description(path: Path) -> SensorDescription:
     return sensor_description_of(read_yaml(path))
 
 
-def sensor_description_of(top: YamlSection) -> SensorDescription:
+def sensor_description_of(file: YamlFile) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
-    top.check_version(FORMAT_VERSION, "a sensor description")
-    optics = _read_optics(top.section("optics"))
-    image, camera, views = parts.NO_IMAGE, None, dict[str, parts.ViewDescription]()
-    if optics.type != parts.NO_OPTICS:
-        image = read_fields(top.section("image"), parts.ImageSize)
-        has_camera = optics.type != "two_view" or "camera" in top
-        camera = _read_camera(top.section("camera"), image) if has_camera else None
-        views = _read_views(top.section("views"), optics.type, image, camera)
-    sensor = read_fields(
-        top,
-        SensorDescription,
-        image=image,
-        camera=camera,
-        optics=optics,
-        views=views,
-        file=str(top.path),
-        text=top.text_of_file,
-    )
-    _check_gel(top, sensor.pattern, sensor.elastomer)
-    return sensor
+    sensor = file.read(SensorDescription, FORMAT_VERSION)
+    return replace(sensor, file=str(file.path), text=file.text)
 
 
-def _read_camera(section: YamlSection, image: parts.ImageSize) -> parts.Camera:
-    camera = read_fields(section, parts.Camera)
+def _check_focal(camera: parts.Camera, image: parts.ImageSize, *key: str) -> None:
     least = image.width / MOST_WIDTH_PER_FOCAL
-    for key, focal in (("fx", camera.fx), ("fy", camera.fy)):
+    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
         if focal < least:
             expected = (
                 f"px, at least {least:.3g} for an image {image.width} px wide; did you mean "
                 f"{focal:g} mm divided by the size of a pixel in mm?"
             )
-            raise section.error(key, focal, expected)
-    return camera
-
-
-def _read_optics(section: YamlSection) -> parts.Optics:
-    kind = field_values(section, parts.Optics, T_camera_gel=None)["type"]
-    poseless = kind in ("two_view", parts.NO_OPTICS)
-    return read_fields(section, parts.Optics, **({"T_camera_gel": None} if poseless else {}))
-
-
-def _read_views(
-    section: YamlSection, optics_type: str, image: parts.ImageSize, shared: parts.Camera | None
-) -> dict[str, parts.ViewDescription]:
-    names = [name for name in VIEW_NAMES if name in section]
-    if optics_type == "monocular":
-        if len(names) != 1:
-            raise section.error("", names, "one view, left or right, for a monocular sensor")
-    else:
-        names = list(VIEW_NAMES)
-    views = {}
-    for name in names:
-        view = section.section(name)
-        roi = _read_roi(view, image)
-        mirror = camera = pose = None
-        if optics_type == "two_view":
-            own = "camera" in view or shared is None
-            camera = _read_camera(view.section("camera"), image) if own else shared
-            pose = parts.read_pose(view, "T_view_gel")
-        elif optics_type == "mirror_stereo" or "mirror" in view:
-            mirror = read_fields(view.section("mirror"), parts.Mirror)
-        view.finish()
-        views[name] = parts.ViewDescription(roi, mirror, camera, pose)
-    section.finish()
-    return views
-
-
-def _read_roi(section: YamlSection, image: parts.ImageSize) -> parts.Roi:
-    expected = (
-        f"[x, y, width, height] in whole px inside {image.width} x {image.height}, the size `image`"
-    )
-    values = section.raw("roi", expected)
-    whole = isinstance(values, list) and len(values) == 4
-    whole = whole and all(isinstance(v, int) and not isinstance(v, bool) for v in values)
-    if not whole:
-        raise section.error("roi", values, expected)
-    roi = parts.Roi(*values)
-    inside = roi.x >= 0 and roi.y >= 0 and min(roi.width, roi.height) >= 16
-    if not inside or roi.x + roi.width > image.width or roi.y + roi.height > image.height:
-        raise section.error("roi", values, expected)
-    return roi
-
-
-def _check_gel(top: YamlSection, pattern: parts.Pattern, elastomer: parts.Elastomer) -> None:
-    for key, count in (("rows", pattern.rows), ("cols", pattern.cols)):
-        if pattern.border == "in_view" and count > parts.MAX_CORNERS:
-            expected = (
-                f"a whole number from {parts.MIN_CORNERS} to {parts.MAX_CORNERS}; with border: "
-                f"beyond_view up to {parts.MAX_BEYOND_VIEW}"
-            )
-            raise top.error(f"pattern.{key}", count, expected)
-    if not np.isfinite(pattern.corners()).all():
-        expected = "a radius large enough for the pattern"
-        raise top.error("pattern.surface", pattern.surface.radius, expected)
-    size, layer = elastomer.size, elastomer.shading_layer
-    extent = ((pattern.cols - 1) * pattern.pitch, (pattern.rows - 1) * pattern.pitch)
-    if size[0] < extent[0] or size[1] < extent[1]:
-        expected = f"at least the markers' {extent[0]:.6g} x {extent[1]:.6g} m"
-        raise top.error("elastomer.size", list(size), expected)
-    if size[2] <= layer.thickness:
-        expected = f"a thickness above the layer's {layer.thickness}"
-        raise top.error("elastomer.size", size[2], expected)
+            raise RefusedValueError(expected, *key, name)
 
 
 def write_sensor_description(path: str | Path, sensor: SensorDescription) -> None:
@@ -292,22 +247,24 @@ def _mapping(part: Any, given: Any, shared: parts.Camera | None) -> dict[str, An
     found: dict[str, Any] = {}
     given = given if isinstance(given, dict) else {}
     for item in fields(part):
-        key, value = item.metadata.get("key") or item.name, getattr(part, item.name)
+        key, value = item.metadata.get("alias", item.name), getattr(part, item.name)
         repeated = isinstance(part, parts.ViewDescription) and isinstance(value, parts.Camera)
-        unused = isinstance(part, parts.PatternSurface) and key not in parts.SURFACE_KEYS[part.type]
+        surface = isinstance(part, parts.PatternSurface)
+        unused = surface and key not in parts.SURFACE_KEYS[part.type]
         if not item.compare or unused or value is None or (repeated and value == shared):
             continue
         plain = _plain(value, given.get(key), shared)
-        if (plain != {} and not _goes_without(item, value)) or given.get(key, MISSING) == plain:
+        left_out = plain == {} or (_goes_without(item, value) and not surface)
+        if not left_out or given.get(key, MISSING) == plain:
             found[key] = plain
     return found
 
 
 def _goes_without(item: Field[Any], value: Any) -> bool:
     """Whether a file without the key gives the same value."""
-    if item.metadata.get("required", True) or item.default is MISSING:
-        return False
-    return value == item.default or (isinstance(value, float) and math.isnan(value))
+    if isinstance(value, float) and math.isnan(value):
+        return item.default is not MISSING
+    return not isinstance(value, np.ndarray) and bool(value == item.default)
 
 
 def _plain(value: Any, given: Any, shared: parts.Camera | None) -> Any:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from cmp_tactile_processing.errors import InputError, found_text
-from cmp_tactile_processing.sensor.yaml_section import YamlSection, meant, read_by
+from cmp_tactile_processing.sensor.yaml_file import Part, choice, meant, number
 
 
 def parameter(
@@ -29,8 +29,9 @@ def parameter(
     within: least and largest value, None for one that is not limited.
     """
     limits = {"unit": unit, "low": within[0], "high": within[1], "choices": choices}
-    metadata = {**read_by(YamlSection.raw), **limits, "description": description}
-    return field(default=default, metadata=metadata)
+    rule = {} if isinstance(default, (bool, str, tuple)) else number(*_limits(limits), unit)
+    rule = choice(*choices) if choices else rule
+    return field(default=default, metadata={**limits, **rule, "description": description})
 
 
 def check_parameters(parameters: Any, owner: str = "") -> None:
@@ -62,7 +63,7 @@ def check_parameters(parameters: Any, owner: str = "") -> None:
             raise InputError(msg)
 
 
-class Parameters:
+class Parameters(Part):
     """Base of dataclasses that have fields of `parameter`; InputError for one out of range.
 
     section: of a file that the fields belong to; without one they are a node's parameters.

@@ -10,27 +10,26 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import RefusedValueError
 from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.sensor.dot_code import LARGEST_SEED, LARGEST_SHEET, dot_map
-from cmp_tactile_processing.sensor.yaml_section import (
-    YamlSection,
+from cmp_tactile_processing.sensor.yaml_file import (
+    Check,
+    Limits,
+    OrElse,
+    Part,
     choice,
     did_you_mean,
     meant,
     number,
-    or_else,
-    part,
     positive,
-    quantities,
-    read_by,
-    read_fields,
     text,
-    texts,
-    whole,
 )
 
 MAX_IMAGE_SIDE = 16384
@@ -64,32 +63,33 @@ SURFACE_KEYS = {
 }
 
 
+def _not_empty(text: str) -> str:
+    if not text:
+        raise RefusedValueError("a text")
+    return text
+
+
+Texts = tuple[Annotated[str, Check(_not_empty)], ...]
+
+
 @dataclass(frozen=True)
-class ImageSize:
+class ImageSize(Part):
     """Size of the camera frame, px.
 
     readout_time: from the first row to the last, s; 0 where all rows are exposed at once.
     """
 
-    width: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
-    height: int = field(metadata=whole(16, MAX_IMAGE_SIDE))
-    readout_time: float = field(default=0.0, metadata=number(0.0, 1.0, "s", required=False))
+    width: int = field(metadata=number(16, MAX_IMAGE_SIDE))
+    height: int = field(metadata=number(16, MAX_IMAGE_SIDE))
+    readout_time: float = field(default=0.0, metadata=number(0.0, 1.0, "s"))
 
 
 # That of a sensor without a camera.
 NO_IMAGE = ImageSize(0, 0)
 
 
-def _read_distortion(section: YamlSection, key: str) -> tuple[float, ...]:
-    model = section.choice("model", tuple(DISTORTION_LENGTH))
-    values = section.numbers(key, DISTORTION_LENGTH[model])
-    if max(abs(value) for value in values) > MAX_COEFFICIENT:
-        raise section.error(key, list(values), f"coefficients up to {MAX_COEFFICIENT:g}")
-    return values
-
-
 @dataclass(frozen=True)
-class Camera:
+class Camera(Part):
     """Intrinsics: focal lengths and principal point in px of the whole frame.
 
     model: pinhole with distortion (k1, k2, p1, p2, k3), or equidistant with (k1, k2, k3, k4).
@@ -100,20 +100,30 @@ class Camera:
     fy: float = field(metadata=positive(MAX_FOCAL_PX, "px"))
     cx: float = field(metadata=number(*MIDDLE_PX))
     cy: float = field(metadata=number(*MIDDLE_PX))
-    distortion: tuple[float, ...] = field(metadata=read_by(_read_distortion))
+    distortion: tuple[Annotated[float, Limits(-MAX_COEFFICIENT, MAX_COEFFICIENT)], ...]
+
+    def checked(self) -> Camera:
+        """The coefficients are as many as the model has."""
+        count = DISTORTION_LENGTH[self.model]
+        if len(self.distortion) != count:
+            raise RefusedValueError(f"a list of {count} numbers", "distortion")
+        return self
 
 
 @dataclass(frozen=True)
-class RefractingLayer:
+class RefractingLayer(Part):
     """From the plane z (gel frame, m) towards the gel the refractive index is `index`."""
 
     z: float = field(metadata=number(*DISTANCE_M, "m"))
     index: float = field(metadata=number(1.0, 4.0))
 
 
-def read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
+Row = tuple[float, float, float, float]
+
+
+def _pose(given: tuple[Row, Row, Row]) -> NDArray[np.float64]:
     """A rigid motion, (4, 4), of its rows [R | t]."""
-    rows = np.array(section.number_rows(key, 3, 4))
+    rows = np.array(given)
     # Nothing in a rotation is above 1; numpy would warn of what overflows.
     rotation = np.clip(rows[:, :3], -2.0, 2.0)
     off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
@@ -122,50 +132,54 @@ def read_pose(section: YamlSection, key: str) -> NDArray[np.float64]:
             "rows of [R | t] with R a right-handed rotation; here R R^T is off by "
             f"{off:.2g} and det R is {np.linalg.det(rotation):.3g}"
         )
-        raise section.error(key, rows.tolist(), expected)
+        raise RefusedValueError(expected)
     if np.abs(rows[:, 3]).max() > DISTANCE_M[1]:
         found = rows[:, 3].tolist()
         expected = f"m, at most {DISTANCE_M[1]:g}" + meant(found, "m", *DISTANCE_M)
-        raise section.error(key, f"a translation of {found}", expected)
+        raise RefusedValueError(expected, found=f"a translation of {found}")
     return np.vstack([rows, [0.0, 0.0, 0.0, 1.0]])
 
 
-def _read_layers(section: YamlSection, key: str) -> tuple[RefractingLayer, ...]:
-    layers: list[RefractingLayer] = []
-    for item in section.sections(key):
-        layer = read_fields(item, RefractingLayer)
-        if layers and layer.z <= layers[-1].z:
-            raise item.error("z", layer.z, f"more than {layers[-1].z} (layers in order)")
-        layers.append(layer)
-    return tuple(layers)
+Pose = Annotated[NDArray[np.float64] | None, Check(_pose, tuple[Row, Row, Row])]
 
 
 @dataclass(frozen=True)
-class Optics:
+class Optics(Part):
     """How the camera sees the gel.  T_camera_gel: (4, 4), absent for two_view.
 
     type none: markers' positions come from elsewhere, and nothing is known of a camera.
     """
 
     type: str = field(metadata=choice("mirror_stereo", "two_view", "monocular", NO_OPTICS))
-    T_camera_gel: NDArray[np.float64] | None = field(metadata=read_by(read_pose))
-    layers: tuple[RefractingLayer, ...] = field(metadata=read_by(_read_layers))
+    T_camera_gel: Annotated[Pose, OrElse(None)]
+    layers: Annotated[tuple[RefractingLayer, ...], OrElse(())]
+
+    def checked(self) -> Optics:
+        """The pose is there where the type has one; the layers are in order."""
+        poseless = self.type in ("two_view", NO_OPTICS)
+        if poseless != (self.T_camera_gel is None):
+            expected = f"no such key for {self.type}" if poseless else "3 lists of 4 numbers"
+            raise RefusedValueError(expected, "T_camera_gel")
+        for place, (above, below) in enumerate(pairwise(self.layers), start=1):
+            if below.z <= above.z:
+                expected = f"more than {above.z} (layers in order)"
+                raise RefusedValueError(expected, "layers", place, "z")
+        return self
 
 
-def _read_normal(section: YamlSection, key: str) -> NDArray[np.float64]:
-    normal = np.array(section.numbers(key, 3))
-    length = math.hypot(*normal)
+def _unit_vector(given: tuple[float, float, float]) -> NDArray[np.float64]:
+    length = math.hypot(*given)
     if abs(length - 1) > UNIT_TOLERANCE:
-        expected = f"a unit vector; this one's length is {length:.6g}"
-        raise section.error(key, normal.tolist(), expected)
+        raise RefusedValueError(f"a unit vector; this one's length is {length:.6g}")
+    normal = np.array(given)
     return normal if abs(length - 1) <= UNIT_ROUNDING else normal / length
 
 
 @dataclass(frozen=True)
-class Mirror:
+class Mirror(Part):
     """The plane {p : normal . p = distance} in the camera's optical frame, m; normal (3,) unit."""
 
-    normal: NDArray[np.float64] = field(metadata=read_by(_read_normal))
+    normal: Annotated[NDArray[np.float64], Check(_unit_vector, tuple[float, float, float])]
     distance: float = field(metadata=number(*DISTANCE_M, "m"))
 
 
@@ -180,28 +194,36 @@ class Roi:
 
 
 @dataclass(frozen=True)
-class ViewDescription:
+class ViewDescription(Part):
     """One view: its part of the frame, and the mirror or the camera of its own.
 
     T_view_gel: (4, 4), gel frame -> optical frame of the view's own camera.
     """
 
-    roi: Roi
+    roi: Annotated[Roi, Check(lambda given: Roi(*given), tuple[int, int, int, int])]
     mirror: Mirror | None = None
     camera: Camera | None = None
-    T_view_gel: NDArray[np.float64] | None = None
+    T_view_gel: Pose = None
 
 
 @dataclass(frozen=True)
-class PatternSurface:
+class PatternSurface(Part):
     """Shape of the undeformed marker surface: height over (x, y), gel frame, apex at z = 0.
 
     type: plane, sphere_cap (convex towards the object) or cylinder (its axis along `axis`).
     """
 
-    type: str = field(default="plane", metadata=choice(*SURFACE_KEYS, required=True))
-    radius: float = field(default=math.inf, metadata=number(*RADIUS_M, "m", required=True))
-    axis: str = field(default="x", metadata=choice("x", "y", required=True))
+    type: str = field(default="plane", metadata=choice(*SURFACE_KEYS))
+    radius: float = field(default=math.inf, metadata=number(*RADIUS_M, "m"))
+    axis: str = field(default="", metadata=choice("x", "y"))
+
+    def checked(self) -> PatternSurface:
+        """The keys are those of the type."""
+        for key, is_given in (("radius", math.isfinite(self.radius)), ("axis", bool(self.axis))):
+            if is_given != (key in SURFACE_KEYS[self.type]):
+                expected = "no such key" if is_given else f"the {key}"
+                raise RefusedValueError(f"{expected} of a {self.type}", key)
+        return self
 
     def height(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """Height z in m at points (..., 2) in m; NaN outside the sphere or cylinder."""
@@ -217,48 +239,8 @@ class PatternSurface:
             return np.asarray(-distance2 / (self.radius + np.sqrt(self.radius**2 - distance2)))
 
 
-def _read_surface(section: YamlSection, key: str) -> PatternSurface:
-    surface = section.section(key)
-    kind = PatternSurface(surface.choice("type", tuple(SURFACE_KEYS)))
-    keys = SURFACE_KEYS[kind.type]
-    unused = {name: getattr(kind, name) for name in ("radius", "axis") if name not in keys}
-    return read_fields(surface, PatternSurface, **unused)
-
-
-def _read_code(section: YamlSection, key: str) -> str:
-    code = section.choice(key, CODES)
-    rows, cols = (section.integer(side, MIN_CORNERS, MAX_BEYOND_VIEW) for side in ("rows", "cols"))
-    if code == "dots" and max(rows, cols) > MAX_CORNERS:
-        expected = (
-            f"none, or at most {MAX_CORNERS} rows and cols: the largest sheet has {LARGEST_SHEET} "
-            f"checkers along a side, too few for {rows} x {cols} corners"
-        )
-        raise section.error(key, code, expected)
-    if code == "dots" and (rows + 1) * (cols + 1) < FEWEST_CODED:
-        expected = (
-            f"none, or at least {FEWEST_CODED} checkers: with {rows + 1} x {cols + 1}, the dots "
-            "cannot be identified with certainty"
-        )
-        raise section.error(key, code, expected)
-    return code
-
-
-def _read_code_seed(section: YamlSection, key: str) -> int:
-    seed = section.integer(key, 0, LARGEST_SEED)
-    if "code" not in section or section.choice("code", CODES) == "none":
-        raise section.error(key, seed, "no such key without code: dots")
-    return seed
-
-
-def _read_corner_checker(section: YamlSection, key: str) -> str:
-    if key not in section:
-        expected = "dark or light, the checker outside corner (0, 0); `cmp_tactile init` finds it"
-        raise section.missing(key, expected)
-    return section.choice(key, ("dark", "light"))
-
-
 @dataclass(frozen=True)
-class Pattern:
+class Pattern(Part):
     """A checkerboard of rows x cols inner corners, regular in x and y with the given pitch, m.
 
     corner_checker: dark or light, the checker outside corner (0, 0).
@@ -268,17 +250,45 @@ class Pattern:
     rows x cols number a part of it: with a code the middle of the largest sheet.
     """
 
-    rows: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
-    cols: int = field(metadata=whole(MIN_CORNERS, MAX_BEYOND_VIEW))
+    rows: int = field(metadata=number(MIN_CORNERS, MAX_BEYOND_VIEW))
+    cols: int = field(metadata=number(MIN_CORNERS, MAX_BEYOND_VIEW))
     pitch: float = field(metadata=number(*PITCH_M, "m"))
-    corner_checker: str = field(metadata=read_by(_read_corner_checker))
-    points_per_segment: int = field(metadata=or_else(6, whole(0, MAX_POINTS_PER_SEGMENT)))
-    surface: PatternSurface = field(metadata=read_by(_read_surface))
-    code: str = field(default="none", metadata=read_by(_read_code))
-    code_seed: int = field(default=0, metadata=read_by(_read_code_seed))
-    border: str = field(
-        default="in_view", metadata=choice("in_view", "beyond_view", required=False)
+    corner_checker: str = field(metadata=choice("dark", "light"))
+    points_per_segment: Annotated[int, OrElse(6)] = field(
+        metadata=number(0, MAX_POINTS_PER_SEGMENT)
     )
+    surface: PatternSurface
+    code: str = field(default="none", metadata=choice(*CODES))
+    code_seed: int = field(default=0, metadata=number(0, LARGEST_SEED))
+    border: str = field(default="in_view", metadata=choice("in_view", "beyond_view"))
+
+    def checked(self) -> Pattern:
+        """The pattern is not too large for its border, code and surface."""
+        for key, count in (("rows", self.rows), ("cols", self.cols)):
+            if self.border == "in_view" and count > MAX_CORNERS:
+                expected = (
+                    f"a whole number from {MIN_CORNERS} to {MAX_CORNERS}; with border: beyond_view "
+                    f"up to {MAX_BEYOND_VIEW}"
+                )
+                raise RefusedValueError(expected, key)
+        if self.code == "none" and self.code_seed:
+            raise RefusedValueError("no such key without code: dots", "code_seed")
+        if self.code == "dots" and max(self.rows, self.cols) > MAX_CORNERS:
+            expected = (
+                f"none, or at most {MAX_CORNERS} rows and cols: the largest sheet has "
+                f"{LARGEST_SHEET} checkers along a side, too few for {self.rows} x {self.cols} "
+                "corners"
+            )
+            raise RefusedValueError(expected, "code")
+        if self.code == "dots" and (self.rows + 1) * (self.cols + 1) < FEWEST_CODED:
+            expected = (
+                f"none, or at least {FEWEST_CODED} checkers: with {self.rows + 1} x "
+                f"{self.cols + 1}, the dots cannot be identified with certainty"
+            )
+            raise RefusedValueError(expected, "code")
+        if not np.isfinite(self.corners()).all():
+            raise RefusedValueError("a radius large enough for the pattern", "surface", "radius")
+        return self
 
     @property
     def shape(self) -> GridShape:
@@ -339,26 +349,15 @@ class Pattern:
 
 
 @dataclass(frozen=True)
-class ShadingLayer:
+class ShadingLayer(Part):
     """The opaque skin above the marker surface: thickness in m, Young's modulus in Pa."""
 
     thickness: float = field(metadata=number(*SKIN_M, "m"))
-    young: float = field(metadata=number(*YOUNG_PA, "Pa"))
-
-
-def _read_shading_layer(section: YamlSection, key: str) -> ShadingLayer:
-    """None is one of thickness 0; that has the modulus of the gel, where the file gives none."""
-    given = section.raw(key) if key in section else {"thickness": 0}
-    if not isinstance(given, dict):
-        expected = "{thickness: m, young: Pa}, or no such key for a gel without the layer"
-        raise section.error(key, given, expected)
-    if given == {"thickness": 0}:
-        return ShadingLayer(0.0, section.quantity("young", "Pa", *YOUNG_PA))
-    return read_fields(section.section(key), ShadingLayer)
+    young: Annotated[float, OrElse(math.nan)] = field(metadata=number(*YOUNG_PA, "Pa"))
 
 
 @dataclass(frozen=True)
-class GelRelaxation:
+class GelRelaxation(Part):
     """How the gel yields while it is held: E(t) = young (1 - share + share exp(-t / time)).
 
     share: of the modulus that is lost in the long run, 0 to 1; time: s.  One Prony term, the same
@@ -373,20 +372,22 @@ class GelRelaxation:
 _DATE_UTC = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d)(\.\d+)?(Z|[+-]00:00)", re.ASCII)
 
 
-def _read_date(section: YamlSection, key: str) -> str:
-    text = section.text(key)
+def _date(text: str) -> str:
     found = _DATE_UTC.fullmatch(text)
     try:
         date = found and datetime.fromisoformat(found[1])
     except ValueError:
         date = None
     if date is None:
-        raise section.error(key, text, "a date and time in UTC, as 2026-07-01T12:00:00Z")
+        raise RefusedValueError("a date and time in UTC, as 2026-07-01T12:00:00Z")
     return text
 
 
+Date = Annotated[str, Check(_date)]
+
+
 @dataclass(frozen=True)
-class MaterialRecord:
+class MaterialRecord(Part):
     """What the moduli of a description were measured with, and how well they are known.
 
     method: weights or force_sensor; date: ISO 8601, UTC; samples: loads that were used; source: the
@@ -399,28 +400,43 @@ class MaterialRecord:
     """
 
     method: str = field(metadata=choice("weights", "force_sensor"))
-    date: str = field(metadata=read_by(_read_date))
-    samples: int = field(metadata=whole(1, MAX_CALIBRATION_FRAMES))
+    date: Date
+    samples: int = field(metadata=number(1, MAX_CALIBRATION_FRAMES))
     normal_std: float = field(metadata=number(0.0))
     tangential_std: float = field(metadata=number(0.0))
     young_std: float = field(default=math.nan, metadata=number(0.0))
     poisson_std: float = field(default=math.nan, metadata=number(0.0))
-    determined: tuple[str, ...] = field(default=(), metadata=texts(required=True))
-    held: tuple[str, ...] = field(default=(), metadata=texts(required=True))
+    determined: Texts = ()
+    held: Texts = ()
     source: str = field(default="", metadata=text())
 
 
+Side = Annotated[float, Limits(*SIDE_M)]
+
+
 @dataclass(frozen=True)
-class Elastomer:
+class Elastomer(Part):
     """The gel: size (x, y, thickness at the apex, shading layer included) in m, moduli in Pa."""
 
-    size: tuple[float, float, float] = field(metadata=quantities(3, SIDE_M, "m"))
+    size: tuple[Side, Side, Side] = field(metadata=number(unit="m"))
     young: float = field(metadata=number(*YOUNG_PA, "Pa"))
     poisson: float = field(metadata=number(0.0, 0.4999))
-    model: str = field(metadata=or_else("linear", choice("linear", "neo_hookean")))
-    shading_layer: ShadingLayer = field(metadata=read_by(_read_shading_layer))
-    relaxation: GelRelaxation | None = field(default=None, metadata=part(GelRelaxation))
-    calibration: MaterialRecord | None = field(default=None, metadata=part(MaterialRecord))
+    model: Annotated[str, OrElse("linear")] = field(metadata=choice("linear", "neo_hookean"))
+    shading_layer: Annotated[ShadingLayer, OrElse(ShadingLayer(0.0, math.nan))]
+    relaxation: GelRelaxation | None = None
+    calibration: MaterialRecord | None = None
+
+    def checked(self) -> Elastomer:
+        """The layer is thinner than the gel; one of thickness 0 has the gel's modulus."""
+        layer = self.shading_layer
+        if self.size[2] <= layer.thickness:
+            expected = f"a thickness above the layer's {layer.thickness}"
+            raise RefusedValueError(expected, "size", 2)
+        if not math.isnan(layer.young):
+            return self
+        if layer.thickness:
+            raise RefusedValueError("its modulus, Pa", "shading_layer", "young")
+        return replace(self, shading_layer=ShadingLayer(0.0, self.young))
 
 
 # Where a description states none: of the modulus, the thickness and the skin, relative, as of a gel
@@ -442,30 +458,8 @@ OPTICAL_VALUE = re.compile(
 )
 
 
-def _read_std(section: YamlSection, key: str) -> dict[str, float]:
-    values = section.section(key)
-    std = {name: values.number(name, 0.0) for name, _ in values.items()}
-    for name, value in std.items():
-        if name not in USUAL_STD and not OPTICAL_VALUE.fullmatch(name):
-            known = (*USUAL_STD, "camera.fx", "camera.cx", "camera.cy", "optics.layers[0].index")
-            expected = f"no such key; known: {', '.join(known)}{did_you_mean(name, known)}"
-            raise values.error(name, value, expected)
-    return std
-
-
-def _read_correlation(section: YamlSection, key: str) -> tuple[tuple[float, ...], ...]:
-    count = len(_read_std(section, "std"))
-    rows = section.number_rows(key, count, count)
-    matrix = np.array(rows).reshape(count, count)
-    likely = np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)
-    if not likely or np.linalg.eigvalsh(matrix).min(initial=0.0) < -UNIT_TOLERANCE:
-        expected = "a symmetric matrix with 1 on its diagonal and no negative eigenvalue"
-        raise section.error(key, rows, expected)
-    return rows
-
-
 @dataclass(frozen=True)
-class Uncertainty:
+class Uncertainty(Part):
     """How well the values of a description are known.
 
     std: standard deviations by name, relative for elastomer.young, .thickness, .shading_layer,
@@ -474,11 +468,34 @@ class Uncertainty:
     assumed: names of the values that nobody measured.
     """
 
-    std: Mapping[str, float] = field(default_factory=dict, metadata=read_by(_read_std))
-    correlation: tuple[tuple[float, ...], ...] = field(
-        default=(), metadata=read_by(_read_correlation)
-    )
-    assumed: tuple[str, ...] = field(default=(), metadata=texts())
+    std: Mapping[str, Annotated[float, Limits(0.0, math.inf)]] = field(default_factory=dict)
+    correlation: tuple[tuple[float, ...], ...] = ()
+    assumed: Texts = ()
+
+    def checked(self) -> Uncertainty:
+        """The names are known; the correlation is one of the values that are named."""
+        for name in self.std:
+            if name not in USUAL_STD and not OPTICAL_VALUE.fullmatch(name):
+                known = (
+                    *USUAL_STD,
+                    "camera.fx",
+                    "camera.cx",
+                    "camera.cy",
+                    "optics.layers[0].index",
+                )
+                expected = f"no such key; known: {', '.join(known)}{did_you_mean(name, known)}"
+                raise RefusedValueError(expected, "std", name)
+        count, rows = len(self.std), self.correlation
+        if not rows:
+            return self
+        if len(rows) != count or any(len(row) != count for row in rows):
+            raise RefusedValueError(f"{count} lists of {count} numbers", "correlation")
+        matrix = np.array(rows)
+        likely = np.allclose(matrix, matrix.T) and np.allclose(np.diag(matrix), 1.0)
+        if not likely or np.linalg.eigvalsh(matrix).min(initial=0.0) < -UNIT_TOLERANCE:
+            expected = "a symmetric matrix with 1 on its diagonal and no negative eigenvalue"
+            raise RefusedValueError(expected, "correlation")
+        return self
 
     def of(self, name: str) -> float:
         """The standard deviation of one of USUAL_STD."""
@@ -513,7 +530,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True)
-class CalibrationRecord:
+class CalibrationRecord(Part):
     """What the optical values of a description were measured with.
 
     method: board or gel; date: ISO 8601, UTC; frames: used; reprojection: RMS, px; ray_gap: RMS
@@ -522,9 +539,9 @@ class CalibrationRecord:
     """
 
     method: str = field(metadata=choice("board", "gel"))
-    date: str = field(metadata=read_by(_read_date))
-    frames: int = field(metadata=whole(1, MAX_CALIBRATION_FRAMES))
-    reprojection: float = field(metadata=number(0.0, key="reprojection_px"))
+    date: Date
+    frames: int = field(metadata=number(1, MAX_CALIBRATION_FRAMES))
+    reprojection: float = field(metadata={**number(0.0), "alias": "reprojection_px"})
     ray_gap: float = field(default=math.nan, metadata=number(0.0))
-    determined: tuple[str, ...] = field(default=(), metadata=texts(required=True))
-    held: tuple[str, ...] = field(default=(), metadata=texts(required=True))
+    determined: Texts = ()
+    held: Texts = ()

@@ -257,21 +257,30 @@ def _update(document: Any, before: Any, after: Any) -> None:
             document.pop(key, None)
     for key, value in after.items() if isinstance(after, dict) else enumerate(after):
         old = before[key] if isinstance(before, list) else before.get(key)
-        if old == value:
-            continue
-        same_lists = isinstance(value, list) and isinstance(old, list) and len(value) == len(old)
         there = isinstance(document, list) or key in document
-        if there and (same_lists or (isinstance(value, dict) and isinstance(old, dict))):
+        if there and _have_same_places(old, value):
             _update(document[key], old, value)
-        else:
+        elif old != value or not there:
             document[key] = value
-        for token in document.ca.items.get(key, ()):
-            if token is not None and not isinstance(token, list):
-                _, *below = token.value.split("\n")
-                while below and below[0].find("#") == token.start_mark.column:
-                    del below[0]
-                # What is left is about the next key.
-                token.value = "\n" + "\n".join(below)
+        if old != value:
+            _drop_comment(document, key)
+
+
+def _have_same_places(old: Any, value: Any) -> bool:
+    if isinstance(old, list) and isinstance(value, list):
+        return len(old) == len(value)
+    return isinstance(old, dict) and isinstance(value, dict)
+
+
+def _drop_comment(document: Any, key: Any) -> None:
+    """The comment behind the value of a key, with the lines that go on in its column."""
+    for token in document.ca.items.get(key, ()):
+        if token is not None and not isinstance(token, list):
+            _, *below = token.value.split("\n")
+            while below and below[0].find("#") == token.start_mark.column:
+                del below[0]
+            # What is left is about the next key.
+            token.value = "\n" + "\n".join(below)
 
 
 def yaml_number(value: float) -> str:

@@ -134,7 +134,7 @@ def test_longer_distortions_are_read(tmp_path, model, found, kept):
         ("image_width: 640", "image_width: 0", r"image_width: found 0, expected a whole number"),
         ("rows: 3", "rows: 4", r"camera_matrix\.rows: found 4, expected 3"),
         ("cols: 4", "cols: 3", r"projection_matrix\.cols: found 3, expected 4"),
-        ("369.344588", ".nan", r"camera_matrix\.data: found \[nan, .*expected a list of 9 numbers"),
+        ("369.344588", ".nan", r"camera_matrix\.data\[0\]: found nan, expected a number"),
         ("369.344588", "0", r"camera_matrix: .*expected .*focal"),
         ("data: [1, 0, 0", "data: [1, 0.1, 0", r"rectification_matrix: .*expected a right-handed"),
         ("plumb_bob", "fov", r"distortion_model: found 'fov', expected one of plumb_bob, equidist"),

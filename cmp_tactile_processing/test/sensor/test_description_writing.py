@@ -192,7 +192,7 @@ SAMPLE = RIGS["sample_rig"]
         ),
         (
             replace(SAMPLE, calibration=replace(RECORD, held=(1,))),
-            r"calibration\.held: found \[1",
+            r"calibration\.held\[0\]: found 1",
         ),
         (with_gel(SAMPLE, relaxation=GelRelaxation(1.0, 2.0)), r"elastomer\.relaxation\.share"),
     ],

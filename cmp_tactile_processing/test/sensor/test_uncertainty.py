@@ -17,7 +17,7 @@ from cmp_tactile_processing.sensor.description import (
     write_sensor_description,
 )
 from cmp_tactile_processing.sensor.parts import USUAL_STD, Uncertainty
-from cmp_tactile_processing.sensor.yaml_section import parse_yaml
+from cmp_tactile_processing.sensor.yaml_file import parse_yaml
 
 TILT = "views.left.mirror: tilt towards x"
 KNOWN = Uncertainty(

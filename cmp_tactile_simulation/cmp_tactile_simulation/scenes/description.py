@@ -9,27 +9,30 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields, make_dataclass
+from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.yaml_section import (
-    YamlSection,
+from cmp_tactile_processing.sensor.yaml_file import (
+    NOTHING,
+    Check,
+    Limits,
+    Part,
+    YamlFile,
     choice,
     meant,
     number,
-    part,
-    read_by,
+    positive,
     text,
-    whole,
 )
 from cmp_tactile_simulation import indenter_shapes, indenters
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
@@ -58,38 +61,29 @@ SIDE_M = 1e-6, 0.2
 DEFAULT_FRICTION = 0.6
 
 
-def read_name(section: YamlSection, key: str) -> str:
-    """A name that files may bear."""
-    name = section.text(key)
+def _file_name(name: str) -> str:
     if not NAME.fullmatch(name):
-        raise section.error(key, name, "letters, digits, '_', '.' and '-', for a file name")
+        raise RefusedValueError("letters, digits, '_', '.' and '-', for a file name")
     return name
 
 
-def read_place(section: YamlSection, key: str, count: int = 3) -> tuple[float, ...]:
-    """A place or a way of so many coordinates, none of which is out of reach, m."""
-    place = section.numbers(key, count)
+def _within_reach(place: tuple[float, ...]) -> tuple[float, ...]:
     if max(abs(value) for value in place) > MAX_REACH_M:
         hint = meant(place, "m", -MAX_REACH_M, MAX_REACH_M)
-        raise section.error(key, list(place), f"m, each at most {MAX_REACH_M:g}{hint}")
+        raise RefusedValueError(f"m, each at most {MAX_REACH_M:g}{hint}")
     return place
 
 
-def read_rotation(section: YamlSection, key: str = "rotation_deg") -> tuple[float, ...]:
-    """Turns about x, then y, then z, degrees."""
-    return section.numbers(key, 3)
-
-
-def _read_turn(section: YamlSection, key: str) -> tuple[float, ...]:
-    """A turn of less than half a revolution, beyond which the way there is not defined."""
-    turn = read_rotation(section, key)
+def _less_than_half_a_turn(turn: Vector) -> Vector:
+    """Beyond it the way there is not defined."""
     if sum(angle**2 for angle in turn) >= 180.0**2:
-        raise section.error(key, list(turn), "a rotation of less than 180 degrees in a phase")
+        raise RefusedValueError("a rotation of less than 180 degrees in a phase")
     return turn
 
 
-def _read_point(section: YamlSection, key: str) -> tuple[float, ...]:
-    return read_place(section, key, 2)
+Name = Annotated[str, Check(_file_name)]
+Place = Annotated[Vector, Check(_within_reach)]
+Point = Annotated[tuple[float, float], Check(_within_reach)]
 
 
 @dataclass(frozen=True)
@@ -98,27 +92,27 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class MoveTo:
+class MoveTo(Part):
     """Move to a place in the gel frame; None keeps position or rotation.
 
     position m.  rotation_deg: turned about the gel's x, then y, then z axis, from the
     indenter's own axes.
     """
 
-    position: Vector | None = field(default=None, metadata=read_by(read_place))
-    rotation_deg: Vector | None = field(default=None, metadata=read_by(read_rotation))
+    position: Place | None = None
+    rotation_deg: Vector | None = None
 
 
 @dataclass(frozen=True)
-class MoveBy:
+class MoveBy(Part):
     """Move relative to where the phase begins.
 
     offset m, gel frame.  rotation_deg: turned about the gel's x, then y, then z direction
     through the indenter's origin.
     """
 
-    offset: Vector = field(default=NOWHERE, metadata=read_by(read_place, "position"))
-    rotation_deg: Vector = field(default=NOWHERE, metadata=read_by(_read_turn))
+    offset: Place = field(default=NOWHERE, metadata={"alias": "position"})
+    rotation_deg: Annotated[Vector, Check(_less_than_half_a_turn)] = NOWHERE
 
 
 @dataclass(frozen=True)
@@ -129,13 +123,13 @@ class Press:
 
 
 @dataclass(frozen=True)
-class Touch:
+class Touch(Part):
     """Come to where the indenter, let down at (x, y), would touch the undeformed gel.
 
     at (x, y) m of the indenter's origin.  clearance m above that place.
     """
 
-    at: tuple[float, float] = field(metadata=read_by(_read_point))
+    at: Point
     clearance: float = field(default=0.0, metadata=number(0.0, MAX_REACH_M, "m"))
 
 
@@ -143,7 +137,7 @@ class Touch:
 class Release:
     """Move straight up until the undeformed gel is `clearance` (m) below the indenter."""
 
-    clearance: float = field(metadata=number(0.0, MAX_REACH_M, "m", key="release"))
+    clearance: float
 
 
 Goal = Hold | MoveTo | MoveBy | Press | Touch | Release
@@ -156,10 +150,10 @@ class Phase:
     easing: smooth (starts and ends at rest) or linear.
     """
 
-    name: str = field(metadata=text())
+    name: str
     frames: int
     goal: Goal
-    easing: str = field(default="smooth", metadata=choice("smooth", "linear"))
+    easing: str = "smooth"
 
 
 @dataclass(frozen=True)
@@ -167,7 +161,7 @@ class Start:
     """Where the indenter is before the first frame: position (m), or above a place to touch."""
 
     place: Vector | Touch
-    rotation_deg: Vector = field(default=NOWHERE, metadata=read_by(read_rotation))
+    rotation_deg: Vector = NOWHERE
 
 
 @dataclass(frozen=True)
@@ -183,35 +177,42 @@ class IndenterDescription:
     file: Path | None = None
 
 
-@dataclass(frozen=True)
-class Scene:
-    """All that a simulation depends on.
+@dataclass(frozen=True, kw_only=True)
+class SceneKeys(Part):
+    """The keys of a scene that its file holds as they are.
 
     source: paper section or other origin.  note: how and why it departs from the source.
-    sensor_mapping: the resolved sensor description as a file holds it.
     pattern_type: cmp (checkerboard) or dmp (dots).  contact_nodes: nodes along the
     longer side of the contact patch.  rate: frames/s.  defects: of the print.  samples: of a pixel
-    along each direction.  file: that `load_scene` found it in; no output depends on it.
+    along each direction.
     """
 
-    name: str = field(metadata=read_by(read_name))
+    name: Name
+    title: str = field(default="", metadata=text())
+    source: str = field(default="", metadata=text())
+    note: str = field(default="", metadata=text())
+    pattern_type: str = field(default="cmp", metadata=choice("cmp", "dmp"))
+    contact_nodes: int = field(default=40, metadata=number(*NODES_RANGE))
+    rate: float = field(default=30.0, metadata=number(MIN_RATE_HZ, MAX_RATE_HZ))
+    camera: CameraSettings = field(default_factory=CameraSettings)
+    defects: PrintDefects = field(default_factory=PrintDefects, metadata={"alias": "print"})
+    samples: int = field(default=4, metadata=number(1, MAX_SAMPLES))
+    seed: int = field(default=0, metadata=number(0, MAX_SEED))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene(SceneKeys):
+    """All that a simulation depends on.
+
+    sensor_mapping: the resolved sensor description as a file holds it.
+    file: that `load_scene` found it in; no output depends on it.
+    """
+
     sensor: SensorDescription
     sensor_mapping: Mapping[str, Any]
     indenter: IndenterDescription
     start: Start
     motion: tuple[Phase, ...]
-    title: str = field(default="", metadata=text())
-    source: str = field(default="", metadata=text())
-    note: str = field(default="", metadata=text())
-    pattern_type: str = field(default="cmp", metadata=choice("cmp", "dmp"))
-    contact_nodes: int = field(default=40, metadata=whole(*NODES_RANGE))
-    rate: float = field(default=30.0, metadata=number(MIN_RATE_HZ, MAX_RATE_HZ))
-    camera: CameraSettings = field(default_factory=CameraSettings, metadata=part(CameraSettings))
-    defects: PrintDefects = field(
-        default_factory=PrintDefects, metadata=part(PrintDefects, key="print")
-    )
-    samples: int = field(default=4, metadata=whole(1, MAX_SAMPLES))
-    seed: int = field(default=0, metadata=whole(0, MAX_SEED))
     file: Path | None = field(default=None, compare=False)
 
     @property
@@ -328,33 +329,49 @@ INDENTERS: Mapping[str, Any] = {
 }
 
 
-def read_indenter(section: YamlSection, folder: Path, start: Start) -> IndenterDescription:
+def read_indenter(file: YamlFile, folder: Path, start: Start) -> IndenterDescription:
     """The description of `indenter`; its keys are the fields of the shape.
 
     folder: of the scene file, which a mesh's path is relative to.
     Raises InputError for wrong keys, and for a shape that cannot be made of their values.
     """
-    kind = section.choice("type", (*INDENTERS, MESH))
-    friction = DEFAULT_FRICTION
-    if "friction" in section:
-        friction = section.number("friction", 0.0, MAX_FRICTION)
-    file = None
+    kind = str(file.content.get("type"))
+    if kind not in (*INDENTERS, MESH):
+        found = file.content.get("type", NOTHING)
+        raise file.error("type", found, f"one of {', '.join((*INDENTERS, MESH))}")
+    keys = file.read(_indenter_keys(kind))
+    values = {key: getattr(keys, key) for key in file.content if key != "type"}
+    friction, path = values.pop("friction", DEFAULT_FRICTION), None
     if kind == MESH:
-        file = folder / section.text("file")
-        if not file.is_file():
-            raise section.error(
-                "file", str(section.raw("file")), f"an existing file; found no {file}"
-            )
-        values = {key: section.positive(key) for key in MESH_KEYS if key in section}
-    else:
-        values = _read_values(section, INDENTERS[kind])
-    section.finish()
-    description = IndenterDescription(kind, friction, values, file)
+        name = values.pop("file")
+        path = folder / name
+        if not path.is_file():
+            raise file.error("file", name, f"an existing file; found no {path}")
+    description = IndenterDescription(kind, friction, values, path)
     try:
         indenter_of(description, start)
     except InputError as error:
-        raise section.error("", values or str(file), f"another indenter ({error})") from None
+        raise file.error("", values or str(path), f"another indenter ({error})") from None
     return description
+
+
+@lru_cache
+def _indenter_keys(kind: str) -> type[Part]:
+    """What the file may say of an indenter of a type."""
+    own: list[Any] = [
+        ("friction", float, field(default=DEFAULT_FRICTION, metadata=number(0.0, MAX_FRICTION)))
+    ]
+    if kind == MESH:
+        own.insert(0, ("file", str, field(metadata=text())))
+        own += [(key, float | None, field(default=None, metadata=positive())) for key in MESH_KEYS]
+    side = Annotated[float, Limits(*SIDE_M)]
+    kinds = {"size": tuple[side, side, side], "centres": tuple[Vector, ...]}
+    for item in fields(INDENTERS[kind]) if kind != MESH else ():
+        unit = {"json_schema_extra": {"unit": "m"}}
+        declared = field(default=item.default, metadata=unit)
+        own.insert(0, (item.name, kinds.get(item.name, side), declared))
+    own.insert(0, ("type", str, field()))
+    return make_dataclass("Indenter", own, bases=(Part,), frozen=True, kw_only=True)
 
 
 def indenter_of(description: IndenterDescription, start: Start) -> indenters.Indenter:
@@ -368,19 +385,3 @@ def indenter_of(description: IndenterDescription, start: Start) -> indenters.Ind
         )
     indenter: indenters.Indenter = INDENTERS[description.type](**description.values)
     return indenter
-
-
-def _read_values(section: YamlSection, shape: Any) -> dict[str, Any]:
-    values: dict[str, Any] = {}
-    for item in fields(shape):
-        if item.name not in section and item.default is not MISSING:
-            continue
-        if item.name == "centres":
-            centres = section.raw("centres", "a list of points [x, y, z]")
-            count = len(centres) if isinstance(centres, list) else 0
-            values["centres"] = section.number_rows("centres", count, 3)
-        elif item.name == "size":
-            values["size"] = section.quantities("size", "m", (SIDE_M,) * 3)
-        else:
-            values[item.name] = section.quantity(item.name, "m", *SIDE_M)
-    return values

@@ -8,23 +8,29 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 from cmp_tactile_processing.cache.files import atomic_path, expanded_path
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
     find_sensor_description,
     sensor_description_of,
 )
-from cmp_tactile_processing.sensor.yaml_section import (
-    YamlSection,
+from cmp_tactile_processing.sensor.yaml_file import (
+    NOTHING,
+    Limits,
+    Part,
+    SecondWith,
+    YamlFile,
+    choice,
     did_you_mean,
-    field_values,
-    read_fields,
+    number,
+    positive,
     read_yaml,
+    text,
 )
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
 from cmp_tactile_simulation.contact.laws import Load
@@ -44,7 +50,7 @@ MAX_TORQUE_NM = 10.0
 WRITTEN_APART = ("sensor_mapping", "file")
 GOALS = ("to", "by", "load", "touch", "hold", "release")
 
-Point = tuple[float, float]
+Tangential = Annotated[float, Limits(-MAX_LOAD_N, MAX_LOAD_N)]
 
 PACKAGE = "cmp_tactile_simulation"
 VARIANT_MARK = ":"
@@ -64,37 +70,164 @@ def read_scene(path: Path, variant: str = "") -> description.Scene:
     return _read(_with_variant(read_yaml(path), path, variant), path)
 
 
-def _read(top: YamlSection, path: Path) -> description.Scene:
-    top.check_version(FORMAT_VERSION, "a scene")
-    values = field_values(top, description.Scene)
-    values.setdefault("title", values["name"])
+@dataclass(frozen=True)
+class _StartKeys(Part):
+    position: description.Place | None = None
+    touch: description.Touch | None = None
+    rotation_deg: description.Vector = description.NOWHERE
+
+    def checked(self) -> _StartKeys:
+        """One place is there."""
+        if (self.position is None) == (self.touch is None):
+            raise RefusedValueError("either `position` or `touch`")
+        return self
+
+    @property
+    def start(self) -> description.Start:
+        """What it means."""
+        place = self.touch or self.position or description.NOWHERE
+        return description.Start(place, self.rotation_deg)
+
+
+@dataclass(frozen=True)
+class _LoadKeys(Part):
+    normal: float = field(metadata=number(0.0, MAX_LOAD_N, "N"))
+    tangential: tuple[Tangential, Tangential] = (0.0, 0.0)
+    torque: float = field(default=0.0, metadata=number(-MAX_TORQUE_NM, MAX_TORQUE_NM, "N m"))
+
+
+@dataclass(frozen=True)
+class _TouchKeys(Part):
+    at: description.Point | None = None
+    clearance: float = field(default=0.0, metadata=number(0.0, description.MAX_REACH_M, "m"))
+
+
+@dataclass(frozen=True)
+class _PhaseKeys(Part):
+    """A phase as a file holds it, one of GOALS among its keys."""
+
+    name: str = field(metadata=text())
+    frames: int = field(default=0, metadata=number(1, MAX_FRAMES))
+    duration: float = field(default=0.0, metadata=positive(MAX_PHASE_S, "s"))
+    to: description.MoveTo | None = None
+    by: description.MoveBy | None = None
+    load: _LoadKeys | None = None
+    touch: _TouchKeys | None = None
+    hold: bool | None = None
+    release: float | None = field(default=None, metadata=number(0.0, description.MAX_REACH_M, "m"))
+    easing: str = field(default="smooth", metadata=choice("smooth", "linear"))
+
+    def checked(self) -> _PhaseKeys:
+        """One goal and one length are there."""
+        kinds = [kind for kind in GOALS if getattr(self, kind) is not None]
+        if len(kinds) != 1:
+            raise RefusedValueError(f"one of {', '.join(GOALS)}", found=kinds or "none of them")
+        if bool(self.frames) == bool(self.duration):
+            found = "both" if self.frames else "neither"
+            raise RefusedValueError("either `frames` or `duration`", found=found)
+        if self.hold is False:
+            raise RefusedValueError("true", "hold")
+        if self.to == description.MoveTo():
+            raise RefusedValueError("`position`, `rotation_deg` or both", "to")
+        return self
+
+    def phase(
+        self, rate: float, number: str = "", point: description.Point | None = None
+    ) -> description.Phase:
+        """The phase.  rate: frames/s.  number, point: of the group's round, where there is one."""
+        frames = self.frames or round(self.duration * rate)
+        if not 0 < frames <= MAX_FRAMES:
+            expected = f"1 to {MAX_FRAMES} frames at {rate:g} Hz"
+            raise RefusedValueError(expected, "duration", found=f"{frames} frames")
+        return description.Phase(f"{self.name}{number}", frames, self._goal(point), self.easing)
+
+    def _goal(self, point: description.Point | None) -> description.Goal:
+        if self.load is not None:
+            return description.Press(Load(**asdict(self.load)))
+        if self.release is not None:
+            return description.Release(self.release)
+        if self.touch is None:
+            return self.to or self.by or description.Hold()
+        place = self.touch.at or point
+        if place is None:
+            raise RefusedValueError("a place [x, y]", "touch", "at")
+        return description.Touch(place, self.touch.clearance)
+
+
+@dataclass(frozen=True)
+class _GroupKeys(Part):
+    """Phases that are played at each of the points, or as often as it says."""
+
+    motion: tuple[_PhaseKeys, ...]
+    points: tuple[description.Point, ...] | None = None
+    repeat: int = field(default=0, metadata=number(1, MAX_REPEATS))
+
+    def checked(self) -> _GroupKeys:
+        """It is said how often."""
+        if (self.points is None) == (not self.repeat):
+            expected = "either `points` or `repeat` beside its `motion`"
+            raise RefusedValueError(expected, found="a group")
+        if self.points is not None and not 0 < len(self.points) <= MAX_REPEATS:
+            raise RefusedValueError(f"a list of 1 to {MAX_REPEATS} points [x, y]", "points")
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SceneFile(description.SceneKeys):
+    start: _StartKeys
+    motion: tuple[Annotated[_PhaseKeys | _GroupKeys, SecondWith("motion")], ...]
+
+
+def _read(top: YamlFile, path: Path) -> description.Scene:
+    apart = ("sensor", "indenter")
+    rest = {key: value for key, value in top.content.items() if key not in apart}
+    found = replace(top, content=rest).read(_SceneFile, FORMAT_VERSION)
     sensor, mapping = _read_sensor(top, path)
-    motion = _read_motion(top, values.get("rate", description.Scene.rate))
-    start = _read_start(top.section("start"))
-    indenter = description.read_indenter(top.section("indenter"), path.parent, start)
-    top.finish()
+    start = found.start.start
+    values = {item.name: getattr(found, item.name) for item in fields(description.SceneKeys)}
     return description.Scene(
-        **values,
+        **{**values, "title": found.title or found.name},
         sensor=sensor,
         sensor_mapping=mapping,
-        indenter=indenter,
+        indenter=description.read_indenter(top.below("indenter"), path.parent, start),
         start=start,
-        motion=motion,
+        motion=_phases(top, found),
     )
 
 
-def _variants(top: YamlSection) -> dict[str, Any]:
-    variants: dict[str, Any] = {}
-    for name, value in top.section("variants").items() if "variants" in top else ():
+def _phases(top: YamlFile, found: _SceneFile) -> tuple[description.Phase, ...]:
+    """The phases in order, those of a group once for each of its points."""
+    phases: list[description.Phase] = []
+    for place, item in enumerate(found.motion):
+        key = f"motion[{place}]"
+        try:
+            if isinstance(item, _PhaseKeys):
+                phases.append(item.phase(found.rate))
+                continue
+            for count, point in enumerate(item.points or [None] * item.repeat, start=1):
+                for inner, phase in enumerate(item.motion):
+                    key = f"motion[{place}].motion[{inner}]"
+                    phases.append(phase.phase(found.rate, f" {count}", point))
+        except RefusedValueError as error:
+            where = ".".join((key, *map(str, error.key)))
+            raise top.error(where, error.found or NOTHING, error.expected) from None
+    frames = sum(phase.frames for phase in phases)
+    if not 0 < frames <= MAX_FRAMES:
+        raise top.error("motion", f"{frames} frames", f"1 to {MAX_FRAMES} frames")
+    return tuple(phases)
+
+
+def _variants(top: YamlFile) -> dict[str, Any]:
+    variants = top.below("variants").content if "variants" in top.content else {}
+    for name, value in variants.items():
         if not description.NAME.fullmatch(name) or not isinstance(value, dict):
             expected = "a name of letters, digits, '_', '.' and '-', and a mapping of scene keys"
             raise top.error(f"variants.{name}", value, expected)
-        variants[name] = value
     return variants
 
 
-def _with_variant(top: YamlSection, path: Path, variant: str) -> YamlSection:
-    """The mapping with the variant's keys laid over it; its name ends in the variant's."""
+def _with_variant(top: YamlFile, path: Path, variant: str) -> YamlFile:
+    """The file with the variant's keys laid over it; its name ends in the variant's."""
     variants = _variants(top)
     if variant not in variants and (variant or variants):
         if not variants:
@@ -102,14 +235,16 @@ def _with_variant(top: YamlSection, path: Path, variant: str) -> YamlSection:
         expected = (
             f"one of {', '.join(variants)}, given as SCENE{VARIANT_MARK}{next(iter(variants))}"
         )
-        if not variant:
-            raise top.missing("variants", expected)
-        raise top.error("variants", variant, expected)
-    content = {key: value for key, value in top.items() if key != "variants"}
+        raise top.error("variants", variant or NOTHING, expected)
+    content = {key: value for key, value in top.content.items() if key != "variants"}
+    lines = dict(top.lines)
     if variant:
-        content["name"] = f"{description.read_name(top, 'name')}_{variant}"
+        content["name"] = f"{content.get('name', '')}_{variant}"
         content = _merged(content, variants[variant])
-    return YamlSection(path, "", content)
+        above = f"variants.{variant}."
+        own = {key: line for key, line in lines.items() if key.startswith(above)}
+        lines |= {key.removeprefix(above): line for key, line in own.items()}
+    return YamlFile(path, content, lines)
 
 
 def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -122,145 +257,24 @@ def _merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _read_sensor(top: YamlSection, path: Path) -> tuple[SensorDescription, dict[str, Any]]:
-    value = top.raw("sensor", "a sensor description's name, path, or a mapping with `base`")
-    over: dict[str, Any] = {}
-    base, key = value, "sensor"
-    if isinstance(value, dict):
-        section = top.section("sensor")
-        base, key = section.text("base"), "sensor.base"
-        over = {name: item for name, item in value.items() if name != "base"}
-    elif not isinstance(value, str):
-        raise top.error("sensor", value, "a name, a path or a mapping with `base`")
+def _read_sensor(top: YamlFile, path: Path) -> tuple[SensorDescription, dict[str, Any]]:
+    value = top.content.get("sensor", NOTHING)
+    is_mapping = isinstance(value, dict)
+    base, key = (value.get("base"), "sensor.base") if is_mapping else (value, "sensor")
+    if not isinstance(base, str):
+        expected = "a sensor description's name, path, or a mapping with `base`"
+        raise top.error(key, base, expected)
     beside = path.parent / base
     try:
         source = beside if beside.is_file() else find_sensor_description(base)
     except InputError as error:
         raise top.error(key, base, f"a sensor description ({error})") from None
-    content = dict(read_yaml(source).items())
+    file = read_yaml(source)
+    over = {name: item for name, item in value.items() if name != "base"} if is_mapping else {}
     if not over:
-        return SensorDescription.load(source), content
-    mapping = _merged(content, over)
-    return sensor_description_of(YamlSection(path, "sensor", mapping)), mapping
-
-
-def _read_start(section: YamlSection) -> description.Start:
-    if ("touch" in section) == ("position" in section):
-        raise section.error("", list(dict(section.items())), "either `position` or `touch`")
-    if "touch" in section:
-        return read_fields(
-            section,
-            description.Start,
-            place=read_fields(section.section("touch"), description.Touch),
-        )
-    return read_fields(
-        section, description.Start, place=description.read_place(section, "position")
-    )
-
-
-def _read_motion(top: YamlSection, rate: float) -> tuple[description.Phase, ...]:
-    """The phases of `motion` in order, those of a group once for each of its points.
-
-    rate: frames/s, which makes frames of durations.
-    """
-    phases: list[description.Phase] = []
-    for item in top.sections("motion"):
-        phases += _read_group(item, rate) if "motion" in item else [_read_phase(item, rate)]
-    frames = sum(phase.frames for phase in phases)
-    if not 0 < frames <= MAX_FRAMES:
-        raise top.error("motion", f"{frames} frames", f"1 to {MAX_FRAMES} frames")
-    return tuple(phases)
-
-
-def _read_group(section: YamlSection, rate: float) -> list[description.Phase]:
-    """The phases of a group, once for each of its points or as often as it says."""
-    if ("points" in section) == ("repeat" in section):
-        raise section.error("", "a group", "either `points` or `repeat` beside its `motion`")
-    points: list[Point] | list[None]
-    if "points" in section:
-        points = _read_points(section)
-    else:
-        points = [None] * section.integer("repeat", 1, MAX_REPEATS)
-    phases = [
-        _read_phase(item, rate, f" {number}", point)
-        for number, point in enumerate(points, start=1)
-        for item in section.sections("motion")
-    ]
-    section.finish()
-    return phases
-
-
-def _read_points(section: YamlSection) -> list[Point]:
-    expected = f"a list of 1 to {MAX_REPEATS} points [x, y]"
-    points = section.raw("points", expected)
-    if not isinstance(points, list) or not 0 < len(points) <= MAX_REPEATS:
-        raise section.error("points", points, expected)
-    return [(x, y) for x, y in section.number_rows("points", len(points), 2)]
-
-
-def _read_phase(
-    section: YamlSection, rate: float, number: str = "", point: Point | None = None
-) -> description.Phase:
-    """number, point: of the group's round, where there is one."""
-    name = section.text("name")
-    kinds = [kind for kind in GOALS if kind in section]
-    if len(kinds) != 1:
-        raise section.error("", kinds or "none of them", f"one of {', '.join(GOALS)}")
-    return read_fields(
-        section,
-        description.Phase,
-        name=f"{name}{number}",
-        frames=_read_frames(section, rate),
-        goal=_read_goal(section, kinds[0], point),
-    )
-
-
-def _read_frames(section: YamlSection, rate: float) -> int:
-    if ("frames" in section) == ("duration" in section):
-        both = "both" if "frames" in section else "neither"
-        raise section.error("", both, "either `frames` or `duration`")
-    if "frames" in section:
-        return section.integer("frames", 1, MAX_FRAMES)
-    frames = round(section.positive("duration", MAX_PHASE_S, "s") * rate)
-    if not 0 < frames <= MAX_FRAMES:
-        expected = f"1 to {MAX_FRAMES} frames at {rate:g} Hz"
-        raise section.error("duration", f"{frames} frames", expected)
-    return frames
-
-
-def _read_goal(section: YamlSection, kind: str, point: Point | None) -> description.Goal:
-    """point: of the group, where there is one."""
-    if kind == "hold":
-        if section.raw("hold") is not True:
-            raise section.error("hold", section.raw("hold"), "true")
-        return description.Hold()
-    if kind == "release":
-        return description.Release(**field_values(section, description.Release))
-    below = section.section(kind)
-    if kind == "load":
-        return description.Press(_read_load(below))
-    if kind == "touch":
-        here = {"at": point} if point is not None and "at" not in below else {}
-        return read_fields(below, description.Touch, **here)
-    if "position" not in below and "rotation_deg" not in below:
-        raise below.error("", "neither", "`position`, `rotation_deg` or both")
-    return (
-        read_fields(below, description.MoveTo)
-        if kind == "to"
-        else read_fields(below, description.MoveBy)
-    )
-
-
-def _read_load(section: YamlSection) -> Load:
-    x, y = section.numbers("tangential", 2) if "tangential" in section else (0.0, 0.0)
-    if max(abs(x), abs(y)) > MAX_LOAD_N:
-        raise section.error("tangential", [x, y], f"N, each at most {MAX_LOAD_N:g}")
-    torque = 0.0
-    if "torque" in section:
-        torque = section.number("torque", -MAX_TORQUE_NM, MAX_TORQUE_NM)
-    load = Load(section.number("normal", 0.0, MAX_LOAD_N), (x, y), torque)
-    section.finish()
-    return load
+        return sensor_description_of(file), file.content
+    mapping = _merged(file.content, over)
+    return sensor_description_of(YamlFile(path, mapping, top.lines, above="sensor")), mapping
 
 
 def write_scene(scene: description.Scene, folder: Path) -> None:
@@ -319,16 +333,17 @@ def _phase(phase: description.Phase) -> dict[str, Any]:
 def _goal(goal: description.Goal) -> dict[str, Any]:
     if isinstance(goal, description.Hold):
         return {"hold": True}
-    key = {description.MoveTo: "to", description.MoveBy: "by", description.Touch: "touch"}.get(
-        type(goal)
-    )
+    if isinstance(goal, description.Release):
+        return {"release": goal.clearance}
+    keys = {description.MoveTo: "to", description.MoveBy: "by", description.Touch: "touch"}
+    key = keys.get(type(goal))
     return {key: _mapping(goal)} if key else _mapping(goal)
 
 
 def _mapping(part: Any) -> dict[str, Any]:
     """What a file says of a part of a scene: all of its fields that are known."""
     values = {
-        item.metadata.get("key") or item.name: getattr(part, item.name) for item in fields(part)
+        item.metadata.get("alias", item.name): getattr(part, item.name) for item in fields(part)
     }
     return {
         key: _plain(value) for key, value in values.items() if value is not None and value != ""

@@ -164,9 +164,9 @@ MISTAKES = {
     ),
     "start": (
         {"start": {"rotation_deg": [0, 0, 0]}},
-        "start: found ['rotation_deg'], expected either `position` or `touch`",
+        "start: found {'rotation_deg': [0, 0, 0]}, expected either `position` or `touch`",
     ),
-    "camera value": ({"camera": {"blur": -1}}, "camera.blur: found -1, expected at least 0"),
+    "camera value": ({"camera": {"blur": -1}}, "camera.blur: found -1, expected a number from 0"),
     "both lengths": (
         {"motion": [PHASE | {"duration": 1, "hold": True}]},
         "motion[0]: found 'both', expected either `frames` or `duration`",
@@ -177,7 +177,7 @@ MISTAKES = {
     ),
     "half a turn": (
         {"motion": [PHASE | {"by": {"rotation_deg": [0, 0, 180]}}]},
-        "motion[0].by.rotation_deg: found [0.0, 0.0, 180.0], expected a rotation of less than 180",
+        "motion[0].by.rotation_deg: found [0, 0, 180], expected a rotation of less than 180",
     ),
     "group": (
         {"motion": [{"motion": [PHASE]}]},
@@ -185,7 +185,7 @@ MISTAKES = {
     ),
     "inside a group": (
         {"motion": [{"repeat": 2, "motion": [PHASE | {"hold": 1}]}]},
-        "motion[0].motion[0].hold: found 1, expected true",
+        "motion[0].motion[0].hold: found 1, expected true or false",
     ),
 }
 
@@ -194,5 +194,5 @@ MISTAKES = {
 def test_a_mistake_is_named_with_file_key_found_and_expected(mistake, write):
     changes, message = MISTAKES[mistake]
     path = write(changes)
-    with pytest.raises(InputError, match=re.escape(f"{path}: ") + ".*" + re.escape(message)):
+    with pytest.raises(InputError, match=re.escape(f"{path}:") + r"\d+: " + re.escape(message)):
         read_scene(path)
