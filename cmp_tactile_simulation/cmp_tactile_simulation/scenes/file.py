@@ -127,8 +127,12 @@ class _PhaseKeys(Part):
             raise RefusedValueError("either `frames` or `duration`", found=found)
         if self.hold is False:
             raise RefusedValueError("true", "hold")
-        if self.to == description.MoveTo():
-            raise RefusedValueError("`position`, `rotation_deg` or both", "to")
+        by = self.by
+        # A key that the file does not give has the default itself.
+        stays = by and by.offset is by.rotation_deg is description.NOWHERE
+        if self.to == description.MoveTo() or stays:
+            expected = "`position`, `rotation_deg` or both"
+            raise RefusedValueError(expected, "by" if by else "to")
         return self
 
     def phase(

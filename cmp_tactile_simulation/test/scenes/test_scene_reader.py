@@ -179,6 +179,10 @@ MISTAKES = {
         {"motion": [PHASE | {"by": {"rotation_deg": [0, 0, 180]}}]},
         "motion[0].by.rotation_deg: found [0, 0, 180], expected a rotation of less than 180",
     ),
+    "no way": (
+        {"motion": [PHASE | {"by": {}}]},
+        "motion[0].by: found {}, expected `position`, `rotation_deg` or both",
+    ),
     "group": (
         {"motion": [{"motion": [PHASE]}]},
         "motion[0]: found 'a group', expected either `points` or `repeat` beside its `motion`",
