@@ -1,15 +1,25 @@
-"""The tables of speed in the documents, from what the benchmarks wrote.
+"""The tables of speed.md beside this script, from what the benchmarks of speed have written.
 
-`python3 test/plugins/speed_tables.py` prints them, to be put into the documents.
+usage: setup/run python3 benchmarks/speed_tables.py [--measure]
+
+--measure runs these benchmarks first, about 20 minutes on an idle machine. The rows of README are
+printed.
 """
 
 import json
+import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-RESULTS = Path(__file__).resolve().parents[2] / "benchmarks" / "results"
+from tables import head, line
+
+from cmp_tactile_processing.sensor.parameter_table import with_generated_section
+
+FOLDER = Path(__file__).resolve().parent
+RESULTS, PAGE = FOLDER / "results", FOLDER / "speed.md"
+MARKER = "<!-- made by benchmarks/speed_tables.py from here on -->"
 # Names of inputs in tables, by that in the results; the wide grasp lies beside a checkout.
 INPUTS = {
     "grasp": "`grasp`",
@@ -28,7 +38,6 @@ LIVE = {
 }
 PEER = "OpenCV classic + cornerSubPix, both views"
 FRAME = "processor time of a frame to force and slip"
-ONE_VIEW = "tracked, followed, one view"
 OFFLINE = {
     PEER: PEER,
     "`Pipeline.process`, in contact": f"{FRAME}, in contact",
@@ -52,15 +61,10 @@ def read(name: str) -> Results:
     return found
 
 
-def line(cells: Sequence[str]) -> str:
-    """A row of a table."""
-    return f"| {' | '.join(cells)} |"
-
-
 def offline_rows(results: Results) -> list[str]:
     """Median / 99 %, ms, and the median divided by that of OpenCV's detector, by input."""
     inputs = [name for name in INPUTS if name in results]
-    rows = [line(["", *(INPUTS[name] for name in inputs)]), line(["---"] * (len(inputs) + 1))]
+    rows = [head("", *(INPUTS[name] for name in inputs))]
     for label, row in OFFLINE.items():
         cells = []
         for name in inputs:
@@ -68,78 +72,100 @@ def offline_rows(results: Results) -> list[str]:
             cell = f"{found['median_ms']:.1f} / {found['p99_ms']:.1f}"
             ratio = results[name][PEER]["median_ms"] < FOUND_MS
             cells.append(f"{cell} ({found['ratio']:.2f})" if ratio else cell)
-        rows.append(line([label, *cells]))
+        rows.append(line(label, *cells))
     return rows
 
 
 def live_rows(results: Results) -> list[str]:
-    """Wrenches of live sensors, by rate."""
-    rows = []
+    """Wrenches of live sensors that replay `grasp`, by rate."""
+    rows = [
+        head("", "Hz asked", "Hz", "passed over", "median ms", "p99 ms", "processors", "MB each")
+    ]
     for key, (sensors, asked) in LIVE.items():
         found = results["grasp"][key]
         cells = [sensors, asked, f"{found['rate_hz']:.0f}"]
         cells += [f"{found['lost']} of {found['sent']}", f"{found['median_ms']:.0f}"]
         cells += [f"{found['p99_ms']:.0f}", f"{found['cores']:.2f}", f"{found['memory_mb']:.0f}"]
-        rows.append(line(cells))
+        rows.append(line(*cells))
     return rows
 
 
 def busy_rows(results: Results) -> list[str]:
     """One and two sensors at 60 Hz each: Hz, frames passed over, median / 99 %, ms, by input."""
     inputs = [name for name in INPUTS if name in results]
-    rows = [line(["", *(INPUTS[name] for name in inputs)]), line(["---"] * (len(inputs) + 1))]
+    rows = [head("", *(INPUTS[name] for name in inputs))]
     for key, label in (("one_60", "one sensor at 60 Hz"), ("two_60", "two sensors at 60 Hz each")):
         cells = [
             f"{found['rate_hz']:.0f}; {found['lost']} of {found['sent']}; "
             f"{found['median_ms']:.0f} / {found['p99_ms']:.0f}"
             for found in (results[name][key] for name in inputs)
         ]
-        rows.append(line([label, *cells]))
+        rows.append(line(label, *cells))
     return rows
 
 
+def start_rows(offline: Results, live: Results) -> list[str]:
+    """From the start to the first wrench, and what compiling takes of it once."""
+    found, compiling = live["grasp"], offline["compiling"]
+    return [
+        head("", "s"),
+        line("everything in the caches", f"{found['start_warm']['first_wrench_s']:.1f}"),
+        line("after `make build`", f"{found['start_built']['first_wrench_s']:.1f}"),
+        line("compiling, once, on one core", f"{compiling['compiling_s']:.0f}"),
+    ]
+
+
+def container_rows(live: Results) -> list[str]:
+    """Processor time of a frame in a container, and in `Pipeline` alone."""
+    found = live["grasp"]
+    return [
+        head("at 30 Hz", "processor time of a frame, ms"),
+        line("a container, with camera and subscriber", f"{found['one_30']['frame_ms']:.1f}"),
+        line("`Pipeline.process`", f"{found['beside']['pipeline_ms']:.1f}"),
+        line("OpenCV classic + cornerSubPix", f"{found['beside']['opencv_ms']:.1f}"),
+    ]
+
+
 def summary_rows(offline: Results, live: Results) -> list[str]:
-    """The rows of README and docs/figures.md."""
+    """The rows of README."""
     chosen = ("grasp", "data/grasp", "plate:20x20")
     ratios = ", ".join(f"{offline[name][f'{FRAME}, in contact']['ratio']:.1f}" for name in chosen)
-    peer = offline["grasp"][PEER]["median_ms"]
     inputs = ", ".join(INPUTS[name] for name in chosen)
     what = f"{FRAME} in contact, divided by that of OpenCV's detector on both views ({inputs})"
     one, two = live["grasp"]["one_60"], live["grasp"]["two_60"]
     times = [f"{item['median_ms']:.0f} and {item['p99_ms']:.0f} ms" for item in (one, two)]
-    beside = f"OpenCV's detector: {live['grasp']['beside']['opencv_ms']:.0f} ms a frame"
-    live_one = f"one live sensor at 60 Hz on 2 cores ({beside}): wrenches, latency median and 99 %"
-    live_two = "two live sensors at 60 Hz on the same"
-    tracked = ", ".join(f"{offline[name][ONE_VIEW]['ratio']:.2f}" for name in chosen)
-    wide = offline["data/grasp"]
-    held, changing = (
-        wide[f"force and slip of a {kind} contact"]["median_ms"] for kind in ("held", "changing")
-    )
-    start, compiling = live["grasp"]["start_warm"], offline["compiling"]
+    live_one = "one live sensor at 60 Hz on 2 cores: wrenches, latency median and 99 %"
     return [
-        line([what, f"{ratios} (OpenCV: {peer:.1f} ms)"]),
-        line(
-            ["tracking of one view, divided by OpenCV's detector on it (the same inputs)", tracked]
-        ),
-        line(
-            [
-                "force and slip, wide grasp: held contact, changing contact",
-                f"{held:.1f}, {changing:.1f} ms (OpenCV: {wide[PEER]['median_ms']:.1f} ms)",
-            ]
-        ),
-        line([live_one, f"{one['rate_hz']:.0f} Hz; {times[0]}"]),
-        line([live_two, f"{two['rate_hz']:.0f} Hz each; {times[1]}"]),
-        line(["time from the start to the first wrench", f"{start['first_wrench_s']:.1f} s"]),
-        line(["compiling, once, on one core", f"{compiling['compiling_s']:.0f} s"]),
+        line(what, ratios),
+        line(live_one, f"{one['rate_hz']:.0f} Hz; {times[0]}"),
+        line("two live sensors at 60 Hz on the same", f"{two['rate_hz']:.0f} Hz each; {times[1]}"),
     ]
 
 
+def page() -> str:
+    """The text of speed.md with its tables made again."""
+    offline, live = read("pipeline_speed"), read("real_time")
+    tables = {
+        "One process without ROS": offline_rows(offline),
+        "Live sensors": live_rows(live),
+        "Other inputs, live": busy_rows(live),
+        "What the container adds": container_rows(live),
+        "From the start to the first wrench": start_rows(offline, live),
+    }
+    parts = ("\n".join((f"## {title}\n", *rows)) for title, rows in tables.items())
+    return with_generated_section(PAGE, MARKER, "\n\n".join(parts) + "\n")
+
+
+def measure() -> None:
+    """Run the benchmarks of speed; what they keep is in `results`."""
+    for script, *options in (["pipeline_speed.py", "--compile"], ["ros/real_time.py"]):
+        kept = RESULTS / Path(script).with_suffix(".json").name
+        words = [sys.executable, str(FOLDER / script), *options, "--json", str(kept)]
+        subprocess.run(words, check=True)
+
+
 if __name__ == "__main__":
-    OFFLINE_RESULTS, LIVE_RESULTS = read("pipeline_speed"), read("real_time")
-    for table in (
-        summary_rows(OFFLINE_RESULTS, LIVE_RESULTS),
-        live_rows(LIVE_RESULTS),
-        busy_rows(LIVE_RESULTS),
-        offline_rows(OFFLINE_RESULTS),
-    ):
-        sys.stdout.write("\n".join(table) + "\n\n")
+    if sys.argv[1:] == ["--measure"]:
+        measure()
+    PAGE.write_text(page(), encoding="utf-8")
+    print("\n".join(summary_rows(read("pipeline_speed"), read("real_time"))))
