@@ -1,11 +1,9 @@
-"""The tables of speed.md beside this script, from what the benchmarks of speed have written.
+"""Make the tables of speed.md beside this script, from what the benchmarks of speed have written.
 
-usage: setup/run python3 benchmarks/speed_tables.py [--measure]
-
---measure runs these benchmarks first, about 20 minutes on an idle machine. The rows of README are
-printed.
+The rows of README are printed.
 """
 
+import argparse
 import json
 import subprocess
 import sys
@@ -164,8 +162,17 @@ def measure() -> None:
         subprocess.run(words, check=True)
 
 
-if __name__ == "__main__":
-    if sys.argv[1:] == ["--measure"]:
+def main() -> None:
+    """Measure if asked to, renew the page, and print the rows of README."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument(
+        "--measure", action="store_true", help="run the benchmarks first, on an idle machine"
+    )
+    if parser.parse_args().measure:
         measure()
     PAGE.write_text(page(), encoding="utf-8")
     print("\n".join(summary_rows(read("pipeline_speed"), read("real_time"))))
+
+
+if __name__ == "__main__":
+    main()
