@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_processing.calibration.outcome import Finding, Severity
-from cmp_tactile_processing.sensor.yaml_section import read_yaml
+from cmp_tactile_processing.sensor.yaml_file import read_yaml
 
 
 @cache
 def finding_texts() -> dict[str, dict[str, str]]:
     """Text and advice of every finding, by its name."""
-    return dict(read_yaml(Path(__file__).with_suffix(".yaml")).items())
+    return dict(read_yaml(Path(__file__).with_suffix(".yaml")).content)
 
 
 def finding(name: str, /, *, error: bool, **values: Any) -> Finding:
