@@ -71,11 +71,14 @@ class CalibrationError(CmpTactileError):
 
 
 class FrameSourceError(CmpTactileError):
-    """A folder, video, bag or camera that gives no frames."""
+    """A folder, video, bag or camera that gives no frames.
 
+    may_come: it may give some later, without anything changed, as a camera that is not plugged in.
+    """
 
-class SourceNotReadyError(FrameSourceError):
-    """What gives frames is not there, or not ready: it may be later, without anything changed."""
+    def __init__(self, message: str, *, may_come: bool = False) -> None:
+        super().__init__(message)
+        self.may_come = may_come
 
 
 class OutputError(CmpTactileError):

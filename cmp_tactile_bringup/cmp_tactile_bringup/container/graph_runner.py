@@ -47,8 +47,9 @@ Processes = Mapping[str, "subprocess.Popen[bytes]"]
 def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     """Run what a command line asks for until a signal comes; the exit code.
 
-    0 after a clean end; 2 for a wrong argument; 1 where it cannot start, and where a component
-    fails, which ends the others too.  arguments: those of the process, its name first.
+    0 after a clean end; 2 for an argument or a file that cannot be used; 1 where it cannot start,
+    and where a component fails, which ends the others too.
+    arguments: those of the process, its name first.
     """
     own, ros_args = split_ros_args(arguments[1:])
     options = _parser().parse_intermixed_args(own)

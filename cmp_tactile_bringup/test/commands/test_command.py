@@ -84,7 +84,7 @@ def test_markup_and_escape_sequences_in_a_name_are_shown_as_they_are(tmp_path, c
     assert "Sensor [bold]x[/] [/] \\x1b[31mred" in capsys.readouterr().out
     path.write_text(text + '"\\e[31m[/]\\n": 1\n')
     assert run("info", path) == 1
-    one_line_error(capsys, "rig.yaml: \\x1b[31m[/]\\n: found 1, expected no such key")
+    one_line_error(capsys, "rig.yaml:", ": \\x1b[31m[/]\\n: found 1, expected no such key")
 
 
 def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):

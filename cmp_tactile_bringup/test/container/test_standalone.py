@@ -81,12 +81,12 @@ def test_wrong_ros_arguments_are_one_line(arguments, error, capfd):
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["none.py"], 1, "error: none.py: found no such file, expected a path or one of gripper, "),
+        (["none.py"], 2, "error: none.py: found no such file, expected a path or one of gripper, "),
         (["replay", "rate"], 2, "error: found 'rate', expected NAME:=VALUE"),
         (["replay", "pace:=2"], 2, "error: found argument 'pace', expected one of: sensor, name, "),
         (["replay", "loop:=maybe"], 2, "error: argument loop: found 'maybe', expected a boolean"),
-        (["replay", "sensor:=nobody"], 1, "error: argument sensor: nobody: found no such file"),
-        (["simulate", "scene:=slpi"], 1, "did you mean 'slip'?"),
+        (["replay", "sensor:=nobody"], 2, "error: argument sensor: nobody: found no such file"),
+        (["simulate", "scene:=slpi"], 2, "did you mean 'slip'?"),
         (["simulate", "container:=/x"], 2, "error: found argument 'container', expected one of"),
     ],
 )

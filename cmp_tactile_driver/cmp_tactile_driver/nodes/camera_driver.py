@@ -18,7 +18,7 @@ from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import Capture, CaptureState, on_clock
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
-from cmp_tactile_processing.errors import CmpTactileError, InputError, SourceNotReadyError
+from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, InputError
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
 from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
@@ -149,7 +149,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
             self._release()
             is_known = self._is_attempt and self._problem == str(error)
             self._problem = str(error)
-            self._may_come = isinstance(error, SourceNotReadyError)
+            self._may_come = isinstance(error, FrameSourceError) and error.may_come
             if not is_known:
                 self.get_logger().error(self._problem)
             return TransitionCallbackReturn.FAILURE

@@ -11,19 +11,17 @@ from pathlib import Path
 from linuxpy.video.device import V4L2Error
 
 from cmp_tactile_processing.cache.files import expanded_path
-from cmp_tactile_processing.errors import FrameSourceError, SourceNotReadyError
+from cmp_tactile_processing.errors import FrameSourceError
 
 GONE = (errno.ENODEV, errno.ENXIO, errno.ENOENT)
 FORBIDDEN = (errno.EACCES, errno.EPERM)
 
 DEVICE_ERRORS = (FrameSourceError, V4L2Error, OSError, ValueError)
+"""What a camera on its way out or in may cause, those of linuxpy among them."""
 
 DEV = Path("/dev")
 SYS = Path("/sys/class/video4linux")
 LINKS = ("v4l/by-id", "v4l/by-path")
-
-
-"""What a camera on its way out or in may cause, those of linuxpy among them."""
 
 
 def error_text(device: str, action: str, error: Exception) -> str:
@@ -36,10 +34,8 @@ def error_text(device: str, action: str, error: Exception) -> str:
 def device_error(path: Path | str, action: str, error: OSError) -> FrameSourceError:
     """The error for a user: the device, what was tried, what was found and what is expected."""
     text = f"{path}: {action}: {_reason(path, error)}"
-    if error.errno in GONE:
-        return SourceNotReadyError(text)
     # udev gives the permission a moment after the kernel has made the device.
-    return SourceNotReadyError(text) if error.errno in FORBIDDEN else FrameSourceError(text)
+    return FrameSourceError(text, may_come=error.errno in (*GONE, *FORBIDDEN))
 
 
 def _reason(path: Path | str, error: OSError) -> str:
@@ -100,7 +96,7 @@ def find_device(chosen: str, serial: str = "") -> VideoDevice:
 
     serial: of the device that was there before; it is found wherever it is plugged in now, and no
     other one is taken for it.
-    Raises FrameSourceError listing what there is, SourceNotReadyError where it may still come.
+    Raises FrameSourceError listing what there is; it may still come.
     """
     devices = video_devices()
     if not chosen:
@@ -111,7 +107,7 @@ def find_device(chosen: str, serial: str = "") -> VideoDevice:
     device = _by_path(chosen, devices) or _by_serial(chosen, devices)
     if device is None:
         msg = f"device: found no {chosen!r}, expected {_listing(devices)}"
-        raise SourceNotReadyError(msg)
+        raise FrameSourceError(msg, may_come=True)
     if serial and device.serial != serial:
         msg = f"device: found {device.text} at {chosen}, expected the camera with serial {serial}"
         raise FrameSourceError(msg)

@@ -16,7 +16,7 @@ from cmp_tactile_driver.sources.capture import BackOff
 from cmp_tactile_driver.v4l2 import devices
 from cmp_tactile_driver.v4l2.camera import Buffer, Mode, V4L2Camera
 from cmp_tactile_driver.v4l2.controls import CameraControls, ControlValue
-from cmp_tactile_processing.errors import FrameError, FrameSourceError, SourceNotReadyError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError
 from cmp_tactile_processing.image.encodings import decode_jpeg, decode_raw
 from cmp_tactile_processing.measured import NS_PER_S
 
@@ -70,9 +70,7 @@ class V4L2Source:
     """
 
     def __init__(self, options: frames.SourceOptions) -> None:
-        """Raises SourceNotReadyError where the camera is not there, FrameSourceError where it
-        cannot do what is asked.
-        """
+        """Raises FrameSourceError where the camera is not there, or cannot do what is asked."""
         self._options = options
         self._request = Mode(options.camera.pixel_format, options.frame_size, options.frame_rate)
         # The camera is closed by the thread that polls, its controls are set by another.
@@ -153,7 +151,9 @@ class V4L2Source:
             if self._camera is not None:
                 try:
                     self._camera.start()
-                except SourceNotReadyError as error:
+                except FrameSourceError as error:
+                    if not error.may_come:
+                        raise
                     self._lose(str(error))
                 else:
                     self._begin_settling()
