@@ -236,13 +236,13 @@ class _Import(Command):
     def write(self, imports: Sequence[tuple[MarkerRecording, SensorDescription]]) -> int:
         """Write the files of each recording of a sensor, and print what they are."""
         from cmp_tactile_bringup.offline.imported import plan_import, write_import
-        from cmp_tactile_bringup.offline.outputs import check_free
+        from cmp_tactile_bringup.offline.outputs import check_results_free
         from cmp_tactile_bringup.terminal import output_console, print_line
 
         console, output = output_console(), expanded_path(self.output)
         plans = [plan_import(item, output, overwrite=self.overwrite) for item, _ in imports]
         for job in plans:
-            check_free(job)
+            check_results_free(job)
         for (recording, sensor), job in zip(imports, plans, strict=True):
             found = write_import(recording, sensor, job)
             _report_import(recording, sensor, output, console)

@@ -31,7 +31,7 @@ from cmp_tactile_bringup.terminal import installed_version
 from cmp_tactile_driver.bags.reader import Recorded
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
-from cmp_tactile_processing.cache.files import locked
+from cmp_tactile_processing.cache.files import check_free, locked
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.measured import NS_PER_S
@@ -77,12 +77,9 @@ def software_version() -> str:
     return f"cmp_tactile {installed_version('cmp_tactile_processing')}, {compiled_digest()}"
 
 
-def check_free(job: Job) -> None:
+def check_results_free(job: Job) -> None:
     """Raise OutputError where results are there and the job does not replace them."""
-    for path in map(job.path, job.options.suffixes):
-        if path.exists() and not job.overwrite:
-            msg = f"{path}: exists already; --overwrite replaces it"
-            raise OutputError(msg)
+    check_free(map(job.path, job.options.suffixes), overwrite=job.overwrite)
 
 
 def partial_folder(job: Job) -> Path:
@@ -95,12 +92,12 @@ def whole_results(job: Job) -> Iterator[Path]:
     """A folder for the files of a job: they move to their places when all are written.
 
     What an interrupted run left there is removed; another run that writes them is waited for.
-    Raises OutputError as `check_free` does.
+    Raises OutputError as `check_results_free` does.
     """
     partial = partial_folder(job)
     partial.parent.mkdir(parents=True, exist_ok=True)
     with locked(partial.with_suffix(".lock")):
-        check_free(job)
+        check_results_free(job)
         if partial.exists():
             shutil.rmtree(partial)
         partial.mkdir()

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.files import expanded_path, write_whole
+from cmp_tactile_processing.cache.files import check_free, expanded_path, write_whole
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.printing.sheet import LAYERS, LINE_WIDTH, Label, Line, PrintSheet
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
@@ -253,7 +253,8 @@ class PatternFiles:
 
     def check_free(self, source: Path, *, overwrite: bool) -> None:
         """Raise OutputError where a file is there already, or is the description that is read."""
-        for path in (*self.sheets.values(), self.sensor):
+        paths = (*self.sheets.values(), self.sensor)
+        for path in paths:
             if path.resolve() == source.resolve():
                 msg = (
                     f"{path}: is the input, so it is not replaced; give another name with --output"
@@ -262,9 +263,7 @@ class PatternFiles:
             if path.is_dir():
                 msg = f"{path}: is a folder, so it is not replaced; give another name with --output"
                 raise OutputError(msg)
-            if path.exists() and not overwrite:
-                msg = f"{path}: exists already; --overwrite replaces it"
-                raise OutputError(msg)
+        check_free(paths, overwrite=overwrite)
 
     def write(self, sheet: PrintSheet, sensor: SensorDescription) -> tuple[list[Path], list[str]]:
         """Write everything; returns the files and, for each that is missing, a line why.

@@ -17,7 +17,7 @@ from pathlib import Path
 import platformdirs
 from filelock import FileLock
 
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import InputError, OutputError
 
 READ_BYTES = 1 << 20
 
@@ -42,6 +42,14 @@ def _user_folder(path_for: Callable[[str], Path]) -> Path:
         if folder.is_absolute():
             return folder
     return folder_without_home() / "cmp_tactile"
+
+
+def check_free(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Raise OutputError for the first path that is there already, unless it may be replaced."""
+    there = next((path for path in paths if path.exists()), None)
+    if there is not None and not overwrite:
+        msg = f"{there}: exists already; --overwrite replaces it"
+        raise OutputError(msg)
 
 
 def expanded_path(path: str | Path) -> Path:

@@ -69,7 +69,7 @@ def run_scene(
     An unfinished output is replaced, a finished one only where the options say so.
     progress: called with what is done and the fraction of it.  The same scene gives the same
     bytes.
-    Raises OutputError where the folder cannot be used, other SimulationErrors where the scene
+    Raises OutputError where the folder cannot be used, other errors where the scene
     cannot be simulated; what was simulated until then can be read.
     """
     options, progress = options or RunOptions(), progress or no_progress
@@ -199,9 +199,8 @@ def _check_replaceable(folder: Path, *, overwrite: bool) -> None:
         found = f"no {MARKER}" if is_folder else "a file"
         msg = f"{folder}: found {found}, expected a simulated recording or an empty folder"
         raise OutputError(msg)
-    if _is_finished(folder) and not overwrite:
-        msg = f"{folder}: exists already; --overwrite replaces it"
-        raise OutputError(msg)
+    if _is_finished(folder):
+        files.check_free([folder], overwrite=overwrite)
 
 
 def _begin(folder: Path, scene: Scene) -> None:

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from cmp_tactile_bringup.report.calibration import Report, ReportTable
 from cmp_tactile_bringup.terminal import cell, output_console, print_line, titled_table
-from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.cache.files import check_free, expanded_path
 from cmp_tactile_processing.calibration.check import CheckReport
 from cmp_tactile_processing.calibration.material.loads import MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
@@ -75,10 +75,7 @@ class CalibrationFiles:
 
     def check_free(self, *, overwrite: bool) -> None:
         """Raise OutputError where a file is there already; to be called before the work."""
-        for path in self.written:
-            if path.exists() and not overwrite:
-                msg = f"{path}: exists already; --overwrite replaces it"
-                raise OutputError(msg)
+        check_free(self.written, overwrite=overwrite)
 
     def write(
         self,
