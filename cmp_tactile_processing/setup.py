@@ -15,7 +15,7 @@ node_classes = {
 
 # Only what has no rosdep key; package.xml names the rest.
 requirements = [
-    "filelock>=3.13",
+    "filelock>=3.20.4",
     "platformdirs>=4",
     "pydantic>=2.9",
     "ruamel.yaml>=0.18",
