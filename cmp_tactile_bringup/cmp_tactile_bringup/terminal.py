@@ -25,7 +25,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.errors import CmpTactileError, error_text, printable
 from cmp_tactile_processing.processes import OnProgress
 
 if TYPE_CHECKING:
@@ -117,12 +117,12 @@ def print_line(console: Console, text: str, style: str = "") -> None:
 
 
 def error_line(error: Exception, hint: str = "") -> str:
-    """The one line that a user reads of an error.
+    """What a user reads of an error, mostly one line.
 
     hint: appended where the error is not one that a user is expected to cause.
     """
     if isinstance(error, CmpTactileError):
-        return printable(f"error: {error}")
+        return f"error: {error_text(error)}"
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return printable(f"error: {where}{error.strerror or error}")

@@ -62,6 +62,12 @@ class InputError(CmpTactileError, ValueError):
     """
 
 
+def error_text(error: object) -> str:
+    """What an error says to a user; an InputError has a line for each value that is wrong."""
+    lines = str(error).split("\n") if isinstance(error, InputError) else [str(error)]
+    return "\n".join(map(printable, lines))
+
+
 class FrameError(CmpTactileError):
     """A camera frame or view image of the wrong size or type, or which is damaged."""
 

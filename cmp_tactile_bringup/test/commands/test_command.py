@@ -87,6 +87,16 @@ def test_markup_and_escape_sequences_in_a_name_are_shown_as_they_are(tmp_path, c
     one_line_error(capsys, "rig.yaml:", ": \\x1b[31m[/]\\n: found 1, expected no such key")
 
 
+def test_all_that_is_wrong_with_a_file_is_said_at_once(tmp_path, capsys):
+    path = tmp_path / "rig.yaml"
+    text = find_sensor_description("sample_rig").read_text()
+    path.write_text(text.replace("rows: 20", "rows: twenty").replace("poisson: 0.48", "poisson: 4"))
+    assert run("info", path) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"error: .*rig.yaml:\d+: pattern.rows: found 'twenty', .*", first)
+    assert re.fullmatch(r".*rig.yaml:\d+: elastomer.poisson: found 4, .*", second)
+
+
 def test_an_unknown_sensor_is_one_line_and_debug_shows_where(capsys):
     assert run("info", "nosuch") == 1
     one_line_error(capsys, "nosuch", "sample_rig")

@@ -144,7 +144,7 @@ def locked(path: Path, wait_s: float = math.inf) -> Iterator[None]:
         try:
             yield
         finally:
-            # Since 3.20.4 filelock tries again where the file that it has locked is no longer there.
+            # Since 3.20.4 filelock tries again where the file that it has locked is gone.
             path.unlink(missing_ok=True)
 
 

@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from cmp_tactile_processing.cache.files import expanded_path, folder_without_home
-from cmp_tactile_processing.errors import CmpTactileError, printable
+from cmp_tactile_processing.errors import CmpTactileError, error_text
 from cmp_tactile_processing.processes import Interruption
 
 LOGGED_S = 5.0
@@ -210,8 +210,8 @@ def run_node(make_node: Callable[[], Node], args: list[str] | None = None) -> in
 
 
 def report_error(error: object) -> int:
-    """Write one line on what is wrong to stderr; returns the exit code, 1."""
-    sys.stderr.write(printable(f"error: {error}") + "\n")
+    """Write what is wrong to stderr, mostly one line; returns the exit code, 1."""
+    sys.stderr.write(f"error: {error_text(error)}\n")
     return 1
 
 
