@@ -118,7 +118,7 @@ def _with_recordings(graph: Graph, stop: StopSignal) -> Graph:
 
 @contextmanager
 def _only_one_in(namespace: str) -> Iterator[None]:
-    """Raise InputError where a process of this machine runs a graph in the same namespace.
+    """Raise CmpTactileError where a process of this machine runs a graph in the same namespace.
 
     Their forces and records would be mixed.
     """
@@ -133,7 +133,7 @@ def _only_one_in(namespace: str) -> Iterator[None]:
                 f"{namespace}: found a sensor of this name that runs already, expected another "
                 "name (name:=NAME)"
             )
-            raise InputError(msg) from None
+            raise CmpTactileError(msg) from None
         except OSError:
             pass  # nothing can be kept: it runs all the same
         yield

@@ -125,7 +125,7 @@ def test_no_sensor_and_one_of_another_name(ros, run, monkeypatch):
         CmpTactileError, match="found no running sensor, expected one; is ROS_DOMAIN"
     ):
         run("zero")
-    monkeypatch.setattr(running, "SEARCH_TIME_S", 3.0)
+    monkeypatch.setattr(running, "SEARCH_TIME_S", 8.0)
     ros.start(ViewSplitter)
     with pytest.raises(CmpTactileError, match=f"in /thumb, expected {ros.namespace}"):
         run("zero", "thumb")

@@ -13,7 +13,7 @@ from cmp_tactile_processing.tracking.virtual_markers.corner_fusion import (
 )
 from cmp_tactile_processing.tracking.virtual_markers.fusion import (
     CORNER_BIAS_PX,
-    SHARED_PIXELS,
+    SHARED_PIXELS_VARIANCE_RATIO,
     Fits,
 )
 
@@ -52,7 +52,7 @@ def test_a_line_moves_a_corner_across_itself_alone():
     assert corners[0, 1] == pytest.approx((0.0, weight * 0.012 / (2 * weight + own)), rel=1e-9)
     variances = 1 / own, 1 / (2 * weight + own)
     # Both share pixels, and the line takes out what a corner's deviation allows for bias.
-    fused = SHARED_PIXELS * (np.mean(variances) - CORNER_BIAS_PX**2)
+    fused = SHARED_PIXELS_VARIANCE_RATIO * (np.mean(variances) - CORNER_BIAS_PX**2)
     assert std[0, 1] == pytest.approx(np.sqrt(fused), rel=1e-9)
 
 

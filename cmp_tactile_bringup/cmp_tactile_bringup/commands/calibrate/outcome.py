@@ -143,7 +143,7 @@ def view_pictures(
 
 def text_table(table: ReportTable) -> Table:
     """The table for a terminal."""
-    shown = titled_table(table.title, box=None, pad_edge=False)
+    shown = titled_table(table.title, box=None, pad_edge=False, collapse_padding=True)
     for heading in table.headings:
         number = heading in NUMBER_COLUMNS
         justify: JustifyMethod = "right" if number else "left"
