@@ -45,14 +45,11 @@ def git(*words: str) -> list[str]:
 
 
 def test_a_changed_interface_is_in_the_changelog():
-    """By the changes that are not committed, else by the last commit that changed the page.
-
-    Without git's history nothing is compared.
-    """
-    commit = git("log", "-1", "--format=%H", "--", PAGE)
+    """Since the page last changed, committed or not; nothing is compared without git's history."""
     changed = git("diff", "--name-only", "HEAD")
+    commit = git("log", "-1", "--format=%H", "--", PAGE)
     if PAGE not in changed and commit:
-        changed = git("show", "-m", "--first-parent", "--name-only", "--format=", *commit)
+        changed = git("diff", "--name-only", f"{commit[0]}^")
     assert CHANGELOG in changed or PAGE not in changed, f"{PAGE} has changed: add to {CHANGELOG}"
 
 
