@@ -98,7 +98,7 @@ class InputWatch:
     """Counts the stamps of an input, and the messages that were sent to it and never got there.
 
     Losses show as gaps in the numbers that the middleware gives to the messages of a publisher, if
-    it does.  Where frames come by a plain call, the entrance counts those that it pushed out.
+    it does.  Where frames come by a plain call, the queue counts those that it pushed out.
 
     newest: only the newest message is wanted.
     """

@@ -181,7 +181,7 @@ def test_a_source_is_not_held_up_and_the_newest_frame_is_taken(container):
     assert newest.threads[0] != threading.get_ident()
 
 
-def test_an_entrance_that_is_full_drops_the_oldest_and_counts_it(container):
+def test_a_queue_that_is_full_drops_the_oldest_and_counts_it(container):
     stage = container.stage("stage", "image", depth=3)
     output = container.output("image", own_thread=True)
     with container.wiring.lock:
