@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from cmp_tactile_driver.sources.capture import Pacer, Worker
-from cmp_tactile_processing.errors import ContactError, InputError
+from cmp_tactile_processing.errors import CmpTactileError, InputError
 from cmp_tactile_processing.measured import ForceField, SurfaceGrid
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
@@ -200,7 +200,7 @@ class ScenePlayer:
     def _play(self, frame: int) -> None:
         try:
             self._state = next(self._simulation.states(self._state))
-        except ContactError:
+        except CmpTactileError:
             self._state = replace(self._state, frame=frame)
             raise
 
@@ -346,7 +346,7 @@ class LiveContact:
         began = time.monotonic()
         try:
             contact, there = self._solve(player, None if reset else goal, elapsed)
-        except ContactError as error:
+        except CmpTactileError as error:
             self._problem = str(error)
             self._end(goal)
         else:

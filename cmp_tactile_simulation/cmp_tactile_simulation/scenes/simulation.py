@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ContactError
+from cmp_tactile_processing.errors import CmpTactileError, ContactError
 from cmp_tactile_processing.measured import (
     ForceField,
     Grid,
@@ -227,7 +227,7 @@ class Simulation:
         """
         state = self.start()
         pending: deque[Future[SimulatedFrame]] = deque()
-        failure: ContactError | None = None
+        failure: CmpTactileError | None = None
         with ThreadPoolExecutor(1, thread_name_prefix="rendering") as pool:
             try:
                 for frame in range(state.frame + 1, self.scene.frame_count):
@@ -237,7 +237,7 @@ class Simulation:
                     pending.append(pool.submit(self.observe, state, moved))
                     if len(pending) > FRAMES_AHEAD:
                         yield pending.popleft().result()
-            except ContactError as error:
+            except CmpTactileError as error:
                 # The frames before are good.
                 failure = error
             while pending:
