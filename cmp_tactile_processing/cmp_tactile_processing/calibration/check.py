@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration import observation, outcome
-from cmp_tactile_processing.calibration.findings import finding
+from cmp_tactile_processing.calibration.outcome import finding
 from cmp_tactile_processing.errors import CalibrationError
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity

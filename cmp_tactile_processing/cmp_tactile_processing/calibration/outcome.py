@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from enum import Enum
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,7 @@ from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.sensor.yaml_file import read_yaml
 
 
 class Severity(str, Enum):
@@ -36,6 +39,19 @@ class Finding:
     def graded(cls, text: str, advice: str, *, error: bool) -> Finding:
         """An error, or else a warning."""
         return cls(Severity.ERROR if error else Severity.WARNING, text, advice)
+
+
+@cache
+def finding_texts() -> dict[str, dict[str, str]]:
+    """Text and advice of every finding of calibrations, by its name: those of findings.yaml."""
+    return dict(read_yaml(Path(__file__).with_name("findings.yaml")).content)
+
+
+def finding(name: str, /, *, error: bool, **values: Any) -> Finding:
+    """The finding of that name with these values in its texts; a warning unless it is an error."""
+    texts = finding_texts()[name]
+    text, advice = (texts[part].format_map(values) for part in ("text", "advice"))
+    return Finding(Severity.ERROR if error else Severity.WARNING, text, advice)
 
 
 def errors_in(findings: Iterable[Finding]) -> list[Finding]:

@@ -24,7 +24,7 @@ from cmp_tactile_processing.sensor.yaml_file import (
     read_yaml,
     text,
 )
-from cmp_tactile_processing.sensor.yaml_text import dump_yaml, updated_yaml, yaml_content
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml, updated_yaml
 
 FORMAT_VERSION = 1
 # A lens sees at most 172 degrees over this many of its focal lengths; less is one in mm.
@@ -228,9 +228,9 @@ def sensor_description_text(sensor: SensorDescription) -> str:
     read from keeps its layout and comments.
     """
     if sensor.text:
-        given = yaml_content(Path(sensor.origin), sensor.text)[0]
-        read = sensor_description_of(parse_yaml(Path(sensor.origin), sensor.text))
-        before, after = (_mapping(item, given, item.camera) for item in (read, sensor))
+        file = parse_yaml(Path(sensor.origin), sensor.text)
+        read = sensor_description_of(file)
+        before, after = (_mapping(item, file.content, item.camera) for item in (read, sensor))
         return updated_yaml(sensor.text, before, after)
     text = HEADER + dump_yaml({"version": FORMAT_VERSION, **_mapping(sensor, {}, sensor.camera)})
     for key, comment in COMMENTS.items():

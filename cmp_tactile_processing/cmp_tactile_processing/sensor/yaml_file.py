@@ -251,14 +251,20 @@ class YamlFile:
         if type(found) is not int or found != version:
             raise self.error("version", found, str(version))
 
+    def _at(self, where: str) -> str:
+        """The file, with the line of the key path or of what it is below, where that is known."""
+        while where and where not in self.lines:
+            where = re.sub(r"(\.|^)[^.\[]*$|\[\d+\]$", "", where)
+        return f"{self.path}:{self.lines[where]}" if where in self.lines else f"{self.path}"
+
+    def _path_of(self, key: str) -> str:
+        return ".".join(part for part in (self.above, key) if part)
+
     def _line(self, key: str, found: object, expected: str) -> str:
-        where = ".".join(part for part in (self.above, key) if part)
-        near = where
-        while near and near not in self.lines:
-            near = re.sub(r"(\.|^)[^.\[]*$|\[\d+\]$", "", near)
-        at = f"{self.path}:{self.lines[near]}" if near in self.lines else f"{self.path}"
+        where = self._path_of(key)
         shown = "nothing" if found is NOTHING else found_text(found)
-        return printable(f"{at}: {where or 'top level'}: found {shown}, expected {expected}")
+        text = f"{where or 'top level'}: found {shown}, expected {expected}"
+        return printable(f"{self._at(where)}: {text}")
 
     def _problem(self, item: Any, schema: Any) -> str:
         """The line of one of pydantic's errors."""
@@ -270,7 +276,7 @@ class YamlFile:
             expected = cause.expected
         elif isinstance(cause, InputError):
             # It names the key, the value, and what is expected.
-            return f"{self._line(_key_path(loc), 0, '').partition(': ')[0]}: {cause}"
+            return printable(f"{self._at(self._path_of(_key_path(loc)))}: {cause}")
         elif item["type"] == "unexpected_keyword_argument":
             allowed = sorted(_schema_at(schema, item["loc"][:-1]).get("properties", {}))
             hint = did_you_mean(str(loc[-1]), allowed)

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 
 from cmp_tactile_processing import calibration
-from cmp_tactile_processing.calibration.findings import finding, finding_texts
-from cmp_tactile_processing.calibration.outcome import Severity
+from cmp_tactile_processing.calibration.outcome import Severity, finding, finding_texts
 
 NAME = re.compile(r'\bfinding\(\s*(?:"([^"]+)" if \w+ else )?"([^"]+)"')
 

@@ -158,7 +158,6 @@ class Gel(Output, FrameInput):
         with shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
             prepare_tracker(sensor, on_stage)
-        with shown_stages() as on_stage:
             outcome = calibrate_gel(sensor, frames.images, on_progress=on_stage)
         warn(frames.problem)
         return _conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
@@ -342,13 +341,12 @@ class Check(FrameInput):
         with terminal.shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
             prepare_tracker(sensor, on_stage)
-        errors = None
-        with terminal.shown_stages() as on_stage:
             grids = track_frames(sensor, frames.images, on_stage)
         report = check_grids(sensor, grids)
         # One view measures no places in 3-D.
         in_3d = len(sensor.views) > 1
         truth = truth_of(self.input) if self.input is not None and in_3d else None
+        errors = None
         if truth is not None:
             errors = truth_errors(sensor, grids, frames.stamps_ns, truth)
         rows = [_row(figure) for figure in report.figures] + (errors.rows() if errors else [])

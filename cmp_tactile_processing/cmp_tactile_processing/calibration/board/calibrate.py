@@ -28,9 +28,8 @@ from cmp_tactile_processing.calibration.board.start import (
     start_of_cameras,
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, rig_estimates
+from cmp_tactile_processing.calibration.outcome import Estimate, Finding, finding, rig_estimates
 from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification

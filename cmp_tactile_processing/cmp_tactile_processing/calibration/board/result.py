@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.board.start import RigFit
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
     Finding,
     ViewResiduals,
     errors_in,
+    finding,
     provenance,
     reprojection,
 )

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration import observation
-from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.gel.fit import (
     GelCalibrationParameters,
     GelFit,
@@ -37,6 +36,7 @@ from cmp_tactile_processing.calibration.outcome import (
     Estimate,
     Finding,
     errors_in,
+    finding,
     length_text,
     number_text,
     provenance,

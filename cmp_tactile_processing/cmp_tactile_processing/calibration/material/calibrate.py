@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.calibration.findings import finding
 from cmp_tactile_processing.calibration.material.loads import (
     LoadResult,
     LoadSample,
@@ -29,6 +28,7 @@ from cmp_tactile_processing.calibration.material.loads import (
 from cmp_tactile_processing.calibration.outcome import (
     Estimate,
     Finding,
+    finding,
     provenance,
 )
 from cmp_tactile_processing.elastic.mesh import MeshDensity
