@@ -535,7 +535,26 @@ class ForceField:
     relaxed: bool = False
     systematic_covariance: NDArray[np.float64] = field(default_factory=_unknown_covariance)
 
-    def with_errors(
+    def with_errors(self, factor: float = 1.0, relative: float = 0.0) -> ForceField:
+        """With larger error bars: deviations times `factor`, and a share of each force more."""
+
+        def covariance(of: ForceField | Contact, known: NDArray[np.float64]) -> Any:
+            return factor**2 * known + relative**2 * np.outer(of.wrench, of.wrench)
+
+        std = self.force_std
+        if std is not None:
+            std = np.hypot(factor * std, relative * np.abs(self.force))
+        return replace(
+            self,
+            force_std=std,
+            wrench_covariance=covariance(self, self.wrench_covariance),
+            contacts=tuple(
+                replace(item, covariance=covariance(item, item.covariance))
+                for item in self.contacts
+            ),
+        )
+
+    def with_systematic_errors(
         self, covariance: NDArray[np.float64], node_std: NDArray[np.float64]
     ) -> ForceField:
         """With systematic errors more: covariance (6, 6) of the wrench, node_std (M, 3) N."""

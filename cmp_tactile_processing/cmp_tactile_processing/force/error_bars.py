@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,19 +51,7 @@ class RollingShutter:
         share = FASTEST * STD_OF_RANGE * self._readout_time / since
         wrench = share * (field.wrench - before[0].wrench)
         nodes = share * (field.force - before[0].force)
-        return field.with_errors(np.outer(wrench, wrench), nodes)
-
-
-def with_deviations_times(factor: float, field: ForceField) -> ForceField:
-    """The field with larger error bars of its wrench, contacts and nodes."""
-    return replace(
-        field,
-        force_std=None if field.force_std is None else factor * field.force_std,
-        wrench_covariance=factor**2 * field.wrench_covariance,
-        contacts=tuple(
-            replace(item, covariance=factor**2 * item.covariance) for item in field.contacts
-        ),
-    )
+        return field.with_systematic_errors(np.outer(wrench, wrench), nodes)
 
 
 def errors_without_reference(sensor: SensorDescription, nodes: int) -> tuple[Float, Float]:

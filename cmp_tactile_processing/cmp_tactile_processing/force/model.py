@@ -282,23 +282,6 @@ def _reaching_border(hidden: Mask) -> Mask:
     return np.asarray(binary_propagation(hidden & edge, mask=hidden))
 
 
-def doubted(field: ForceField, relative: float) -> ForceField:
-    """The same with a relative standard deviation on top of all error bars."""
-
-    def wider(wrench: Array, covariance: Array) -> Array:
-        return np.asarray(covariance + relative**2 * np.outer(wrench, wrench))
-
-    std = field.force_std
-    return replace(
-        field,
-        force_std=None if std is None else np.hypot(std, relative * np.abs(field.force)),
-        wrench_covariance=wider(field.wrench, field.wrench_covariance),
-        contacts=tuple(
-            replace(item, covariance=wider(item.wrench, item.covariance)) for item in field.contacts
-        ),
-    )
-
-
 def interpolation_matrix(source: SurfaceGrid, target: SurfaceGrid) -> sparse.csr_array:
     """Bilinear interpolation from the points of one grid to those of another, (target, source).
 
@@ -470,7 +453,7 @@ class ForceModel:
         field = self._field(linear, measured, moved, flag)
         if self._sensor.elastomer.model == "linear":
             return field
-        return doubted(field, LINEAR_STD_PER_DEPTH_RATIO * self._depth_of(linear))
+        return field.with_errors(relative=LINEAR_STD_PER_DEPTH_RATIO * self._depth_of(linear))
 
     def reset(self) -> None:
         """Forget where a large press has settled; all else is of one frame alone."""

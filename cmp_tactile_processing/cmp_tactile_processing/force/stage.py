@@ -16,7 +16,6 @@ from cmp_tactile_processing.elastic.relaxation import RelaxationFilter
 from cmp_tactile_processing.force.error_bars import (
     RollingShutter,
     errors_without_reference,
-    with_deviations_times,
 )
 from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
@@ -102,7 +101,7 @@ class ForceStage:
             flags = field.flags | self._beyond(field, displacement) | self._of_zero(field)
             flags |= _of_reference(surface.reference_faults)
         if self._encoded:
-            field = with_deviations_times(ENCODED_DEVIATIONS, field)
+            field = field.with_errors(ENCODED_DEVIATIONS)
         relaxed = self._relaxation is not None and stamp_ns is not None
         self._last = field
         field = replace(field, relaxed=relaxed, flags=flags)
@@ -112,7 +111,7 @@ class ForceStage:
             self._slip.reset()
         field = self._model.with_systematic(field, surface.systematics)
         if surface.reference_faults & ReferenceFault.NOT_TAKEN:
-            field = field.with_errors(*self._of_no_reference)
+            field = field.with_systematic_errors(*self._of_no_reference)
         return self._shutter.add(field, stamp_ns)
 
     def reset(self) -> None:
