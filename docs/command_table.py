@@ -32,6 +32,7 @@ PAGES = {
     "focus": "../docs/camera.md",
     "init": "../docs/tutorials/webcam.md",
     "pattern": "../docs/print.md",
+    "schema": "../docs/sensor_description.md",
     "info": "../docs/sensor_description.md",
     "import": "../docs/other_sensors.md",
     "calibrate": "#calibrate",

@@ -41,6 +41,7 @@ SUBCOMMANDS = {
     "focus": ("camera.Focus", "show live how sharp and well lit a camera's picture is"),
     "init": ("camera.Init", "describe a new sensor from one picture of its pattern"),
     "pattern": ("description.Pattern", "write a sensor's pattern to print: SVG, PDF, DXF"),
+    "schema": ("description.Schema", "print the JSON schema of a sensor's or scene's file"),
     "info": ("description.Info", "show a sensor description and the installation"),
 }
 IMPORTS = {

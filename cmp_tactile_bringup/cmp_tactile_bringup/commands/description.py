@@ -215,6 +215,33 @@ class Info(Command):
         return 0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Schema(Command):
+    """Print the JSON schema of a file that you write: an editor then completes its keys, and marks
+    what is wrong while you type.
+
+    example, for editors with the YAML language server:
+      cmp_tactile schema sensor > sensor.schema.json
+      the first line of my_sensor.yaml:
+      # yaml-language-server: $schema=sensor.schema.json
+    """
+
+    file: Annotated[str, argument("sensor|scene", "kind of the file")]
+
+    def run(self) -> int:
+        """Print it."""
+        import json
+
+        if self.file == "sensor":
+            from cmp_tactile_processing.sensor.description import sensor_schema as schema
+        elif self.file == "scene":
+            from cmp_tactile_simulation.scenes.file import scene_schema as schema
+        else:
+            misuse(f"found {self.file!r}, expected sensor or scene")
+        print(json.dumps(schema(), indent=1))
+        return 0
+
+
 def _sensor(source: Path, arguments: Pattern) -> SensorDescription:
     """The sensor with the pattern that is asked for, checked as if it were read."""
     from dataclasses import replace

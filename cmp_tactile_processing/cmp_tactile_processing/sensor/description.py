@@ -20,6 +20,7 @@ from cmp_tactile_processing.sensor.yaml_file import (
     OrElse,
     Part,
     YamlFile,
+    file_schema,
     parse_yaml,
     read_yaml,
     text,
@@ -196,6 +197,11 @@ def sensor_description_of(file: YamlFile) -> SensorDescription:
     """Check a sensor description that was read already; errors as SensorDescription.load."""
     sensor = file.read(SensorDescription, FORMAT_VERSION)
     return replace(sensor, file=str(file.path), text=file.text)
+
+
+def sensor_schema() -> dict[str, Any]:
+    """JSON schema of a sensor description's file."""
+    return file_schema(SensorDescription, FORMAT_VERSION)
 
 
 def _check_focal(camera: parts.Camera, image: parts.ImageSize, *key: str) -> None:

@@ -287,6 +287,25 @@ class YamlFile:
         return self._line(_key_path(loc), found, expected)
 
 
+def file_schema(kind: type[Any], version: int) -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a file that `YamlFile.read` reads, for editors."""
+    schema = part_schema(kind)
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "properties": {"version": {"const": version}, **schema["properties"]},
+        "required": ["version", *schema["required"]],
+    }
+
+
+def part_schema(kind: type[Any]) -> dict[str, Any]:
+    """JSON schema of a mapping that is read into the dataclass."""
+    # The default of an unknown number is NaN, which JSON does not have.
+    text = json.dumps(_adapter(kind).json_schema())
+    schema: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
+    return schema
+
+
 def _new_adapter(kind: Any) -> Any:
     from pydantic import TypeAdapter
 

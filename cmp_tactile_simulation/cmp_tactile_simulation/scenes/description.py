@@ -31,6 +31,7 @@ from cmp_tactile_processing.sensor.yaml_file import (
     choice,
     meant,
     number,
+    part_schema,
     positive,
     text,
 )
@@ -372,6 +373,16 @@ def _indenter_keys(kind: str) -> type[Part]:
         own.insert(0, (item.name, kinds.get(item.name, side), declared))
     own.insert(0, ("type", str, field()))
     return make_dataclass("Indenter", own, bases=(Part,), frozen=True, kw_only=True)
+
+
+def indenter_schema() -> dict[str, Any]:
+    """JSON schema of `indenter`: the keys of each type."""
+    kinds = []
+    for kind in (*INDENTERS, MESH):
+        schema = part_schema(_indenter_keys(kind))
+        schema["properties"]["type"] = {"const": kind}
+        kinds.append(schema)
+    return {"oneOf": kinds}
 
 
 def indenter_of(description: IndenterDescription, start: Start) -> indenters.Indenter:

@@ -27,6 +27,7 @@ from cmp_tactile_processing.sensor.yaml_file import (
     YamlFile,
     choice,
     did_you_mean,
+    file_schema,
     number,
     positive,
     read_yaml,
@@ -197,6 +198,20 @@ def _read(top: YamlFile, path: Path) -> description.Scene:
         start=start,
         motion=_phases(top, found),
     )
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON schema of a scene's file."""
+    schema = file_schema(_SceneFile, FORMAT_VERSION)
+    sensor = {"type": "object", "required": ["base"], "properties": {"base": {"type": "string"}}}
+    own = {
+        "sensor": {"anyOf": [{"type": "string"}, sensor]},
+        "indenter": description.indenter_schema(),
+        "variants": {"type": "object", "additionalProperties": {"type": "object"}},
+    }
+    schema["properties"] |= own
+    schema["required"] += ["sensor", "indenter"]
+    return schema
 
 
 def _phases(top: YamlFile, found: _SceneFile) -> tuple[description.Phase, ...]:
