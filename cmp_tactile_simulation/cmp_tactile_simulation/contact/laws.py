@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_simulation.indenters import Indenter
+from cmp_tactile_simulation.indenters import Indenter, MeshIndenter
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -168,7 +168,10 @@ def bulge(indenter: Indenter, pose: Pose, place: Array, spacing: tuple[float, fl
     """
     gap, normal = indenter.distance(pose.to_indenter(place))
     normal = normal @ pose.rotation.T
-    turning = _turning(indenter, pose, place - gap[:, None] * normal, normal)
+    # The facets of a mesh are flat: how it bends shows over the width of a hat.
+    wide = isinstance(indenter, MeshIndenter)
+    step = max(spacing) / np.sqrt(3) if wide else CURVATURE_STEP
+    turning = _turning(indenter, pose, place - gap[:, None] * normal, normal, step)
     bend = spacing[0] * spacing[1] * np.trace(turning, axis1=1, axis2=2)
     sharpness = max(spacing) * np.linalg.norm(turning, axis=(1, 2))
     return np.asarray(bend / (12 * (1 + sharpness**4)))
@@ -212,15 +215,22 @@ def curvature(problem: Problem, view: View, nodes: Index) -> Array:
     return _turning(problem.indenter, view.pose, view.place[nodes], view.normal[nodes])
 
 
-def _turning(indenter: Indenter, pose: Pose, place: Array, normal: Array) -> Array:
+def _turning(
+    indenter: Indenter, pose: Pose, place: Array, normal: Array, step: float = CURVATURE_STEP
+) -> Array:
     turning = np.zeros((len(place), 3, 3))
     for tangent in tangents(normal):
-        beside = pose.to_indenter(place + CURVATURE_STEP * tangent)
-        turned = indenter.distance(beside)[1] @ pose.rotation.T
-        rate = (turned - normal) / CURVATURE_STEP
+        rate = (_normal(indenter, pose, place + step * tangent) - normal) / step
+        if step > CURVATURE_STEP:
+            before = (normal - _normal(indenter, pose, place - step * tangent)) / step
+            rate = (rate + before) / 2
         rate -= (rate * normal).sum(axis=1)[:, None] * normal
         turning += rate[:, :, None] * tangent[:, None, :]
     return np.asarray((turning + turning.transpose(0, 2, 1)) / 2)
+
+
+def _normal(indenter: Indenter, pose: Pose, place: Array) -> Array:
+    return np.asarray(indenter.distance(pose.to_indenter(place))[1] @ pose.rotation.T)
 
 
 def _anchors(problem: Problem, pose: Pose) -> Array:
