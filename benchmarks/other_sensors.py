@@ -40,7 +40,8 @@ from cmp_tactile_simulation.scenes.description import (
     Touch,
 )
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.simulator import SimulatedFrame
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_simulation.gel import observers
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import SceneCamera
+from cmp_tactile_simulation.simulator import SensorCamera
 
 DATA = Path(__file__).parent / "data" / "force_truth.npz"
 # Of a measured displacement along x, y, z, m: what the parameters of the force stage expect.
@@ -122,7 +122,7 @@ def test_large_press_of_a_neo_hookean_gel(sensor, data):
 
 def test_force_from_rendered_images(sensor, data):
     """A sphere at 2 N, through tracking, triangulation and force; images with a camera's noise."""
-    camera = SceneCamera(replace(load_scene("contact_sphere"), sensor=sensor), observers(sensor))
+    camera = SensorCamera(sensor, observers(sensor), load_scene("contact_sphere").look)
     pressed, true = data["rendered_displacement"].astype(np.float64), data["rendered_wrench"]
     rest = np.zeros_like(pressed)
     pipeline = Pipeline(sensor)

@@ -30,7 +30,8 @@ from cmp_tactile_simulation.scenes.description import (
     Touch,
 )
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.simulator import SimulatedFrame
 
 # Multiples of the noise that the parameters state: 2 um in plane, 5 um in depth.
 NOISE_SCALES, SMOOTHED_NOISE = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0, 4.0)

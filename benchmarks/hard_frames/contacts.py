@@ -18,7 +18,8 @@ from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenters import Indenter
 from cmp_tactile_simulation.scenes.description import Phase, Start, Touch
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation, slip_estimate
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.simulator import slip_estimate
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,8 @@ from cmp_tactile_simulation.recording.run import simulator_version
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Motion, Scene
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.simulator import force_field
 
 Arrays = Mapping[str, NDArray[Any]]
 

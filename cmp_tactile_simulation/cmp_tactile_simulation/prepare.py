@@ -12,14 +12,14 @@ import numpy as np
 from cmp_tactile_simulation.gel import observers
 from cmp_tactile_simulation.scenes.description import Scene
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import SceneCamera
+from cmp_tactile_simulation.simulator import SensorCamera
 
 
 def prepare_rendering(scene: Scene) -> None:
     """Have numba's cache hold all that renders frames of a scene."""
     grid = observers(scene.sensor)
     at_rest = np.zeros((grid.rows, grid.cols, 3))
-    SceneCamera(scene, grid).observe(0, at_rest)
+    SensorCamera(scene.sensor, grid, scene.look).observe(0, at_rest)
 
 
 if __name__ == "__main__":

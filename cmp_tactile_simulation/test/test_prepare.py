@@ -11,14 +11,14 @@ import numpy as np
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_simulation.gel import observers
 from cmp_tactile_simulation.scenes.file import load_scene
-from cmp_tactile_simulation.scenes.simulation import SceneCamera
+from cmp_tactile_simulation.simulator import SensorCamera
 
 scene = load_scene("grasp")
 grid = observers(scene.sensor)
 rest = np.zeros((grid.rows, grid.cols, 3))
 pressed = rest + 1e-4 * np.exp(-(grid.points**2).sum(axis=1) / 1e-5).reshape(grid.rows, -1, 1)
 with when_compiling(lambda: print("compiled")):
-    print(SceneCamera(scene, grid).observe(3, -pressed).image.std() > 10)
+    print(SensorCamera(scene.sensor, grid, scene.look).observe(3, -pressed).image.std() > 10)
 """
 
 

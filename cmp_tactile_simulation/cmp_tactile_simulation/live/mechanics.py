@@ -22,7 +22,8 @@ from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_processing.surface.stillness import RestParameters
 from cmp_tactile_simulation.contact.laws import ContactState, Load, Pose
 from cmp_tactile_simulation.scenes.description import Press, Scene, load_between
-from cmp_tactile_simulation.scenes.simulation import Simulation, force_field
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.simulator import force_field
 
 HIGHEST_M = 0.1
 

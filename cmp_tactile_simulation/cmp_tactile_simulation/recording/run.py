@@ -26,7 +26,8 @@ from cmp_tactile_simulation.scenes.file import (
     scene_mapping,
     write_scene,
 )
-from cmp_tactile_simulation.scenes.simulation import SimulatedFrame, Simulation
+from cmp_tactile_simulation.scenes.simulation import Simulation
+from cmp_tactile_simulation.simulator import SimulatedFrame
 
 PACKAGES = ("cmp_tactile_simulation", "cmp_tactile_processing")
 SIMULATING = "simulating"

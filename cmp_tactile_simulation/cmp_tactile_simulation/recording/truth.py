@@ -30,7 +30,7 @@ from cmp_tactile_processing.ros.messages.definitions import (
 from cmp_tactile_processing.ros.messages.making import camera_frame, gel_frame, view_frame
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.contact.laws import Pose
-from cmp_tactile_simulation.scenes.simulation import SimulatedFrame
+from cmp_tactile_simulation.simulator import SimulatedFrame
 
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"

@@ -25,6 +25,8 @@ class Purpose(IntEnum):
     SCENERY = 6
     COVER = 7
     CHANGED_RIG = 8
+    SAMPLE = 9
+    VARIANT = 10
 
 
 def random_stream(purpose: Purpose, seed: int, frame: int = 0) -> np.random.Generator:

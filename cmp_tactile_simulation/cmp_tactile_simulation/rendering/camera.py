@@ -70,9 +70,10 @@ def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[
 
 def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
     """Way across the frame along a direction, from 0 at its first corner to 1 at its last."""
-    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
-    way = x * math.cos(direction) + y * math.sin(direction)
-    return np.asarray((way - way.min()) / max(float(np.ptp(way)), 1e-9))
+    x, y = np.arange(shape[1]) * math.cos(direction), np.arange(shape[0]) * math.sin(direction)
+    least = x.min() + y.min()
+    most = x.max() + y.max()
+    return np.asarray((x + y[:, None] - least) / max(most - least, 1e-9))
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,9 @@ class _Optics:
 @lru_cache(maxsize=4)
 def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Optics:
     height, width = shape
-    y, x = np.mgrid[:height, :width].astype(np.float64)
     centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-    radius2 = ((x - centre_x) ** 2 + (y - centre_y) ** 2) / (centre_x**2 + centre_y**2)
+    x2, y2 = (np.arange(width) - centre_x) ** 2, (np.arange(height) - centre_y) ** 2
+    radius2 = (x2 + y2[:, None]) / (centre_x**2 + centre_y**2)
     light = 1 - (1 - 1 / settings.light_ratio) * _along(shape, settings.light_direction)
     light *= 1 - settings.vignette * radius2
     # Apart, so that more glare leaves the clutter where it is.

@@ -111,10 +111,8 @@ class Renderer:
         threads: int | None = None,
     ) -> None:
         self._sensor = sensor
-        self._size = size = BlockGeometry.from_sensor(sensor).size[:2]
-        plain, strays, blobs = ink.arrays
-        plain = plain._replace(half_x=size[0] / 2, half_y=size[1] / 2, housing=HOUSING_GREY)
-        self._ink = InkArrays(plain, strays, blobs)
+        self._size = BlockGeometry.from_sensor(sensor).size[:2]
+        self.use(ink)
         rest = DeformedSurface.rest(sensor.pattern).spline(self._size)
         # Lenses blur before pixels integrate: a frame of whole pixels would be blurred too late.
         self._fineness = 1 if samples % 2 else 2
@@ -124,6 +122,13 @@ class Renderer:
         ]
         self._threads = threads or get_num_threads()
         self._pool = ThreadPoolExecutor(self._threads)
+
+    def use(self, ink: Checkerboard | Dots) -> None:
+        """Render this print from now on."""
+        plain, strays, blobs = ink.arrays
+        half_x, half_y = self._size[0] / 2, self._size[1] / 2
+        plain = plain._replace(half_x=half_x, half_y=half_y, housing=HOUSING_GREY)
+        self._ink = InkArrays(plain, strays, blobs)
 
     def render(self, surface: DeformedSurface) -> RenderedFrame:
         """The frame in even light, without blur and noise; `expose` makes a camera's of it."""

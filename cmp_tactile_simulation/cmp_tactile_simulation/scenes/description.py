@@ -17,10 +17,8 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import InputError, RefusedValueError
-from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_file import (
     NOTHING,
@@ -41,6 +39,13 @@ from cmp_tactile_simulation.contact.laws import Load, Pose
 from cmp_tactile_simulation.gel import NODES_RANGE
 from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
+from cmp_tactile_simulation.simulator import (
+    DEFAULT_FRICTION,
+    FIRST_STAMP_NS,
+    MAX_FRICTION,
+    Look,
+    turned,
+)
 
 MAX_REACH_M = 0.2
 MAX_SAMPLES = 8
@@ -49,17 +54,13 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.1, 1000.0
 MAX_SEED = 2**32 - 1
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 NOWHERE = (0.0, 0.0, 0.0)
-# Recordings of the same scene are to be the same bytes, whenever they are made.
-FIRST_STAMP_NS = 1_750_000_000 * NS_PER_S
 
 Vector = tuple[float, float, float]
 
 MESH = "mesh"
 MESH_KEYS = ("scale", "edge_radius")
-MAX_FRICTION = 10.0
 # Of everything that presses on a gel.
 SIDE_M = 1e-6, 0.2
-DEFAULT_FRICTION = 0.6
 
 
 def _file_name(name: str) -> str:
@@ -221,6 +222,11 @@ class Scene(SceneKeys):
         """Number of frames."""
         return sum(phase.frames for phase in self.motion)
 
+    @property
+    def look(self) -> Look:
+        """What its pictures are made with."""
+        return Look(self.pattern_type, self.camera, self.defects, self.samples, self.seed)
+
     def stamp_ns(self, frame: int) -> int:
         """Stamp of a frame, ns."""
         return FIRST_STAMP_NS + round(frame * 1e9 / self.rate)
@@ -255,11 +261,6 @@ class Motion:
         last = self._ends[bisect_right(self._ends, frame)]
         share = 1.0 - (last - 1 - frame) / phase.frames
         return share if phase.easing == "linear" else share * share * (3.0 - 2.0 * share)
-
-
-def turned(rotation_deg: Vector) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of turns about the fixed x, then y, then z direction, degrees."""
-    return np.asarray(Rotation.from_euler("xyz", rotation_deg, degrees=True).as_matrix())
 
 
 def start_pose(start: Start, contact: ContactSimulation) -> Pose:

@@ -406,7 +406,7 @@ class SceneName(NamedTuple):
 def packaged_scenes() -> dict[str, Path]:
     """Names and files of the scenes that come with the package."""
     found: dict[str, Path] = {}
-    for folder in _scene_folders():
+    for folder in packaged_folders("scenes"):
         for path in sorted(folder.glob("*.yaml")):
             found.setdefault(path.stem, path)
     return found
@@ -430,8 +430,9 @@ def load_scene(name_or_path: str) -> description.Scene:
     return replace(read_scene(*found), file=found.path)
 
 
-def _scene_folders() -> list[Path]:
-    source_tree = Path(__file__).resolve().parents[2] / "scenes"
+def packaged_folders(kind: str) -> list[Path]:
+    """Where files of a kind that come with the package may lie: scenes, recipes."""
+    source_tree = Path(__file__).resolve().parents[2] / kind
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    installed = [Path(prefix) / "share" / PACKAGE / "scenes" for prefix in prefixes if prefix]
+    installed = [Path(prefix) / "share" / PACKAGE / kind for prefix in prefixes if prefix]
     return [folder for folder in (*installed, source_tree) if folder.is_dir()]

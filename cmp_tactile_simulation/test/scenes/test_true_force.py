@@ -13,7 +13,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.gel import LinearElastomer
 from cmp_tactile_simulation.indenter_shapes import Sphere
-from cmp_tactile_simulation.scenes.simulation import force_field
+from cmp_tactile_simulation.simulator import force_field
 
 
 @pytest.fixture(scope="module")
