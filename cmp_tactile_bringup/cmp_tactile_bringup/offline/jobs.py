@@ -80,6 +80,9 @@ class Job:
     overwrite: bool = False
     sensor: str = ""
 
+    def __str__(self) -> str:
+        return self.label
+
     def path(self, suffix: str) -> Path:
         """A file of the results."""
         return Path(self.folder) / f"{self.name}{suffix}"

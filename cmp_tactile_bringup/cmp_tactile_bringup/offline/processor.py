@@ -15,21 +15,19 @@ import subprocess
 import sys
 import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.offline.jobs import Job, Outcome
 from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
+from cmp_tactile_bringup.offline.pools import connected, in_processes, on_cluster
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal import error_line, processor_name
@@ -59,8 +57,6 @@ MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
 Result = tuple[Job, Outcome | CmpTactileError]
 LOCK_WAIT_S = 1.0
-SECONDS_TO_CONNECT = 10
-SECONDS_FOR_WORKERS = 30
 COMPILING = "compiling, once per version of the software"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FRAMES_BETWEEN_REPORTS = 10
@@ -350,29 +346,14 @@ def run_here(jobs: Sequence[Job], on_stage: OnProgress) -> Generator[Result, Non
 
 
 def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, None, None]:
-    """Run the jobs in so many processes, each with one thread of BLAS, numba and OpenCV.
-
-    Where one of them dies, all end: the jobs that are not finished have failed.
-    """
-    # A worker looks for modules in the folder that it is started in; beside a recording, anybody's
-    # may lie.  (Python 3.10 knows no PYTHONSAFEPATH.)  The paths of jobs are absolute.
-    started_in = Path.cwd()
-    os.chdir("/")
+    """Run the jobs in so many processes; if one of them dies, those not finished have failed."""
     left = list(jobs)
     try:
-        with joblib.parallel_config("loky", n_jobs=processes, inner_max_num_threads=1):
-            results = joblib.Parallel(return_as="generator_unordered", batch_size=1)(
-                joblib.delayed(_run_in_process)(job) for job in jobs
-            )
-            for job, result in results:
+        for job, result in in_processes(jobs, run_guarded, processes):
+            if not isinstance(result, CmpTactileError):
                 left.remove(job)
-                yield job, result
-    except BrokenProcessPool:
-        reason = "a process ended early: was there enough memory? Try fewer --jobs"
-        for job in left:
-            yield job, CmpTactileError(f"{job.label}: {reason}")
+            yield job, result
     finally:
-        os.chdir(started_in)
         # A process that is killed leaves its own; what another run writes stays.
         for job in left:
             folder = partial_folder(job)
@@ -380,55 +361,17 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
                 shutil.rmtree(folder, ignore_errors=True)
 
 
-def _run_in_process(job: Job) -> Result:
-    import cv2
-
-    cv2.setNumThreads(1)
-    return job, run_guarded(job)
-
-
 def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Result, None, None]:
     """Run the jobs on the workers of the dask scheduler at an address.
 
     Its workers need this software and, under the same paths, the recordings, the sensor
-    description and the folder of the results.  joblib's own backend for dask waits without end for
-    a job whose worker dies, so the jobs are given to dask itself.  Those that have begun go on
-    to their end after an interrupt.
+    description and the folder of the results.
     Raises CmpTactileError without a scheduler or worker.
     """
-    with _connected(address) as client:
-        from distributed import as_completed
-
+    with connected(address) as client:
         for job in jobs:
             Path(job.folder).mkdir(parents=True, exist_ok=True)
-        futures = {client.submit(_run_on_worker, job, pure=False): job for job in jobs}
-        for future in as_completed(list(futures)):
-            job, error = futures[future], future.exception()
-            if error is None:
-                yield job, future.result()
-            else:
-                reason = f"on the cluster: {type(error).__name__}: {error}"
-                yield job, CmpTactileError(f"{job.label}: {reason}")
-
-
-def _connected(address: str) -> Any:
-    try:
-        from distributed import Client
-
-        client = Client(address, timeout=SECONDS_TO_CONNECT)
-    except ImportError as error:
-        msg = f"--scheduler: found no dask ({error}), expected the package: pip install distributed"
-        raise CmpTactileError(msg) from None
-    except (OSError, ValueError) as error:
-        msg = f"{address}: found no dask scheduler, expected one such as tcp://host:8786: {error}"
-        raise CmpTactileError(msg) from None
-    try:
-        client.wait_for_workers(1, timeout=SECONDS_FOR_WORKERS)
-    except TimeoutError:
-        client.close()
-        msg = f"{address}: found no worker within {SECONDS_FOR_WORKERS} s, expected at least one"
-        raise CmpTactileError(msg) from None
-    return client
+        yield from on_cluster(jobs, _run_on_worker, client)
 
 
 def _run_on_worker(job: Job) -> Outcome | CmpTactileError:

@@ -13,7 +13,7 @@ import pytest
 from command_output import run
 from waiting import wait_until
 
-from cmp_tactile_bringup.offline import processor
+from cmp_tactile_bringup.offline import pools
 from cmp_tactile_processing.errors import OutputError
 
 MADE = (".mcap", "_wrench.csv")
@@ -114,7 +114,7 @@ def test_a_cluster_gives_the_same_bytes(cluster, images, tmp_path, capsys):
 
 
 def test_no_scheduler_and_no_dask_are_reported(images, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(processor, "SECONDS_TO_CONNECT", 0.2)
+    monkeypatch.setattr(pools, "SECONDS_TO_CONNECT", 0.2)
     nowhere = ("--output", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:1")
     assert process(images, *nowhere) == 1
     assert "error: tcp://127.0.0.1:1: found no dask scheduler" in error_lines(capsys)[0]
