@@ -16,9 +16,13 @@ setup(
             f"share/{package_name}/scenes",
             sorted(str(path) for path in Path("scenes").glob("*") if path.is_file()),
         ),
+        (
+            f"share/{package_name}/recipes",
+            sorted(str(path) for path in Path("recipes").glob("*") if path.is_file()),
+        ),
     ],
     # Only what has no rosdep key; package.xml names the rest.
-    install_requires=["setuptools", "scikit-fem", "threadpoolctl", "trimesh"],
+    install_requires=["setuptools", "h5netcdf", "scikit-fem", "threadpoolctl", "trimesh"],
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -21,6 +21,7 @@ PAGES = {
     "sensor": "../docs/launch.md",
     "gripper": "../docs/gripper.md",
     "simulate": "../docs/tutorials/simulate.md",
+    "dataset": "../docs/tutorials/dataset.md",
     "process": "#process",
     "zero": "../docs/reference.md",
     "call": "../docs/nodes.md",

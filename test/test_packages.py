@@ -25,7 +25,9 @@ ROSDEP_KEYS = {
     "PIL": "python3-pil",
     "cv2": "python3-opencv",
     "ezdxf": "python3-ezdxf",
+    "h5py": "python3-h5py",
     "jinja2": "python3-jinja2",
+    "jsonschema": "python3-jsonschema",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
@@ -36,6 +38,7 @@ ROSDEP_KEYS = {
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "tf2_ros": "tf2_ros_py",
+    "xarray": "python3-xarray",
     "yaml": "python3-yaml",
 }
 # No package of its own is asked for: numba stands on one version of it.
@@ -46,6 +49,7 @@ WITHOUT_ROSDEP_KEY = {
     "linuxpy": "linuxpy",
     "distributed": "distributed",
     "filelock": "filelock",
+    "h5netcdf": "h5netcdf",
     "joblib": "joblib",
     "mcap": "mcap",
     "platformdirs": "platformdirs",

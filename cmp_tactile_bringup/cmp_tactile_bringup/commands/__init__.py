@@ -30,6 +30,7 @@ SUBCOMMANDS = {
     "sensor": ("graphs.Sensor", "run a sensor with a camera"),
     "gripper": ("graphs.Gripper", "run the sensors of two fingers"),
     "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
+    "dataset": ("dataset.Dataset", "simulate many presses with truth, for learning"),
     "process": ("process.Process", "process recordings without ROS"),
     "zero": ("running.Zero", "set displacement and force of a running sensor to zero"),
     "call": ("running.Call", "call a service of a running node, such as a replay's pause"),

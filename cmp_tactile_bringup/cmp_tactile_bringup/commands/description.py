@@ -226,7 +226,7 @@ class Schema(Command):
       # yaml-language-server: $schema=sensor.schema.json
     """
 
-    file: Annotated[str, argument("sensor|scene", "kind of the file")]
+    file: Annotated[str, argument("sensor|scene|recipe", "kind of the file")]
 
     def run(self) -> int:
         """Print it."""
@@ -236,8 +236,10 @@ class Schema(Command):
             from cmp_tactile_processing.sensor.description import sensor_schema as schema
         elif self.file == "scene":
             from cmp_tactile_simulation.scenes.file import scene_schema as schema
+        elif self.file == "recipe":
+            from cmp_tactile_simulation.dataset.recipe import recipe_schema as schema
         else:
-            misuse(f"found {self.file!r}, expected sensor or scene")
+            misuse(f"found {self.file!r}, expected sensor, scene or recipe")
         print(json.dumps(schema(), indent=1))
         return 0
 

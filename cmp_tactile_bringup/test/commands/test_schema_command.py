@@ -12,9 +12,14 @@ from jsonschema import Draft202012Validator
 
 from cmp_tactile_processing.sensor.description import packaged_sensors
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
+from cmp_tactile_simulation.dataset.recipe import packaged_recipes
 from cmp_tactile_simulation.scenes.file import packaged_scenes
 
-FILES = {"sensor": packaged_sensors(), "scene": packaged_scenes()}
+FILES = {
+    "sensor": packaged_sensors(),
+    "scene": packaged_scenes(),
+    "recipe": packaged_recipes(),
+}
 
 
 def schema(kind: str, capsys: pytest.CaptureFixture[str]) -> Draft202012Validator:
@@ -35,6 +40,7 @@ def test_files_of_the_packages_fit(kind: str, capsys: pytest.CaptureFixture[str]
 WRONG = {
     "sensor": [("pattern", "pich"), ("pattern", "pitch"), ("elastomer", "young")],
     "scene": [("indenter", "diameter"), ("camera", "blurr"), ("start", "touch")],
+    "recipe": [("camera", "blurr"), ("depth", "unifrom")],
 }
 
 
@@ -42,7 +48,7 @@ WRONG = {
 def test_a_wrong_key_or_value_does_not_fit(
     kind: str, place: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path: Path = FILES[kind]["sample_rig" if kind == "sensor" else "grasp"]
+    path: Path = FILES[kind][{"sensor": "sample_rig", "scene": "grasp", "recipe": "presses"}[kind]]
     content: dict[str, Any] = read_yaml(path).content
     section, key = place
     content[section] = {**content.get(section, {}), key: "wide"}
@@ -52,4 +58,4 @@ def test_a_wrong_key_or_value_does_not_fit(
 
 def test_other_kinds_of_files_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("schema", "bag") == 2
-    assert "expected sensor or scene" in capsys.readouterr().err
+    assert "expected sensor, scene or recipe" in capsys.readouterr().err

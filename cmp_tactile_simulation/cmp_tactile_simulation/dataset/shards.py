@@ -1,0 +1,288 @@
+"""The files of a dataset: shards of samples as netCDF 4 (HDF5), and what is beside them.
+
+A shard is written whole or not at all, and the same samples give the same bytes.
+"""
+
+from __future__ import annotations
+
+import csv
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cmp_tactile_processing.cache.files import atomic_path, write_whole
+from cmp_tactile_processing.errors import CmpTactileError, OutputError
+from cmp_tactile_processing.sensor.yaml_file import read_yaml
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+from cmp_tactile_simulation.dataset.recipe import Recipe
+from cmp_tactile_simulation.dataset.sampling import Sample, Sampler, described, draw, variant_file
+from cmp_tactile_simulation.simulator import SimulatedFrame
+
+if TYPE_CHECKING:
+    import xarray
+
+FORMAT_VERSION = 1
+DATASET_FILE, RECIPE_FILE, LEFT_OUT = "dataset.yaml", "recipe.yaml", "left_out"
+# Of a shard, which is some 40 MB then, unless one sample has more.
+SHARD_FRAMES = 64
+VIEWS = ("left", "right")
+COMPONENTS, WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
+FRAME, GRID, NODES = ("frame",), ("frame", "row", "col"), ("frame", "node_row", "node_col")
+# Noise leaves deflate nothing to find beyond its first level.
+COMPRESSION = {"zlib": True, "complevel": 1, "shuffle": False}
+# Variable: dimensions, unit, what it is.
+IMAGE = ("frame", "y", "x"), "1", "camera frame, grey levels"
+VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "position": ((*GRID, "component"), "m", "measured markers, gel frame"),
+    "displacement": ((*GRID, "component"), "m", "of the measured markers from rest, gel frame"),
+    "corners_px": (
+        ("frame", "view", "row", "col", "pixel"),
+        "px",
+        "measured markers in the whole camera frame; NaN where a view does not see them",
+    ),
+    "node_position": ((*NODES, "component"), "m", "contact nodes at rest, gel frame"),
+    "node_force": ((*NODES, "component"), "N", "force on the gel at each contact node, gel frame"),
+    "traction": ((*NODES, "component"), "Pa", "node_force over the node's undeformed area"),
+    "contact": (NODES, "1", "whether the node touches the indenter"),
+    "wrench": (("frame", "wrench_component"), "N, N m", "on the gel, about the gel frame's origin"),
+    "contact_area": (FRAME, "m2", "undeformed area of the nodes that touch"),
+    "slip_state": (FRAME, "1", "1 no contact, 2 stick, 3 incipient, 4 full slip"),
+    "slip_ratio": (FRAME, "1", "share of the normal force on nodes that slide"),
+    "traction_ratio": (FRAME, "1", "tangential over normal force; NaN without contact"),
+    "pose": (("frame", "pose_row", "pose_col"), "m", "T_gel_indenter"),
+    "friction": (FRAME, "1", "Coulomb's coefficient"),
+    "indenter": (FRAME, "", "shape, or file of the mesh"),
+    "sensor": (FRAME, "", "file of the sensor description that made the frame"),
+}
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A part of a dataset: samples first to end - 1, in `folder`."""
+
+    folder: Path
+    first: int
+    end: int
+
+    def __str__(self) -> str:
+        return str(self.file)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all of its samples were made or left out."""
+        return self.table.exists() and len(_rows(self.table)) == self.end - self.first
+
+    @property
+    def file(self) -> Path:
+        """The samples; absent where all were left out."""
+        return self.folder / f"samples_{self.first:06d}.nc"
+
+    @property
+    def table(self) -> Path:
+        """What was drawn, and which samples were left out and why; written last."""
+        return self.folder / f"samples_{self.first:06d}.csv"
+
+
+def shards_of(recipe: Recipe, folder: Path) -> list[Shard]:
+    """All parts of the dataset."""
+    each = max(1, SHARD_FRAMES // recipe.frames)
+    firsts = range(0, recipe.samples, each)
+    return [Shard(folder, first, min(first + each, recipe.samples)) for first in firsts]
+
+
+def sensor_file(variant: int) -> str:
+    """Name of a variant's sensor description."""
+    return f"sensor_{variant:03d}.yaml"
+
+
+def begin(recipe: Recipe, folder: Path, *, resume: bool) -> list[Shard]:
+    """Make the dataset's folder; the shards that are still to be made.
+
+    resume: go on in a folder of the same recipe.
+    Raises OutputError for a folder that exists, or is of another recipe.
+    """
+    text = dump_yaml(recipe.file.content)
+    if not resume:
+        if folder.exists() and any(folder.iterdir()):
+            expected = "expected a new folder, or --resume to go on with it"
+            msg = f"{folder}: exists already, {expected}"
+            raise OutputError(msg)
+        folder.mkdir(parents=True, exist_ok=True)
+        for variant in range(recipe.variants):
+            write_whole(folder / sensor_file(variant), dump_yaml(variant_file(recipe, variant)))
+        write_whole(folder / "sensor.yaml", recipe.sensor_file.text)
+        write_whole(folder / RECIPE_FILE, text)
+        write_whole(folder / DATASET_FILE, dump_yaml(_facts(recipe)))
+    else:
+        _check_same(recipe, folder)
+    return [shard for shard in shards_of(recipe, folder) if not shard.is_complete]
+
+
+def _facts(recipe: Recipe) -> dict[str, Any]:
+    return {
+        "version": FORMAT_VERSION,
+        "name": recipe.name,
+        "title": recipe.title or recipe.name,
+        "samples": recipe.samples,
+        "frames_per_sample": recipe.frames,
+        "sensor": recipe.sensor.name,
+        "variants": recipe.variants,
+        "rate_hz": recipe.rate,
+    }
+
+
+def _check_same(recipe: Recipe, folder: Path) -> None:
+    """OutputError where the folder is none of this recipe."""
+    path = folder / RECIPE_FILE
+    if not path.is_file():
+        msg = f"{folder}: found no {RECIPE_FILE}, expected the folder of a dataset to resume"
+        raise OutputError(msg)
+    before, now = read_yaml(path).content, recipe.file.content
+    changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    # More samples of the same recipe are the same samples and some more.
+    if changed and (changed != ["samples"] or recipe.samples < before["samples"]):
+        msg = (
+            f"{recipe.file.path}: {', '.join(changed)}: found another value than in {path}, "
+            "expected the recipe that the dataset was begun with; make a new folder"
+        )
+        raise OutputError(msg)
+    if changed:
+        write_whole(path, dump_yaml(now))
+        write_whole(folder / DATASET_FILE, dump_yaml(_facts(recipe)))
+
+
+def make_shard(recipe: Recipe, shard: Shard) -> int:
+    """Simulate the samples of a shard and write them; returns how many were left out.
+
+    Raises OutputError where the files cannot be written.
+    """
+    sampler = Sampler(recipe)
+    rows: list[dict[str, Any]] = []
+    made: list[tuple[Sample, list[SimulatedFrame]]] = []
+    for number in range(shard.first, shard.end):
+        sample = draw(recipe, number)
+        why = ""
+        try:
+            made.append((sample, sampler.frames(sample)))
+        except CmpTactileError as error:
+            why = str(error)
+        rows.append({**described(sample), LEFT_OUT: why})
+    try:
+        if made:
+            with atomic_path(shard.file) as beside:
+                write_samples(beside, recipe, made)
+        with atomic_path(shard.table) as beside:
+            _write_table(beside, rows)
+    except OSError as error:
+        msg = f"{shard.folder}: cannot be written: {error.strerror or error}; --resume goes on"
+        raise OutputError(msg) from error
+    return sum(bool(row[LEFT_OUT]) for row in rows)
+
+
+def write_samples(
+    path: Path, recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
+) -> None:
+    """Write the frames of some samples as one netCDF file."""
+    import h5netcdf
+    import h5py
+
+    dataset, images = _dataset(recipe, made), [frame.image for _, found in made for frame in found]
+    encoding = {
+        name: {**COMPRESSION, "chunksizes": (1, *array.shape[1:])}
+        for name, array in dataset.data_vars.items()
+        if array.ndim > 1
+    }
+    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    height, width = images[0].shape
+    dims, unit, text = IMAGE
+    with h5netcdf.File(path, "a") as file:
+        file.dimensions["y"], file.dimensions["x"] = height, width
+        image = file.create_variable(
+            "image", dims, np.uint8, chunks=(1, height, width), compression="gzip"
+        )
+        image.attrs["units"], image.attrs["long_name"] = unit, text
+    # Camera noise leaves no words to find: entropy coding alone is as small, and much quicker.
+    with h5py.File(path, "a") as file:
+        for number, picture in enumerate(images):
+            deflate = zlib.compressobj(strategy=zlib.Z_HUFFMAN_ONLY)
+            chunk = deflate.compress(np.ascontiguousarray(picture).data) + deflate.flush()
+            file["image"].id.write_direct_chunk((number, 0, 0), chunk)
+
+
+def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]) -> xarray.Dataset:
+    import xarray
+
+    frames = [(sample, frame) for sample, found in made for frame in found]
+    rows = [_values(sample, frame) for sample, frame in frames]
+    variables = {
+        name: (dims, np.stack([row[name] for row in rows]), {"units": unit, "long_name": text})
+        for name, (dims, unit, text) in VARIABLES.items()
+    }
+    steps = [step for _, found in made for step in range(len(found))]
+    coordinates = {
+        "sample": ("frame", np.array([sample.number for sample, _ in frames], np.int32)),
+        "step": ("frame", np.array(steps, np.int32)),
+        "phase": ("frame", [frame.phase for _, frame in frames]),
+        "stamp_ns": ("frame", np.array([frame.stamp_ns for _, frame in frames], np.int64)),
+        "component": list(COMPONENTS),
+        "wrench_component": list(WRENCH),
+        "view": list(VIEWS),
+        "pixel": ["u", "v"],
+    }
+    facts = {"title": recipe.title or recipe.name, "rate_hz": recipe.rate, "frame": "gel"}
+    return xarray.Dataset(variables, coordinates, {**facts, "sensor": recipe.sensor.name})
+
+
+def _values(sample: Sample, frame: SimulatedFrame) -> dict[str, Any]:
+    """The values of VARIABLES for a frame."""
+    surface, force, truth = frame.surface, frame.force, frame.truth
+    nodes = force.rows, force.cols
+    unseen = np.full((*surface.shape.corners, 2), np.nan)
+    seen = {name: grid.corners_frame for name, grid in frame.grids.items()}
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = frame.pose.rotation, frame.pose.position
+    values: dict[str, Any] = {
+        "position": surface.position,
+        "displacement": truth.displacement,
+        "corners_px": np.stack([seen.get(view, unseen) for view in VIEWS]),
+        "node_position": force.position.reshape(*nodes, 3),
+        "node_force": force.force.reshape(*nodes, 3),
+        "traction": truth.traction.reshape(*nodes, 3),
+        "wrench": force.wrench,
+        "contact_area": force.contact_area,
+        "slip_ratio": force.slip.slip_ratio,
+        "traction_ratio": force.slip.traction_ratio,
+        "pose": pose,
+        "friction": sample.friction,
+    }
+    return {
+        **{name: np.asarray(value, np.float32) for name, value in values.items()},
+        "contact": truth.contact.reshape(nodes),
+        "slip_state": np.int8(force.slip_state),
+        "indenter": sample.indenter,
+        "sensor": sensor_file(sample.variant),
+    }
+
+
+def _write_table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """A row for each sample; columns in the order in which they first come."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def left_out(folder: Path) -> Iterator[tuple[int, str]]:
+    """Numbers of the samples of a dataset that were left out, and why."""
+    for table in sorted(folder.glob("samples_*.csv")):
+        yield from ((int(row["sample"]), row[LEFT_OUT]) for row in _rows(table) if row[LEFT_OUT])
+
+
+def _rows(table: Path) -> list[dict[str, str]]:
+    with table.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
