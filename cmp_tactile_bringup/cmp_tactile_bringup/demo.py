@@ -18,7 +18,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
@@ -30,6 +30,7 @@ from cmp_tactile_msgs.msg import ForceField, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.processes import python_command
+from cmp_tactile_processing.ros.base_nodes import latched_qos
 from cmp_tactile_processing.ros.messages.reading import (
     force_field_from_msg,
     grid_from_msg,
@@ -88,7 +89,7 @@ class Collector(Listener):
         self._bytes: dict[str, list[tuple[bytes, int, int]]] = {name: [] for name in TOPICS}
 
     def _subscribe(self) -> None:
-        qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+        qos = QoSProfile(depth=QUEUE_DEPTH)
         self._subscriptions = [
             self.node.create_subscription(kind, name, self._listener(name), qos, raw=True)
             for name, kind in TOPICS.items()
@@ -321,9 +322,8 @@ class _ReplayRemote:
         self._client = collector.node.create_client(SetBool, "replay/pause")
         self.state = ""
         self.frames_sent = 0
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         collector.node.create_subscription(
-            DiagnosticStatus, "replay/status", self._on_status, latched
+            DiagnosticStatus, "replay/status", self._on_status, latched_qos()
         )
 
     def ready(self) -> bool:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-
 from cmp_tactile_bringup.graphs.description import Graph
-from cmp_tactile_processing.cache.files import atomic_path, config_dir, folder_without_home
+from cmp_tactile_processing.cache.files import (
+    atomic_path,
+    config_dir,
+    folder_without_home,
+    packaged_files,
+)
 from cmp_tactile_processing.errors import InputError
 
 PACKAGE = "cmp_tactile_bringup"
@@ -16,19 +19,11 @@ PACKAGE = "cmp_tactile_bringup"
 # Files by the number of sensors, with the names in whose place the graph's are put: the packaged
 # settings can be opened as they are, but RViz takes absolute topics only.
 RVIZ_SETTINGS = {
-    1: ("cmp_tactile.rviz", ("sample_rig",)),
-    2: ("gripper.rviz", ("left_finger", "right_finger")),
+    1: ("cmp_tactile", ("sample_rig",)),
+    2: ("gripper", ("left_finger", "right_finger")),
 }
 # The tf frame that gripper.rviz shows them in.
 PARENT_FRAME = "gripper"
-
-
-def share_folder() -> Path:
-    """share/cmp_tactile_bringup, or the source tree where the package is not installed."""
-    try:
-        return Path(get_package_share_directory(PACKAGE))
-    except (LookupError, OSError):
-        return Path(__file__).resolve().parents[2]
 
 
 def rviz_settings(graph: Graph) -> str:
@@ -41,7 +36,7 @@ def rviz_settings(graph: Graph) -> str:
         msg = f"rviz: found {number} sensors, expected 1 or 2"
         raise InputError(msg)
     file, names = RVIZ_SETTINGS[number]
-    text = (share_folder() / "rviz" / file).read_text(encoding="utf-8")
+    text = packaged_files(PACKAGE, "rviz/*.rviz")[file].read_text(encoding="utf-8")
     places = {}
     for name, sensor in zip(names, graph.sensors, strict=True):
         places[f"/{name}/"] = f"{sensor.namespace}/"

@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import unquote
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 from std_msgs.msg import Header
@@ -32,16 +32,7 @@ SERVICE = "set_camera_info"
 
 def image_qos() -> QoSProfile:
     """For frames and their camera_info.  A new one each time: rclpy writes overrides into it."""
-    return QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-
-
-def latched_qos() -> QoSProfile:
-    """For what late subscribers must get too."""
-    return QoSProfile(
-        depth=1,
-        reliability=ReliabilityPolicy.RELIABLE,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-    )
+    return QoSProfile(depth=10)
 
 
 def camera_info_of(sensor: SensorDescription, header: Header) -> CameraInfo:

@@ -35,13 +35,12 @@ from cmp_tactile_driver.bags.writer import (
     Tap,
     put_sensor_beside,
 )
-from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.sources.parameters import MEGABYTE, RecorderParameters
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import FrameError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.measured import NS_PER_S
-from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.base_nodes import ReportingNode, latched_qos
 from cmp_tactile_processing.ros.diagnostics import Finding, InputWatch, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import image_from_topic, message_class
 from cmp_tactile_processing.ros.parameters import declare_parameters

@@ -24,13 +24,13 @@ from std_srvs.srv import SetBool, Trigger
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
-from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos, latched_qos
+from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
 from cmp_tactile_processing.cache.files import split_paths
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import NS_PER_S
-from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.base_nodes import ReportingNode, latched_qos
 from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import (
     frame_to_msg,

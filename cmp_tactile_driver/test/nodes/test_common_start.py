@@ -14,8 +14,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
 from cmp_tactile_driver.nodes import replay as replay_node
-from cmp_tactile_driver.nodes.camera_calibration import latched_qos
 from cmp_tactile_driver.nodes.replay import SETTLE_TIME, CommonStart, Replay
+from cmp_tactile_processing.ros.base_nodes import latched_qos
 
 NOW_NS = 1_800_000_000 * 10**9
 

@@ -24,7 +24,7 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped, WrenchStamped
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool
@@ -35,12 +35,12 @@ from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.nodes import recorder as recorder_module
 from cmp_tactile_driver.nodes.recorder import Recorder
 from cmp_tactile_processing.errors import OutputError
+from cmp_tactile_processing.ros.base_nodes import latched_qos
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, image_to_msg
 from cmp_tactile_processing.ros.wiring import WiredNode, Wiring, joining
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
 CAMERA = "rig_camera_optical_frame"
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def images(frames: list[np.ndarray]) -> list[Image]:
@@ -111,7 +111,7 @@ def test_colours_by_png_and_other_encodings_as_they_are(ros, output):
 
 def test_other_topics_latched_ones_and_patterns(ros, output):
     """Also of a publisher that is best effort, and of one that comes later than the recorder."""
-    latched = ros.node.create_publisher(TFMessage, "/tf_static", LATCHED)
+    latched = ros.node.create_publisher(TFMessage, "/tf_static", latched_qos())
     transform = TransformStamped(child_frame_id=ros.namespace)
     latched.publish(TFMessage(transforms=[transform]))
     node = ros.start(Recorder, output=str(output), topics="/tf_static wrench truth/*")
@@ -222,7 +222,7 @@ def test_sensor_description_lies_beside_the_bag(ros, output):
 
 def test_log_times_are_those_of_a_simulated_clock(ros, output):
     """Latched messages that come before its first tick get the time of that."""
-    latched = ros.node.create_publisher(TFMessage, "/tf_static", LATCHED)
+    latched = ros.node.create_publisher(TFMessage, "/tf_static", latched_qos())
     latched.publish(TFMessage())
     clock = ros.node.create_publisher(Clock, "/clock", 10)
     wrenches = ros.node.create_publisher(WrenchStamped, "wrench", 10)

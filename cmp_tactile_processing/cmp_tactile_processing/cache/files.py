@@ -67,6 +67,24 @@ def expanded_path(path: str | Path) -> Path:
         return Path(path)
 
 
+def packaged_files(package: str, pattern: str) -> dict[str, Path]:
+    """Files of a package by their name without suffix.  pattern: such as "config/*.yaml".
+
+    They are in the share folder of the installed package, the first in AMENT_PREFIX_PATH first, in
+    that of a wheel, or in the checkout.
+    """
+    above = Path(__file__).resolve().parents
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    # A wheel, as pip installs it into an environment, or by --target into a folder.
+    prefixes += [*map(str, above[5:6]), str(above[2])]
+    folders = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+    found: dict[str, Path] = {}
+    for folder in (*folders, above[3] / package):
+        for path in sorted(folder.glob(pattern)):
+            found.setdefault(path.stem, path)
+    return found
+
+
 def split_paths(text: str) -> list[Path]:
     """Paths and packaged names, separated as the folders of PATH are.
 

@@ -64,6 +64,11 @@ WARNING_PERIOD_S = 5.0
 RELIABLE_INPUT = "reliable_input"
 
 
+def latched_qos(depth: int = 1) -> QoSProfile:
+    """For what late subscribers must get too.  A new one: rclpy writes overrides into it."""
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
 class ReportingNode(WiredNode, ABC):
     """Stands before Node or LifecycleNode among the bases; calls `start_reporting` when set up."""
 
@@ -249,12 +254,10 @@ class StageNode(ReportingNode):
         self, message_type: type, topic: str, depth: int = RESULT_DEPTH, *, latched: bool = False
     ) -> Publisher[Any]:
         """A reliable publisher; latched: late subscribers get the last `depth` messages."""
-        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-        qos = QoSProfile(depth=depth, durability=durability)
         return self.create_publisher(
             message_type,
             topic,
-            qos,
+            latched_qos(depth) if latched else QoSProfile(depth=depth),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, astuple, dataclass, field, fields, is_dataclass, replace
@@ -12,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from cmp_tactile_processing.cache.files import expanded_path, write_whole
+from cmp_tactile_processing.cache.files import expanded_path, packaged_files, write_whole
 from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor import parameters, parts
 from cmp_tactile_processing.sensor.yaml_file import (
@@ -51,7 +50,6 @@ SENSOR_NAME_HELP = (
     "name of this sensor, the beginning of its tf frames; empty for the name in the sensor "
     "description"
 )
-PACKAGE = "cmp_tactile_processing"
 
 
 @dataclass(frozen=True)
@@ -289,22 +287,9 @@ def _plain(value: Any, given: Any, shared: parts.Camera | None) -> Any:
     return value
 
 
-def _config_folders() -> list[Path]:
-    source_tree = Path(__file__).resolve().parents[2]
-    prefixes = [item for item in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if item]
-    # A wheel, as pip installs it into an environment, or by --target into a folder.
-    prefixes += [str(Path(__file__).resolve().parents[5]), str(source_tree)]
-    installed = [Path(prefix) / "share" / PACKAGE / "config" for prefix in prefixes]
-    return [folder for folder in (*installed, source_tree / "config") if folder.is_dir()]
-
-
 def packaged_sensors() -> dict[str, Path]:
     """Names and files of the sensor descriptions that come with the package."""
-    found: dict[str, Path] = {}
-    for folder in _config_folders():
-        for path in sorted(folder.glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
+    return packaged_files("cmp_tactile_processing", "config/*.yaml")
 
 
 def find_sensor_description(name_or_path: str) -> Path:

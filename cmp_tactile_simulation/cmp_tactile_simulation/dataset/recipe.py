@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.cache.files import expanded_path, packaged_files
 from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
@@ -37,7 +37,6 @@ from cmp_tactile_simulation.rendering.camera import CameraSettings
 from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes import description
 from cmp_tactile_simulation.scenes.description import MAX_SAMPLES, MAX_SEED
-from cmp_tactile_simulation.scenes.file import packaged_folders
 from cmp_tactile_simulation.simulator import DEFAULT_FRICTION, MAX_FRICTION
 
 FORMAT_VERSION = 1
@@ -209,11 +208,7 @@ def read_recipe(path: Path) -> Recipe:
 
 def packaged_recipes() -> dict[str, Path]:
     """Names and files of the recipes that come with the package."""
-    found: dict[str, Path] = {}
-    for folder in packaged_folders("recipes"):
-        for path in sorted(folder.glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
+    return packaged_files("cmp_tactile_simulation", "recipes/*.yaml")
 
 
 def recipe_schema() -> dict[str, Any]:

@@ -5,14 +5,13 @@ A scene is written as it was resolved.
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from cmp_tactile_processing.cache.files import atomic_path, expanded_path
+from cmp_tactile_processing.cache.files import atomic_path, expanded_path, packaged_files
 from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
@@ -53,7 +52,6 @@ GOALS = ("to", "by", "load", "touch", "hold", "release")
 
 Tangential = Annotated[float, Limits(-MAX_LOAD_N, MAX_LOAD_N)]
 
-PACKAGE = "cmp_tactile_simulation"
 VARIANT_MARK = ":"
 
 
@@ -405,11 +403,7 @@ class SceneName(NamedTuple):
 
 def packaged_scenes() -> dict[str, Path]:
     """Names and files of the scenes that come with the package."""
-    found: dict[str, Path] = {}
-    for folder in packaged_folders("scenes"):
-        for path in sorted(folder.glob("*.yaml")):
-            found.setdefault(path.stem, path)
-    return found
+    return packaged_files("cmp_tactile_simulation", "scenes/*.yaml")
 
 
 def packaged_scene_names() -> Iterator[str]:
@@ -428,11 +422,3 @@ def load_scene(name_or_path: str) -> description.Scene:
     """
     found = SceneName.find(name_or_path)
     return replace(read_scene(*found), file=found.path)
-
-
-def packaged_folders(kind: str) -> list[Path]:
-    """Where files of a kind that come with the package may lie: scenes, recipes."""
-    source_tree = Path(__file__).resolve().parents[2] / kind
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    installed = [Path(prefix) / "share" / PACKAGE / kind for prefix in prefixes if prefix]
-    return [folder for folder in (*installed, source_tree) if folder.is_dir()]

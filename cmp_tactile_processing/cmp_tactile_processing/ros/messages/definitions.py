@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -12,14 +11,13 @@ from typing import Any
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from cmp_tactile_processing.cache.files import packaged_files
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.messages import making
 
 SEPARATOR = "=" * 80
 NUMBERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 PRIMITIVES = NUMBERS | {"bool", "byte", "char", "float32", "float64", "string", "wstring"}
-# Where the packages of a checkout that is not built have theirs.
-CHECKOUT = Path(__file__).resolve().parents[4]
 
 
 @cache
@@ -101,11 +99,8 @@ def _parts(owner: str, text: str) -> list[str]:
 
 def _file(message_type: str, suffix: str) -> Path:
     package, _, name = message_type.split("/")
-    prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    folders = [Path(prefix) / "share" / package / "msg" for prefix in prefixes]
-    for folder in (*folders, CHECKOUT / package / "msg"):
-        if (folder / f"{name}{suffix}").is_file():
-            return folder / f"{name}{suffix}"
-    searched = ", ".join(prefixes) or "none: AMENT_PREFIX_PATH is empty"
-    msg = f"{message_type}: found no {name}{suffix} in the share folders of {searched}"
-    raise CmpTactileError(msg)
+    found = packaged_files(package, f"msg/{name}{suffix}")
+    if not found:
+        msg = f"{message_type}: found no {name}{suffix} in the share folders of AMENT_PREFIX_PATH"
+        raise CmpTactileError(msg)
+    return found[name]
