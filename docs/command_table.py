@@ -6,11 +6,10 @@ marker line of that file and its next heading.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from cmp_tactile_bringup.commands import CALIBRATIONS, HELP, IMPORTS, SUBCOMMANDS
+from cmp_tactile_bringup.commands import CALIBRATIONS, EXIT_CODES, IMPORTS, SUBCOMMANDS
 from cmp_tactile_processing.sensor.parameter_table import renew_file, with_generated_section
 
 MARKER = "<!-- made by docs/command_table.py up to the next heading -->"
@@ -42,7 +41,6 @@ PAGES = {
 
 def as_markdown() -> str:
     """Both tables."""
-    codes = re.findall(r"^  (\d+) +(.*)$", HELP, re.MULTILINE)
     lines = [
         "| command | does |",
         "|---|---|",
@@ -50,7 +48,7 @@ def as_markdown() -> str:
         "",
         "| exit code | means |",
         "|---|---|",
-        *(f"| {number} | {meaning} |" for number, meaning in codes),
+        *(f"| {number} | {meaning} |" for number, meaning in EXIT_CODES.items()),
     ]
     return "\n".join(lines)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -13,12 +14,13 @@ import interface_tables
 import public_interface
 from rcl_interfaces.msg import ParameterType
 
-from cmp_tactile_processing.ros.parameters import unit_of
+from cmp_tactile_processing.sensor.parameters import Parameters
 
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[1]
 UNITS = {"", "Hz", "MB", "N", "N/s", "Pa", "m", "m/(N m)", "m/N", "m/s", "px", "rad", "s"}
+UNITS |= {"grey levels"}
 NUMBERS = (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
 NODES, PAGE, CHANGELOG = "docs/nodes.md", "docs/public_interface.md", "CHANGELOG.md"
 
@@ -54,7 +56,7 @@ def test_a_changed_interface_is_in_the_changelog():
 
 
 def test_every_parameter_and_node_is_described(interfaces):
-    """The unit stands in brackets at the end of the description; a number has a range."""
+    """A number has a range; the unit of those that are fields of `Parameters` is one of a few."""
     names = [node.name for node in interfaces]
     assert names[:3] == ["camera_driver", "replay", "recorder"]
     assert names[-2:] == ["web_viewer", "component_container"]
@@ -66,6 +68,8 @@ def test_every_parameter_and_node_is_described(interfaces):
             where = f"{node.name}: {item.name}"
             assert item.description, where
             assert item.type != ParameterType.PARAMETER_NOT_SET, where
-            assert unit_of(item) in UNITS, where
             ranges = item.floating_point_range or item.integer_range or item.additional_constraints
             assert ranges or item.type not in NUMBERS, where
+    for kind in Parameters.__subclasses__():
+        for field in fields(kind):
+            assert field.metadata["unit"] in UNITS, f"{kind.__name__}.{field.name}"

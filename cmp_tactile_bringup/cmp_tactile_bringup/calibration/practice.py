@@ -8,7 +8,6 @@ contact.  What the rig really is like lies in truth/, for the end.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -24,7 +23,7 @@ from cmp_tactile_processing.cache.files import write_whole
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.errors import CalibrationError, ContactError, InputError, OutputError
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
-from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
+from cmp_tactile_processing.geometry.rig_parameters import RigParameter, RigParameters, RigPrior
 from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription, write_sensor_description
 from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
@@ -37,8 +36,6 @@ from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.file import SENSOR_FILE, load_scene
 from cmp_tactile_simulation.scenes.simulation import Simulation
 
-# What distinguishes the names of a vector's components, as of "gel: turn about x" or "camera.cx".
-COMPONENT = re.compile(r" [xyz]$|[xy]$")
 # Directions of the changes are drawn so often until the pattern lies in all views.
 MOST_DRAWS = 200
 # The pattern keeps this distance from the sides of its view, in checkers.
@@ -76,7 +73,7 @@ def changed_rig(
     rng = random_stream(Purpose.CHANGED_RIG, seed)
     rig = RigParameters(sensor, RigPrior(turn, shift, focal, principal_point=0.0))
     for _ in range(MOST_DRAWS):
-        changed = rig.sensor(rig.prior_std * _directions(rig.names, rng))
+        changed = rig.sensor(rig.prior_std * _directions(rig.free, rng))
         if _shows_all(changed):
             return replace(changed, calibration=None)
     msg = (
@@ -86,10 +83,10 @@ def changed_rig(
     raise ContactError(msg)
 
 
-def _directions(names: Sequence[str], rng: np.random.Generator) -> NDArray[np.float64]:
-    """A random unit vector for each turn, shift and point of a rig, in the order of its values."""
-    vectors = np.array([COMPONENT.sub("", name) for name in names])
-    drawn = rng.standard_normal(len(names))
+def _directions(free: Sequence[RigParameter], rng: np.random.Generator) -> NDArray[np.float64]:
+    """A random unit vector for each turn and shift of a rig, in the order of its values."""
+    vectors = np.array([item.vector or item.name for item in free])
+    drawn = rng.standard_normal(len(free))
     lengths = [np.linalg.norm(drawn[vectors == vector]) for vector in vectors]
     return np.asarray(drawn / lengths)
 

@@ -57,20 +57,23 @@ CALIBRATIONS = {
     "check": ("optics.Check", "check whether a description still fits a recording"),
     "practice": ("optics.Practice", "simulated images to practise on, without a sensor"),
 }
+EXIT_CODES = {
+    0: "done",
+    1: "an error that you can correct: a wrong file, a limit that was missed",
+    2: "a wrong option",
+    129: "stopped as the terminal or ssh was closed",
+    130: "stopped by Ctrl-C",
+    143: "stopped by SIGTERM",
+}
 HELP = """\
 Vision-based tactile sensors with a continuous marker pattern.
 
 \b
 exit codes:
-  0    done
-  1    an error that you can correct: a wrong file, a limit that was missed
-  2    a wrong option
-  129  stopped as the terminal or ssh was closed
-  130  stopped by Ctrl-C
-  143  stopped by SIGTERM
+{}
 focus, live, sensor, gripper, record and replay run until you stop them; then
 the exit code is 0.
-"""
+""".format("\n".join(f"  {code:<5}{meaning}" for code, meaning in EXIT_CODES.items()))
 CALIBRATE_HELP = """\
 Calibrate the camera, mirrors and gel of a sensor, and the stiffness of the gel.
 

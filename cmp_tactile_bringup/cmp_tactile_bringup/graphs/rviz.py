@@ -44,13 +44,17 @@ def rviz_settings(graph: Graph) -> str:
     # At once, so that nothing is put in the place of what was put there.
     either = "|".join(rf"(?<!\w){re.escape(place)}" for place in places)
     text = re.sub(either, lambda match: places[match[0]], text)
-    # What the first sensor is mounted on; its gel frame where it is on nothing.
+    return text.replace(f"Frame: {PARENT_FRAME}\n", f"Frame: {_fixed_frame(graph)}\n")
+
+
+def _fixed_frame(graph: Graph) -> str:
+    """What the first of two sensors is mounted on; its gel frame where it is on nothing."""
     first = graph.sensors[0]
     mounts = (
         item.parameters.get("parent_frame") for item in graph.components if item.sensor is first
     )
-    parent = next((frame for frame in mounts if frame), f"{first.name}_gel_frame")
-    return re.sub(rf"(Frame: ){PARENT_FRAME}$", rf"\g<1>{parent}", text, flags=re.MULTILINE)
+    parent = next(filter(None, mounts), "") if len(graph.sensors) > 1 else ""
+    return parent or f"{first.name}_gel_frame"
 
 
 def rviz_settings_file(graph: Graph) -> Path:
@@ -62,7 +66,7 @@ def rviz_settings_file(graph: Graph) -> Path:
     text = rviz_settings(graph)
     words = [item.namespace.strip("/") for item in graph.sensors]
     words += [item.name for item in graph.sensors]
-    words += re.findall(r"Fixed Frame: (.*)", text)
+    words.append(_fixed_frame(graph))
     name = "-".join(re.sub(r"\W", "_", word) for word in dict.fromkeys(words))
     failed = ""
     for folder in (config_dir(), folder_without_home()):

@@ -6,7 +6,7 @@ m), so that a turn moves the pattern about its apex instead of far about the cam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +52,7 @@ class RigParameter:
     """One optical value: it is before + scale * change.
 
     name, unit, before: of the value as people know it.  prior_std: of the change; 0 holds it.
+    vector: the same for all components of a vector.
     """
 
     name: str
@@ -59,6 +60,7 @@ class RigParameter:
     prior_std: float
     before: float = 0.0
     scale: float = 1.0
+    vector: str = ""
 
 
 class RigParameters:
@@ -143,19 +145,13 @@ class RigParameters:
     def _pose(self, name: str) -> list[RigParameter]:
         held, prior = name in self._held, self._prior
         turn, shift = (0.0, 0.0) if held else (prior.turn, prior.shift)
-        turns = [RigParameter(f"{name}: turn about {axis}", "rad", turn) for axis in AXES]
-        shifts = [RigParameter(f"{name}: shift along {axis}", "m", shift) for axis in AXES]
-        return turns + shifts
+        turns = _components(f"{name}: turn about", "rad", turn)
+        return turns + _components(f"{name}: shift along", "m", shift)
 
     def _mirror(self, name: str, mirror: Mirror) -> list[RigParameter]:
-        tilts = [
-            RigParameter(f"{name}: tilt towards {AXES[axis]}", "rad", self._prior.turn)
-            for axis in tilt_axes(mirror)
-        ]
-        return [
-            *tilts,
-            RigParameter(f"{name}.distance", "m", self._prior.shift, mirror.distance),
-        ]
+        axes = [AXES[axis] for axis in tilt_axes(mirror)]
+        tilts = _components(f"{name}: tilt towards", "rad", self._prior.turn, axes)
+        return [*tilts, RigParameter(f"{name}.distance", "m", self._prior.shift, mirror.distance)]
 
     def _camera(self, name: str, camera: Camera) -> list[RigParameter]:
         prior, ratio = self._prior, camera.fy / camera.fx
@@ -170,6 +166,12 @@ class RigParameters:
                 for k, value in enumerate(camera.distortion)
             ),
         ]
+
+
+def _components(
+    vector: str, unit: str, prior_std: float, axes: Iterable[str] = AXES
+) -> list[RigParameter]:
+    return [RigParameter(f"{vector} {axis}", unit, prior_std, vector=vector) for axis in axes]
 
 
 def _moved(T: NDArray[np.float64], name: str, changes: Mapping[str, float]) -> NDArray[np.float64]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import traceback
 from collections.abc import Callable, Collection
 from dataclasses import Field, dataclass, fields, replace
@@ -39,13 +38,12 @@ def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
     """The descriptor of a field made by `parameters.parameter`."""
     meta = item.metadata
     low, high, choices = meta["low"], meta["high"], meta["choices"]
-    # ROS has no other place for the unit.
-    unit = f" [{meta['unit']}]" if meta["unit"] else ""
-    descriptor = ParameterDescriptor(description=meta["description"] + unit, read_only=read_only)
+    descriptor = ParameterDescriptor(description=meta["description"], read_only=read_only)
+    constraints = [f"in {meta['unit']}"] if meta["unit"] else []
     if isinstance(item.default, tuple):
-        descriptor.additional_constraints = numbers_text(item.default, meta)
+        constraints.insert(0, numbers_text(item.default, meta))
     elif choices:
-        descriptor.additional_constraints = "one of " + ", ".join(choices)
+        constraints = ["one of " + ", ".join(choices)]
     elif low is not None and high is not None:
         if isinstance(item.default, int):
             descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
@@ -53,20 +51,16 @@ def describe(item: Field[Any], *, read_only: bool) -> ParameterDescriptor:
             bounds = FloatingPointRange(from_value=float(low), to_value=float(high))
             descriptor.floating_point_range = [bounds]
     elif low is not None:
-        descriptor.additional_constraints = f"at least {low}"
+        constraints.insert(0, f"at least {low}")
     elif high is not None:
-        descriptor.additional_constraints = f"at most {high}"
+        constraints.insert(0, f"at most {high}")
+    # ROS has no other place for the unit.
+    descriptor.additional_constraints = ", ".join(constraints)
     return descriptor
 
 
-def unit_of(descriptor: ParameterDescriptor) -> str:
-    """The unit that a description ends in, empty for a number without one."""
-    found = re.search(r" \[([^\[\]]+)\]$", descriptor.description)
-    return found.group(1) if found else ""
-
-
 def allowed(descriptor: ParameterDescriptor) -> str:
-    """The range or choice of a descriptor, empty where it has none."""
+    """The range or choice of a descriptor, and its unit; empty where it has none."""
     bounds = [*descriptor.floating_point_range, *descriptor.integer_range]
     limits = [f"{item.from_value:g} to {item.to_value:g}" for item in bounds]
     limits += [descriptor.additional_constraints] if descriptor.additional_constraints else []
@@ -85,8 +79,7 @@ def why_refused(node: Node, parameter: Parameter[Any]) -> str:
 
 
 def _expected(descriptor: ParameterDescriptor, kind: int) -> str:
-    limits = f"{allowed(descriptor)} {unit_of(descriptor)}".strip()
-    return ", ".join(filter(None, (TYPES.get(kind, "another type"), limits)))
+    return ", ".join(filter(None, (TYPES.get(kind, "another type"), allowed(descriptor))))
 
 
 def unknown_overrides(node: Node) -> list[str]:

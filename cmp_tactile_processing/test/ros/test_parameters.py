@@ -54,7 +54,7 @@ def test_whole_number_from_a_file_makes_a_float_parameter(node):
         ("floor", -1.0, "found -1.0, expected at least 0.0"),
         ("floor", "low", "found 'low', expected a number with a decimal point, at least 0.0"),
         ("floor", 3, "found 3, expected a number with a decimal point, at least 0.0"),
-        ("gain", 2.5, "gain: found 2.5, expected a number with a decimal point, 0 to 2 m/N"),
+        ("gain", 2.5, "gain: found 2.5, expected a number with a decimal point, 0 to 2, in m/N"),
         ("count", 10, "parameter count: found 10, expected an integer, 1 to 9$"),
         ("count", 2.0, "parameter count: found 2.0, expected an integer, 1 to 9$"),
         ("enabled", 1, "parameter enabled: found 1, expected true or false$"),
