@@ -133,8 +133,6 @@ class MirroredProduct:
     def __init__(self, parts: Iterable[NDArray[Any]], source: Fold, target: Fold) -> None:
         self.parts = tuple(np.ascontiguousarray(part) for part in parts)
         self._folds = *source, *target
-        # Compiled, or read from numba's cache, before the first frame.
-        self.of_vector(np.zeros(len(source.place[0])))
 
     def of_vector(self, values: Array) -> Array:
         """The product with a vector (source,), (target,)."""
@@ -180,8 +178,6 @@ class SparseRows:
         self.shape: tuple[int, int] = rows.shape
         starts, columns = rows.indptr.astype(np.intp), rows.indices.astype(np.intp)
         self._rows = starts, columns, rows.data.astype(np.float64)
-        # Compiled, or read from numba's cache, before the first frame.
-        self.of_vector(np.zeros(self.shape[1]))
 
     def of_vector(self, vector: Array) -> Array:
         """The product with a vector (columns,)."""

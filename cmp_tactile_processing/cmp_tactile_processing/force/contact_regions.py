@@ -214,11 +214,6 @@ class ContactRegions:
         border = np.ones(self._shape, dtype=bool)
         border[1:-1, 1:-1] = False
         self.border = border.ravel()
-        # Compiled here, before the first frame.
-        one = np.zeros((rows * cols, 3))
-        one[0, 2] = -1.0
-        hill = self.hills(one, one[:, 2] < 0, np.zeros(one.shape))
-        self.contacts(hill, [(np.zeros((6, 6)), np.zeros((6, 6)))])
 
     def hills(self, force: Array, contact: Mask, place: Array) -> Hills:
         """What may be a contact.

@@ -23,7 +23,6 @@ from cmp_tactile_processing.force.contact_factor import (
     Factor,
     UpdatedFactor,
     WholeSurface,
-    add_block,
     weighted_equations,
 )
 from cmp_tactile_processing.force.traction_spectrum import (
@@ -150,10 +149,6 @@ class ContactTraction:
         self._inverses: _Kept[WholeSurface] = _Kept(max(2, int(KEPT_BYTES / size)))
         self._variances: _Kept[Array] = _Kept(KEPT_FACTORS)
         self._smooth: _Kept[Array] = _Kept(KEPT_FACTORS)
-        # Compiled here, before the first frame.
-        one = np.zeros(1, np.intp)
-        weighted_equations(self._normal, self._smoothness, one, 1.0, 1.0)
-        add_block(self._normal, one, np.ones(1), one, np.ones(1), False, np.zeros((1, 1)))
 
     def is_wide(self, nodes: NDArray[np.intp]) -> bool:
         """Whether nodes (k,) are most of the surface, so that less is beside them."""

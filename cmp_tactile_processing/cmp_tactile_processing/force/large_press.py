@@ -100,9 +100,6 @@ class LargePress:
             interpolation(mesh.y_edges, markers.y),
         )
         self.reset()
-        # Compiled, or read from numba's cache, before the first frame.
-        self.excess(np.full((nodes.rows * nodes.cols, 3), 1e-9 * young))
-        self.reset()
 
     def reset(self) -> None:
         """Forget the last force: the next one is sought from rest."""

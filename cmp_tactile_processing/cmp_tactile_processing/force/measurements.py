@@ -50,8 +50,6 @@ class Whitening:
         self._shape = markers.rows, markers.cols
         self._farthest = float(max(sensor.elastomer.size))
         self._no_covariance = np.full((*self._shape, 3, 3), np.nan)
-        # Compiled here, before the first frame.
-        self.measurements(np.zeros((*self._shape, 3)), np.zeros(self._shape, np.uint8), None)
 
     def measurements(
         self, displacement: Array, status: NDArray[np.uint8], covariance: Array | None

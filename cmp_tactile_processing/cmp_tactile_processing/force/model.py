@@ -95,8 +95,6 @@ class FieldBuilder:
         self._to_nodes = interpolation_matrix(elastic.markers, nodes)
         of_all = np.column_stack([self._position, np.ones(len(self._position))])
         self._rest_covariance = solver.rest_covariance(resultant_matrix(of_all[:, None].copy()))
-        # Compiled here, before the first frame.
-        _model_covariance(self._position, self._position, self._every, *self._doubt)
 
     def field(
         self, solution: ForceSolution, measured: Measurements, moved: Array, flag: ForceFlag
@@ -326,8 +324,6 @@ class ForceModel:
         self._plausibility = Plausibility(sensor, markers)
         self._large = self._large_press(cache_dir, progress)
         self._out_of_reach = np.inf
-        # What this keeps is made here, before the first frame.
-        self.elastic.node_displacement(np.ones(self.elastic.node_position.shape))
 
     def _large_press(
         self, cache_dir: Path | None, progress: OnProgress | None

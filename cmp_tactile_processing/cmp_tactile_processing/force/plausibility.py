@@ -116,10 +116,6 @@ class Plausibility:
         self._most_pulled = float(
             min(TEARING_TENSION_RATIO * elastomer.young, AIR_PRESSURE_PA) * area
         )
-        # Compiled here, before the first frame.
-        nothing = np.zeros_like(self._rest)
-        self.allows_displacement(nothing)
-        self.allows_force(nothing.reshape(-1, 3), nothing)
 
     def allows_displacement(self, moved: Array) -> bool:
         """Whether a gel can move so: moved (rows, cols, 3) m, NaN where not known."""

@@ -77,8 +77,6 @@ class ContactRule:
         floor = float(parameters.contact_pressure_floor * area)
         share, deviations = parameters.contact_threshold, parameters.contact_deviations
         self._limits = float(share), floor, float(deviations)
-        # Compiled here, before the first frame.
-        self.loaded(np.zeros((shape[0] * shape[1], 3)), np.ones(shape[0] * shape[1]))
 
     def pressed(self, force: Array, normal_std: Array) -> Mask:
         """Nodes (n,) in contact: force (n, 3) N on the gel, normal_std (n,) N of its z."""
@@ -200,9 +198,6 @@ class ForceSolver:
         )
         self._spectrum = TractionSpectrum(markers, nodes, response, one, lumped)
         self._second = ContactTraction(self._spectrum, response, one)
-        # Compiled here, before the first frame.
-        nothing, some = np.zeros((len(one), 3)), np.zeros(1, np.intp)
-        _deviations(nothing, some, nothing, 1.0, nothing[:, 0].copy(), self._shape)
 
     def solve(self, data: Array, known: Mask) -> ForceSolution:
         """Forces from data (3 markers,), in units of the noise, of which the `known` count."""

@@ -20,12 +20,19 @@ from cmp_tactile_processing.force.error_bars import (
 from cmp_tactile_processing.force.measurements import within_reach
 from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.force.plausibility import BorderContact
-from cmp_tactile_processing.measured import ForceField, ForceFlag, ReferenceFault, Surface
+from cmp_tactile_processing.measured import (
+    NS_PER_S,
+    ForceField,
+    ForceFlag,
+    ReferenceFault,
+    Status,
+    Surface,
+)
 from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.observer import SlipObserver
-from cmp_tactile_processing.surface.displacement import Reference
+from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 from cmp_tactile_processing.surface.stillness import RestParameters, rest_shape, why_touched
 
 # Without contact the force is 0 but for noise; more than so many deviations and this, N, is the
@@ -34,6 +41,10 @@ DOUBTED_DEVIATIONS, LEAST_DOUBTED_N = 10.0, 0.02
 # A load under which a reference was taken is gone where what a later one takes away leaves less
 # than this share: large presses are not linear.
 SHARE_LEFT = 0.2
+# Presses to warm a stage up with: width as a share of the gel's, drag as a share of the depth, and
+# how many rows of markers are missing.
+WARM_UP_PRESSES = ((0.07, 0.0, 0), (0.07, 0.2, 0), (0.07, 0.3, 1), (0.5, 0.3, 1))
+WARM_UP_DEPTH_M = 1e-4
 # Errors of an encoded video agree over blocks of 16 px and more, and do not average out: deviations
 # of forces are so many times those of independent markers (benchmarks/doubtful_pictures.py).
 ENCODED_DEVIATIONS = 3.0
@@ -69,6 +80,7 @@ class ForceStage:
         self._stamp_ns: int | None = None
         self._last: ForceField | None = None
         self._zeroed = np.zeros(3)
+        self._warm_up()
 
     @property
     def zeroed_load(self) -> float:
@@ -141,6 +153,20 @@ class ForceStage:
         self._reference_id, self._stamp_ns = other._reference_id, other._stamp_ns
         self._relaxation = other._relaxation
         self._last, self._zeroed = other._last, other._zeroed
+
+    def _warm_up(self) -> None:
+        """Compile, or load, what frames need, not in the first of them: of a press that moves."""
+        rest = surface_at_rest(Reference.nominal(self._sensor), self._sensor.pattern.shape)
+        place = rest.reference[..., :2] / min(self._sensor.elastomer.size[:2])
+        for number, (width, drag, missing) in enumerate(WARM_UP_PRESSES):
+            hill = WARM_UP_DEPTH_M * np.exp(-((place / width) ** 2).sum(axis=-1))[..., None]
+            # The gel spreads under the press, which is all that one view sees.
+            moved = hill * np.dstack([place / width + [drag, 0.0], np.full(hill.shape, -1.0)])
+            moved[:missing] = np.nan
+            status = np.where(np.isnan(moved[..., 0]), Status.MISSING, rest.status)
+            self.process(replace(rest, displacement=moved, status=status), number * NS_PER_S)
+        self.reset()
+        self._reference_id = None
 
     def _beyond(self, field: ForceField, displacement: NDArray[np.float64]) -> ForceFlag:
         known = np.isfinite(field.wrench).all()

@@ -44,10 +44,6 @@ class SystematicErrors:
         self._seen: Systematics | None = None
         self._gain = self._of_force(None)
         self._scale_std = math.sqrt(self._gain[8, 8])
-        # Compiled here, before the first frame.
-        nothing = np.zeros((1, 3))
-        _wrench_covariance(nothing, nothing, np.zeros(1, np.intp), self._gain)
-        _widened(nothing, nothing, self._gain)
 
     def add(self, field: ForceField, seen: Systematics | None) -> ForceField:
         """The field with these errors in all its error bars.

@@ -141,16 +141,6 @@ def friction_use(sliding: Sliding, along: Array, blur: float) -> FrictionUse:
     return FrictionUse(ratio, width, turning)
 
 
-def compile_friction() -> None:
-    """Compile what frames need, or read it from numba's cache."""
-    arm = np.array([[1e-3, 0.0], [0.0, 1e-3], [-1e-3, -1e-3]])
-    axes, normal = np.eye(3)[:, :2], np.tile([0.0, 0.0, 1.0], (3, 1))
-    sliding = Sliding.from_loads(np.ones(3), arm, normal, axes)
-    friction_use(sliding, np.full((3, 3), 0.1), 1e-3)
-    slip_profile(sliding)
-    _loads(np.arange(3), -normal, normal, normal, arm, np.eye(6))
-
-
 def slip_profile(sliding: Sliding) -> SlipProfile:
     """How slip spreads from the rim inwards."""
     return SlipProfile(*_profile(sliding.pressing, sliding.spread))

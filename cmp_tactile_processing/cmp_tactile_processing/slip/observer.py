@@ -18,7 +18,6 @@ from cmp_tactile_processing.slip.friction import (
     ContactPatch,
     FrictionUse,
     TractionRecord,
-    compile_friction,
     patch_of,
 )
 from cmp_tactile_processing.slip.surface_motion import ContactSurface
@@ -232,7 +231,6 @@ class SlipObserver:
     def __init__(self, sensor: SensorDescription) -> None:
         self._parameters = sensor.slip
         self._surface = ContactSurface(sensor)
-        compile_friction()
         self.reset()
 
     def reset(self) -> None:

@@ -52,11 +52,6 @@ class ContactSurface:
         # What is stretched along the surface becomes thinner; pressure alone hardly matters.
         self._layer = float(layer.thickness), float(poisson / (1 - poisson)), float(shear)
         self._corner, self._weight = _interpolation(self._markers, self.nodes)
-        # Compiled, or read from numba's cache, before the first frame.
-        moved, status = np.zeros(self._rest.shape), np.zeros(self._rest.shape[:2], np.uint8)
-        grid, force = (self.nodes.rows, self.nodes.cols), np.zeros((len(self._rest_nodes), 3))
-        at_markers = _at_markers(moved, status, self._rest, self._markers.spacing)
-        _at_nodes(at_markers, self._corner, self._weight, grid, force, self._layer)
 
     def at_nodes(self, surface: Surface, force: NDArray[np.float64]) -> DeformedNodes:
         """The nodes of a frame.  force: (M, 3) N, 0 outside of contact."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import plain
 from cmp_tactile_processing.geometry.refraction import RayBundle
-from cmp_tactile_processing.measured import Grid, GridShape, Status
+from cmp_tactile_processing.measured import Grid, GridShape
 from cmp_tactile_processing.sensor.parameters import TriangulationParameters
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from cmp_tactile_processing.stereo.line_planes import Limits, LinePlanes, View, place_lines
@@ -103,7 +103,6 @@ class LineTriangulator:
         self._views = 2 if surface is None else 1
         self._rows = _Direction(Layout(rows, cols, cols - 1, 1, cols, 1, n), limits, curvatures)
         self._cols = _Direction(Layout(cols, rows, 1, cols, 1, cols, n), limits, curvatures)
-        self._compile(shape)
 
     def rows(self, views: tuple[SeenLines, ...], corners: LineNodes) -> Lines3D:
         """Virtual markers (rows, cols-1, n) along the rows.
@@ -119,16 +118,6 @@ class LineTriangulator:
     def cols(self, views: tuple[SeenLines, ...], corners: LineNodes) -> Lines3D:
         """Virtual markers (rows-1, cols, n) along the columns; as `rows`."""
         return self._cols.place(views[: self._views], corners)
-
-    def _compile(self, shape: GridShape) -> None:
-        """Nothing may be compiled while frames wait: place lines of which nothing is known."""
-        n = shape.rows * (shape.cols - 1) * shape.points_per_segment
-        rays = RayBundle(*(np.full((n, *size), np.nan) for size in ((3,), (3,), (3, 2), (3, 2))))
-        seen = SeenLines(np.zeros(shape.row_lines, np.uint8), None, rays)
-        position = np.full((*shape.corners, 3), np.nan)
-        status = np.full(shape.corners, Status.MISSING, np.uint8)
-        covariance = np.full((*shape.corners, 3, 3), np.nan)
-        self.rows((seen,) * self._views, LineNodes(position, status, covariance))
 
 
 class _Direction:
