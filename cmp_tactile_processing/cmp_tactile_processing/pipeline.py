@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.compiled import compiling_is_logged
+from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import ForceField, Grid, Markers3D, Surface
@@ -39,7 +39,7 @@ class MarkerCamera:
     """The stages up to the markers in space; a sensor without views has measured them itself."""
 
     def __init__(self, sensor: SensorDescription) -> None:
-        with compiling_is_logged():
+        with when_compiling():
             self.views = ViewTrackers(sensor)
             self._rig = StereoRig(sensor) if sensor.views else None
 
@@ -68,7 +68,7 @@ class Pipeline:
         encoded: the frames were a video of H.264 or the like.
         """
         self._camera = MarkerCamera(sensor)
-        with compiling_is_logged():
+        with when_compiling():
             self._force = ForceStage(sensor, encoded=encoded)
             gauge = RestGauge(sensor) if sensor.views else None
             self._keeper = ReferenceKeeper(Reference.nominal(sensor), gauge)

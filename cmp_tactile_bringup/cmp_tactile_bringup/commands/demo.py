@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,8 +15,6 @@ if TYPE_CHECKING:
     from cmp_tactile_bringup.report.results import DemoResults, Recording
     from cmp_tactile_processing.sensor.description import SensorDescription
 
-# Compiled code is the same for every sensor.
-DEFAULT_SENSOR, TRACKING = "sample_rig", ("--only", "trackers", "stereo")
 # A recording of 60 frames shows the rate to a few percent.
 KEPT_SHARE = 0.95
 # Where a machine loses frames it is played again, so many times at most, at this share of the rate
@@ -51,8 +47,10 @@ class Demo(Command):
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         from cmp_tactile_bringup.report.evaluation import evaluate, table_rows
-        from cmp_tactile_bringup.terminal import output_console, results_table
+        from cmp_tactile_bringup.report.results import find_recording
+        from cmp_tactile_bringup.terminal import output_console, results_table, stage_bars
         from cmp_tactile_processing.errors import printable
+        from cmp_tactile_processing.prepare import prepare
         from cmp_tactile_processing.sensor.description import load_sensor
 
         self.output.mkdir(parents=True, exist_ok=True)
@@ -63,18 +61,17 @@ class Demo(Command):
             TextColumn("{task.fields[note]}"),
         )
         bars = Progress(*columns, TimeElapsedColumn(), console=console)
-        with ExitStack() as beside, bars as progress:
-            compiler = _started(beside, "cmp_tactile_processing.prepare", DEFAULT_SENSOR, *TRACKING)
-            recording, made_s = _record(self.recording, beside, progress)
-            sensor = load_sensor(recording.sensor)
-            prepared = _prepare_trackers(sensor, compiler, progress) | _prepare_model(
-                sensor, progress
-            )
+        with bars as progress:
+            show, began = stage_bars(progress, note="first time only"), time.monotonic()
+            recording = find_recording(self.recording, show)
+            stages_s = {"Recording": time.monotonic() - began}
+            sensor, began = load_sensor(recording.sensor), time.monotonic()
+            # The nodes find in the cache what is compiled and built here.
+            prepare(sensor, progress=show)
+            stages_s["Trackers and elastic model"] = time.monotonic() - began
             results, lost = _play(recording, sensor, self, progress)
-            results = replace(
-                results,
-                run=replace(results.run, stages_s={**made_s, **prepared, **results.run.stages_s}),
-            )
+            stages_s |= results.run.stages_s
+            results = replace(results, run=replace(results.run, stages_s=stages_s))
             rows = table_rows(results, evaluate(results))
             page = _report(results, rows, self.output, progress)
         console.print(results_table(f"{recording.title}, against its truth", rows))
@@ -102,76 +99,6 @@ class Demo(Command):
                 soft_wrap=True,
             )
         return int(bool(missed))
-
-
-def _record(
-    name_or_path: str, beside: ExitStack, progress: Progress
-) -> tuple[Recording, dict[str, float]]:
-    """The recording, simulated where there is none yet, and how long that took."""
-    from cmp_tactile_bringup.report.results import find_recording
-    from cmp_tactile_bringup.terminal import stage_bars
-
-    stages: set[str] = set()
-    show = stage_bars(progress, note="first time only")
-
-    def on_progress(what: str, share: float) -> None:
-        if not stages:
-            # What renders is compiled while the elastomer is built, which takes one core.
-            _started(beside, "cmp_tactile_simulation.prepare", name_or_path)
-        stages.add(what)
-        show(what, share)
-
-    began = time.monotonic()
-    recording = find_recording(name_or_path, on_progress)
-    if not stages:
-        return recording, {}
-    return recording, {"Recording, simulated": time.monotonic() - began}
-
-
-def _started(beside: ExitStack, module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    """A process that compiles; it ends with the stack."""
-    from cmp_tactile_processing.processes import python_command
-
-    command = python_command(module, *arguments)
-    process = beside.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE))
-    beside.callback(process.terminate)
-    return process
-
-
-def _prepare_trackers(
-    sensor: SensorDescription, compiler: subprocess.Popen[bytes], progress: Progress
-) -> dict[str, float]:
-    """Wait until the trackers are compiled, so that the nodes find them so."""
-    from cmp_tactile_processing.prepare import prepare_tracking
-
-    task = progress.add_task("Gridline trackers", total=None, note="")
-    began = time.monotonic()
-    # It says so only where there is something to compile; else it ends without a line.
-    if compiler.stdout is not None and compiler.stdout.readline():
-        progress.update(task, note="compiling, once per version")
-    compiler.wait()
-    prepare_tracking(sensor)
-    progress.update(task, total=1.0, completed=1.0, note="ready")
-    return {"Gridline trackers, compiled or from the cache": time.monotonic() - began}
-
-
-def _prepare_model(sensor: SensorDescription, progress: Progress) -> dict[str, float]:
-    """Build the elastic model here, with a progress bar, so that the nodes find it in the cache."""
-    from cmp_tactile_processing.prepare import prepare_forces
-
-    task = progress.add_task("Elastic model of the gel", total=1.0, note="")
-    built = False
-
-    def on_progress(_: str, done: float) -> None:
-        nonlocal built
-        built = True
-        progress.update(task, completed=done, note="first time only")
-
-    began = time.monotonic()
-    prepare_forces(sensor, on_progress)
-    progress.update(task, completed=1.0, note="built and cached" if built else "from the cache")
-    name = "Elastic model, built" if built else "Elastic model, from the cache"
-    return {name: time.monotonic() - began}
 
 
 def _play(

@@ -35,7 +35,7 @@ from cmp_tactile_driver.bags.reader import Recorded, RecordedFrame, RecordedSurf
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.sources.frames import RepeatedPictures
-from cmp_tactile_processing.cache.compiled import compiled_digest
+from cmp_tactile_processing.cache.compiled import COMPILING, compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, OutputError
 from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
@@ -57,7 +57,6 @@ MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
 Result = tuple[Job, Outcome | CmpTactileError]
 LOCK_WAIT_S = 1.0
-COMPILING = "compiling, once per version of the software"
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FRAMES_BETWEEN_REPORTS = 10
 SHORTEST_S = 1e-3

@@ -141,7 +141,7 @@ def test_compiling_is_left_to_another_process_and_done_once(tmp_path, monkeypatc
         compile_elsewhere(
             find_sensor_description("sample_rig"), lambda what, _share: stages.append(what)
         )
-    assert stages == ["compiling, once per version of the software"]
+    assert stages == ["compiling, once per version"]
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("version: 1")
     (done,) = tmp_path.glob("pipeline-*")

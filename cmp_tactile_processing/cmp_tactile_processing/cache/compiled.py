@@ -15,12 +15,13 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from cmp_tactile_processing.cache import files
+from cmp_tactile_processing.processes import OnProgress
 
 LOGGER = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ SELDOM = 200_000
 # Below a prefix of AMENT_PREFIX_PATH: what the build compiled, and of which sources.
 INSTALLED = Path("share", "cmp_tactile_processing", "compiled")
 DIGEST_FILE = "sources"
+COMPILING = "compiling, once per version"
 PACKAGES = ("cmp_tactile_processing", "cmp_tactile_simulation")
 
 
@@ -145,9 +147,15 @@ def _is_safely_made_later(folder: Path) -> bool:
     return os.access(parent, os.W_OK | os.X_OK) and not files.why_foreign(parent.stat())
 
 
+def log_compiling(what: str, share: float) -> None:
+    """An OnProgress with one line in the log."""
+    if not share:
+        LOGGER.warning("%s: about a minute (`make build` does it for all users)", what)
+
+
 @contextmanager
-def when_compiling(report: Callable[[], None]) -> Iterator[None]:
-    """Call `report` once, as soon as numba compiles a function that it has in no cache.
+def when_compiling(progress: OnProgress = log_compiling) -> Iterator[None]:
+    """Report it as soon as numba compiles a function that it has in no cache, and the end of that.
 
     Garbage is collected seldom from then on: an eighth of the time went into that.
     """
@@ -160,26 +168,19 @@ def when_compiling(report: Callable[[], None]) -> Iterator[None]:
             if not self.reported:
                 self.reported = True
                 gc.set_threshold(SELDOM)
-                report()
+                progress(COMPILING, 0.0)
 
         def on_end(self, event: Any) -> None:
             pass
 
-    usual = gc.get_threshold()
+    usual, listener = gc.get_threshold(), Listener()
     try:
-        with event.install_listener("numba:compile", Listener()):
+        with event.install_listener("numba:compile", listener):
             yield
     finally:
         gc.set_threshold(*usual)
-
-
-def compiling_is_logged() -> AbstractContextManager[None]:
-    """Within it one line in the log says that numba compiles something, and how long that takes."""
-    line = (
-        "compiling numerical code for this user, once per version: about a minute (`make build` "
-        "does it for all users)"
-    )
-    return when_compiling(lambda: LOGGER.warning(line))
+        if listener.reported:
+            progress(COMPILING, 1.0)
 
 
 def _remove_oldest(folder: Path) -> None:

@@ -110,15 +110,10 @@ class GridlineTracker(StageNode):
         )
 
     def _build_tracker(self, parameters: TrackingParameters) -> None:
-        with when_compiling(self._report_compiling):
+        with when_compiling():
             tracker = GridTracker(replace(self.sensor, tracking=parameters), view=self._view)
         tracker.use_print_defects(self._print)
         self._tracker, self._weights = tracker, parameters.grey_weights
-
-    def _report_compiling(self) -> None:
-        self.get_logger().info(
-            "compiling the tracker, once per version of the software; this may take a minute"
-        )
 
     def _read(self, msg: Image) -> NDArray[np.uint8]:
         return image_from_topic(msg, self._weights, self._depth)

@@ -146,9 +146,10 @@ class Gel(Output, FrameInput):
             view_pictures,
             warn,
         )
-        from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
+        from cmp_tactile_bringup.commands.calibrate.sources import frames_of
         from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
+        from cmp_tactile_processing.prepare import TRACKING, prepare
         from cmp_tactile_processing.sensor.description import load_sensor
 
         self.check_source()
@@ -157,7 +158,7 @@ class Gel(Output, FrameInput):
         files.check_free(overwrite=self.overwrite)
         with shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
-            prepare_tracker(sensor, on_stage)
+            prepare(sensor, TRACKING, on_stage)
             outcome = calibrate_gel(sensor, frames.images, on_progress=on_stage)
         warn(frames.problem)
         return _conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
@@ -324,11 +325,12 @@ class Check(FrameInput):
         """Check and print the result; 1 where a limit is missed."""
         from cmp_tactile_bringup import terminal
         from cmp_tactile_bringup.commands.calibrate.outcome import print_verdict, warn
-        from cmp_tactile_bringup.commands.calibrate.sources import frames_of, prepare_tracker
+        from cmp_tactile_bringup.commands.calibrate.sources import frames_of
         from cmp_tactile_bringup.recordings.library import required_sensor
         from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
         from cmp_tactile_processing.calibration.check import check_grids
         from cmp_tactile_processing.calibration.observation import track_frames
+        from cmp_tactile_processing.prepare import TRACKING, prepare
         from cmp_tactile_processing.sensor.description import load_sensor
 
         self.check_source()
@@ -340,7 +342,7 @@ class Check(FrameInput):
             misuse("--sensor is required with --topic")
         with terminal.shown_stages() as on_stage:
             frames = frames_of(self, sensor, on_stage)
-            prepare_tracker(sensor, on_stage)
+            prepare(sensor, TRACKING, on_stage)
             grids = track_frames(sensor, frames.images, on_stage)
         report = check_grids(sensor, grids)
         # One view measures no places in 3-D.

@@ -26,7 +26,6 @@ LIVE = (
     "for two cameras)"
 )
 SENSOR = "description to start from: a file or a packaged name"
-PREPARING = "preparing tracker and rays (compiled once per version)"
 # Frames of a live camera unless --frames names another number.
 LIVE_FRAMES = 20
 force_sensor_option = partial(option, group="Reference force sensor")
@@ -123,15 +122,6 @@ def frames_of(
             images.append(image)
             on_stage(f"frames of {topic}", len(images) / count)
     return RecordedFrames(images, list(range(len(images))))
-
-
-def prepare_tracker(sensor: SensorDescription, on_stage: OnProgress) -> None:
-    """Compile what tracks and triangulates where that has not been done before, and say so."""
-    from cmp_tactile_processing.prepare import prepare_tracking
-
-    on_stage(PREPARING, 0.0)
-    prepare_tracking(sensor)
-    on_stage(PREPARING, 1.0)
 
 
 def _rotation_to_gel(
