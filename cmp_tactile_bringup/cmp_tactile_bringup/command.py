@@ -60,14 +60,14 @@ def _run(words: Sequence[str], interruption: Interruption) -> int:
             raise KeyboardInterrupt from None
         if isinstance(error, SystemExit):
             raise
-        from cmp_tactile_bringup.terminal import error_line
+        from cmp_tactile_bringup.terminal import error_reason
 
         if debug:
             import traceback
 
             traceback.print_exc()
         hint = "" if debug else "; --debug shows where"
-        print(error_line(error, hint), file=sys.stderr)
+        print(f"error: {error_reason(error, hint)}", file=sys.stderr)
         return USER_ERROR
 
 

@@ -116,17 +116,17 @@ def print_line(console: Console, text: str, style: str = "") -> None:
     console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
-def error_line(error: Exception, hint: str = "") -> str:
-    """What a user reads of an error, mostly one line.
+def error_reason(error: Exception, hint: str = "") -> str:
+    """What a user reads of an error behind "error: ", mostly one line.
 
     hint: appended where the error is not one that a user is expected to cause.
     """
     if isinstance(error, CmpTactileError):
-        return f"error: {error_text(error)}"
+        return error_text(error)
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
-        return printable(f"error: {where}{error.strerror or error}")
-    return printable(f"error: {type(error).__name__}: {error}{hint}")
+        return printable(f"{where}{error.strerror or error}")
+    return printable(f"{type(error).__name__}: {error}{hint}")
 
 
 def stage_bars(progress: Progress, **fields: Any) -> OnProgress:

@@ -208,10 +208,10 @@ def _run(
 
 def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
     """Print the result of a job; whether all of it could be used."""
-    from cmp_tactile_bringup.terminal import error_line, print_line
+    from cmp_tactile_bringup.terminal import error_reason, print_line
 
     if isinstance(result, Exception):
-        line = error_line(result, "; --debug shows where").removeprefix("error: ")
+        line = error_reason(result, "; --debug shows where")
         # Most errors name the file that they are about.
         text = line if job.label in line else f"{job.label}: {line}"
         print_line(console, f"error: {text}", "red")

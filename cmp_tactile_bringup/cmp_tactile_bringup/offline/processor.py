@@ -30,7 +30,7 @@ from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, wh
 from cmp_tactile_bringup.offline.pools import connected, in_processes, on_cluster
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
-from cmp_tactile_bringup.terminal import error_line, processor_name
+from cmp_tactile_bringup.terminal import error_reason, processor_name
 from cmp_tactile_driver.bags.reader import Recorded, RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
@@ -306,8 +306,7 @@ def run_guarded(job: Job, on_stage: OnProgress = no_progress) -> Outcome | CmpTa
     try:
         return run_job(job, on_stage)
     except Exception as error:  # noqa: BLE001  the others are to be processed all the same
-        line = error_line(error, "; --debug shows where").removeprefix("error: ")
-        failure = CmpTactileError(line)
+        failure = CmpTactileError(error_reason(error, "; --debug shows where"))
         failure.trace = traceback.format_exc()
         return failure
 
