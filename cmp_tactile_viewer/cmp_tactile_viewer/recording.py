@@ -283,7 +283,7 @@ class RecordingSource(PassiveSource):
 
     def _play(self) -> None:
         self._looked_at.wait()
-        self._show_lines([HealthLine(Level.OK, "recording:", PREPARING)])
+        self._show_lines([HealthLine(Level.OK, "recording:", PREPARING)], preparing=True)
         while self._looked_at.wait() and not self._ended.is_set():
             if not self._play_on_or_report():
                 return
@@ -372,8 +372,8 @@ class RecordingSource(PassiveSource):
     def _report(self, level: Level, text: str) -> None:
         self._show_lines([HealthLine(level, "recording:", text)])
 
-    def _show_lines(self, lines: list[HealthLine]) -> None:
-        self.playback.preparing = lines[0].text == PREPARING
+    def _show_lines(self, lines: list[HealthLine], *, preparing: bool = False) -> None:
+        self.playback.preparing = preparing
         if self.audience is not None:
             self.audience.show_health(lines)
 
