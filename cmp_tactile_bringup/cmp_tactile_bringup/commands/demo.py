@@ -62,12 +62,12 @@ class Demo(Command):
         )
         bars = Progress(*columns, TimeElapsedColumn(), console=console)
         with bars as progress:
-            show, began = stage_bars(progress, note="first time only"), time.monotonic()
-            recording = find_recording(self.recording, show)
+            note, began = "first time only", time.monotonic()
+            recording = find_recording(self.recording, stage_bars(progress, note=note))
             stages_s = {"Recording": time.monotonic() - began}
             sensor, began = load_sensor(recording.sensor), time.monotonic()
             # The nodes find in the cache what is compiled and built here.
-            prepare(sensor, progress=show)
+            prepare(sensor, progress=stage_bars(progress, note=note))
             stages_s["Trackers and elastic model"] = time.monotonic() - began
             results, lost = _play(recording, sensor, self, progress)
             stages_s |= results.run.stages_s
