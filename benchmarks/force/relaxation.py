@@ -201,7 +201,7 @@ def fitted(terms: Terms, hold_s: float) -> tuple[GelRelaxation, float]:
         raise SystemExit(outcome.verdict)
     print(f"  {hold_s:g} s: {outcome.verdict}")
     for finding in outcome.findings:
-        print(f"    {finding.severity.value}: {finding.text}")
+        print(f"    {finding.severity.name.lower()}: {finding.text}")
     return outcome.relaxation, outcome.scale
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -25,12 +25,13 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from cmp_tactile_processing.errors import CmpTactileError, error_text, printable
+from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity, error_text, printable
 from cmp_tactile_processing.processes import OnProgress
 
 if TYPE_CHECKING:
     from cmp_tactile_bringup.report.results import TableRow
 
+STYLES = {Severity.OK: "", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
 RESULT_HEADINGS = ("Quantity", "Measured", "Limit", "")
 # No line of ours is longer.
 UNBOUNDED = 10_000
@@ -114,6 +115,19 @@ def print_line(console: Console, text: str, style: str = "") -> None:
     """A line as it is, however long."""
     # Paths may hold brackets, and are to be copied whole.
     console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+def print_findings(
+    findings: Iterable[Finding], about: str = "", console: Console | None = None
+) -> None:
+    """A line for each, on stderr by default, the worst first, and what to do about it."""
+    console = console or output_console(stderr=True)
+    for item in sorted(findings, key=lambda item: -item.severity):
+        if item.text:
+            parts = (item.severity.name.lower(), about or item.about, item.text)
+            print_line(console, ": ".join(filter(None, parts)), STYLES[item.severity])
+        if item.advice:
+            print_line(console, f"  what to do: {item.advice}")
 
 
 def error_reason(error: Exception, hint: str = "") -> str:

@@ -1,8 +1,14 @@
-"""Errors that the package raises on purpose, and what they show; anything else is a bug."""
+"""Errors that the package raises on purpose, and findings: what was survived, and is reported.
+
+Any other error is a bug.
+"""
 
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
 from itertools import islice
 from math import inf
 from typing import Any
@@ -44,6 +50,45 @@ class _Repr(reprlib.Repr):
 
 
 _REPR = _Repr()
+
+
+class Severity(IntEnum):
+    """ERROR: the result must not be used.  WARNING: it may be, and is worse than it could be.
+
+    The values are the levels of diagnostic_msgs/DiagnosticStatus.
+    """
+
+    OK = 0
+    WARNING = 1
+    ERROR = 2
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a user should know of data, a result or a node; nothing where text is empty.
+
+    advice: what to do about it.  about: what it concerns, where the text does not say so.
+    """
+
+    severity: Severity
+    text: str
+    advice: str = ""
+    about: str = ""
+
+    @classmethod
+    def graded(cls, text: str, advice: str, *, error: bool) -> Finding:
+        """An error, or else a warning."""
+        return cls(Severity.ERROR if error else Severity.WARNING, text, advice)
+
+
+def warnings_of(*texts: str) -> tuple[Finding, ...]:
+    """A warning for each text that is not empty."""
+    return tuple(Finding(Severity.WARNING, text) for text in texts if text)
+
+
+def errors_in(findings: Iterable[Finding]) -> list[Finding]:
+    """Those that speak against using the result."""
+    return [item for item in findings if item.severity is Severity.ERROR and item.text]
 
 
 class CmpTactileError(Exception):

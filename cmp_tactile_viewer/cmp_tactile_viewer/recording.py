@@ -17,7 +17,7 @@ from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, Re
 from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.ros.messages import reading
@@ -26,8 +26,6 @@ from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_viewer.snapshot import (
     Audience,
-    HealthLine,
-    Level,
     PassiveSource,
     Playback,
     Pose,
@@ -283,7 +281,8 @@ class RecordingSource(PassiveSource):
 
     def _play(self) -> None:
         self._looked_at.wait()
-        self._show_lines([HealthLine(Level.OK, "recording:", PREPARING)], preparing=True)
+        preparing = Finding(Severity.OK, PREPARING, about="recording")
+        self._show_lines([preparing], preparing=True)
         while self._looked_at.wait() and not self._ended.is_set():
             if not self._play_on_or_report():
                 return
@@ -292,7 +291,7 @@ class RecordingSource(PassiveSource):
         try:
             self._play_on()
         except CmpTactileError as error:
-            self._report(Level.ERROR, str(error))
+            self._report(Severity.ERROR, str(error))
             return False
         return True
 
@@ -319,7 +318,7 @@ class RecordingSource(PassiveSource):
             shown += 1
             self._show(snapshot, audience)
         if not shown:
-            self._report(Level.WARN, frames.problem or f"no frame from {start_s:.2f} s on")
+            self._report(Severity.WARNING, frames.problem or f"no frame from {start_s:.2f} s on")
         # One picture, or none, would be read again without a pause.
         loops = shown > 1 or (shown == 1 and start_s > 0.0)
         if loops and playback.loop and playback.playing and not self._ended.is_set():
@@ -366,13 +365,16 @@ class RecordingSource(PassiveSource):
     def _report_frame(self, snapshot: Snapshot) -> None:
         lines = list(snapshot_health(snapshot))
         if self.frames.problem:
-            lines.append(HealthLine(Level.WARN, "recording:", self.frames.problem))
-        self._show_lines(lines or [HealthLine(Level.OK, "recording:", "all markers as expected")])
+            lines.append(Finding(Severity.WARNING, self.frames.problem, about="recording"))
+        if lines:
+            self._show_lines(lines)
+        else:
+            self._report(Severity.OK, "all markers as expected")
 
-    def _report(self, level: Level, text: str) -> None:
-        self._show_lines([HealthLine(level, "recording:", text)])
+    def _report(self, severity: Severity, text: str) -> None:
+        self._show_lines([Finding(severity, text, about="recording")])
 
-    def _show_lines(self, lines: list[HealthLine], *, preparing: bool = False) -> None:
+    def _show_lines(self, lines: list[Finding], *, preparing: bool = False) -> None:
         self.playback.preparing = preparing
         if self.audience is not None:
             self.audience.show_health(lines)
@@ -395,15 +397,15 @@ class _Clock:
         self._wall_s, self._time_s = time.monotonic(), time_s
 
 
-def snapshot_health(snapshot: Snapshot) -> Iterator[HealthLine]:
+def snapshot_health(snapshot: Snapshot) -> Iterator[Finding]:
     """What a snapshot itself says is the matter: faults of the views, flags of the force."""
-    for grid, view in ((snapshot.left, "left view:"), (snapshot.right, "right view:")):
+    for grid, view in ((snapshot.left, "left view"), (snapshot.right, "right view")):
         if grid is not None and grid.reason:
             fault = f" ({grid.fault.value})" if grid.fault.value else ""
-            yield HealthLine(Level.WARN, view, f"{grid.reason}{fault}")
+            yield Finding(Severity.WARNING, f"{grid.reason}{fault}", about=view)
     if snapshot.force is not None:
         for flag in single_flags(snapshot.force.flags):
-            yield HealthLine(Level.WARN, "force:", RECORDED_ADVICE[flag])
+            yield Finding(Severity.WARNING, RECORDED_ADVICE[flag], about="force")
 
 
 def open_source(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.errors import Finding
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
@@ -55,23 +55,6 @@ class Snapshot:
     def has_image(self) -> bool:
         """Whether there is something of the camera image; the last one stays on show where not."""
         return self.frame is not None or self.left is not None or self.right is not None
-
-
-class Level(IntEnum):
-    """How serious a line of the health list is; the values are those of DiagnosticStatus."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-
-
-@dataclass(frozen=True)
-class HealthLine:
-    """One line of the health list: what it is about, what is the matter, and what helps."""
-
-    level: Level
-    about: str
-    text: str
 
 
 @dataclass(frozen=True)
@@ -156,7 +139,7 @@ class Audience(Protocol):
     def show(self, sensor: str, snapshot: Snapshot) -> None:
         """Show it as soon as there is time; a newer one takes its place."""
 
-    def show_health(self, lines: list[HealthLine]) -> None:
+    def show_health(self, lines: list[Finding]) -> None:
         """Replace the list of what is the matter."""
 
 

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cmp_tactile_processing.errors import Finding, Severity
 from cmp_tactile_viewer.page.layout import LOST
 from cmp_tactile_viewer.page.scene import PRESETS
-from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, PassiveSource, ShownSensor
+from cmp_tactile_viewer.snapshot import Action, PassiveSource, ShownSensor
 
 # A screen on a desk, a robot's panel, a tablet, a phone; and the gel's least width in them, px.
 WINDOWS = {(1400, 860): 350, (1024, 600): 300, (820, 1180): 350, (390, 844): 230}
@@ -78,7 +79,7 @@ def test_the_gel_is_seen_whole_and_all_else_can_be_reached(
 ):
     page = serve(recorded)
     tab = opened(page, size_of(window))
-    page.show_health([HealthLine(Level.WARN, "/thumb/camera", "no frames")])
+    page.show_health([Finding(Severity.WARNING, "no frames", about="/thumb/camera")])
     for number in range(30):
         page.show("thumb", replace(snapshots[-1], stamp_ns=snapshots[-1].stamp_ns + number * 10**7))
         tab.tab.wait_for_timeout(20)
@@ -132,7 +133,7 @@ def test_buttons_stay_where_they_are_whatever_is_said(recorded, serve, opened):
     button = tab.tab.get_by_text("zero", exact=True)
     folder = tab.tab.get_by_text("show", exact=True)
     place, below = button.bounding_box(), folder.bounding_box()
-    page.show_health([HealthLine(Level.ERROR, f"/thumb/{k}", LONG) for k in range(9)])
+    page.show_health([Finding(Severity.ERROR, LONG, about=f"/thumb/{k}") for k in range(9)])
     tab.sees("/thumb/8")
     assert button.bounding_box() == place
     button.click()
@@ -140,7 +141,9 @@ def test_buttons_stay_where_they_are_whatever_is_said(recorded, serve, opened):
     tab.tab.wait_for_timeout(300)
     assert button.bounding_box() == place
     assert folder.bounding_box() == below
-    page.show_health([HealthLine(Level.WARN, "/thumb/camera", "<b id=bad>gone</b> & lost")])
+    page.show_health(
+        [Finding(Severity.WARNING, "<b id=bad>gone</b> & lost", about="/thumb/camera")]
+    )
     tab.sees("<b id=bad>gone</b> & lost")
     assert tab.tab.locator("#bad").count() == 0
 
@@ -160,7 +163,7 @@ def test_a_page_without_its_server_says_so_and_one_with_it_does_not(
 ):
     page = serve(source)
     page.show("thumb", snapshots[-1])
-    page.show_health([HealthLine(Level.OK, "/thumb/camera", "all is well")])
+    page.show_health([Finding(Severity.OK, "all is well", about="/thumb/camera")])
     tab = opened(page)
     tab.sees("all is well")
     # Longer than the page is silent without a server.

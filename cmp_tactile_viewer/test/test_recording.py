@@ -12,7 +12,7 @@ from waiting import wait_until
 from cmp_tactile_bringup.command import main
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import BagWriter
-from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.errors import Finding, FrameSourceError
 from cmp_tactile_processing.ros.messages.definitions import (
     simulation_definition,
     simulation_typestore,
@@ -20,7 +20,7 @@ from cmp_tactile_processing.ros.messages.definitions import (
 from cmp_tactile_processing.ros.messages.making import SURFACE
 from cmp_tactile_viewer import recording
 from cmp_tactile_viewer.recording import StoredResults, open_source
-from cmp_tactile_viewer.snapshot import HealthLine, Snapshot
+from cmp_tactile_viewer.snapshot import Snapshot
 
 RATE_HZ = 30.0
 FRAMES = 20
@@ -31,13 +31,13 @@ class Looker:
 
     def __init__(self) -> None:
         self.snapshots: list[Snapshot] = []
-        self.lines: list[HealthLine] = []
+        self.lines: list[Finding] = []
 
     def show(self, sensor: str, snapshot: Snapshot) -> None:
         assert sensor == "sample_rig"
         self.snapshots.append(snapshot)
 
-    def show_health(self, lines: list[HealthLine]) -> None:
+    def show_health(self, lines: list[Finding]) -> None:
         self.lines = lines
 
 

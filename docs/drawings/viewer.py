@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -21,13 +22,12 @@ from playwright.sync_api import sync_playwright
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
+from cmp_tactile_processing.errors import Finding, Severity
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_viewer.page.page import Page
 from cmp_tactile_viewer.page.server import Access
 from cmp_tactile_viewer.recording import snapshot_health
 from cmp_tactile_viewer.snapshot import (
-    HealthLine,
-    Level,
     PassiveSource,
     ShownSensor,
     Snapshot,
@@ -142,11 +142,11 @@ def _opened(
             for item in items:
                 page.show(sensor.name, item)
         lines = [
-            HealthLine(line.level, f"{sensor.name}, {line.about}", line.text)
+            replace(line, about=f"{sensor.name}, {line.about}")
             for sensor, items in zip(sensors, snapshots, strict=True)
             for line in snapshot_health(items[-1])
         ]
-        page.show_health(lines or [HealthLine(Level.OK, "all", "markers as expected")])
+        page.show_health(lines or [Finding(Severity.OK, "markers as expected", about="all")])
         tab.goto(page.url)
         tab.get_by_text("Software WebGL").wait_for(timeout=TIMEOUT_MS)
         tab.locator(".mantine-Notification-closeButton").click()

@@ -10,8 +10,7 @@ from cmp_tactile_bringup.calibration.practice import changed_rig
 from cmp_tactile_processing.calibration.check import check_grids
 from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel, calibrate_gel_grids
 from cmp_tactile_processing.calibration.gel.fit import GelCalibrationParameters
-from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_processing.errors import CalibrationError, FrameError
+from cmp_tactile_processing.errors import CalibrationError, FrameError, Severity
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.sensor.parts import PatternSurface
 from hard_frames.deformation import Zone

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.calibration.practice import board_poses
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
+from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
+from cmp_tactile_processing.errors import Severity
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_processing.measured import Grid

@@ -25,7 +25,7 @@ from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
-from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.errors import Finding, FrameSourceError, warnings_of
 from cmp_tactile_processing.geometry.split import to_grey
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -47,11 +47,11 @@ ADVICE = {
 
 @dataclass(frozen=True)
 class RecordedFrames:
-    """images (H, W) or (H, W, 3) with their stamps.  problem: why some were left out, or empty."""
+    """images (H, W) or (H, W, 3) with their stamps.  findings: why some were left out."""
 
     images: list[Frame]
     stamps_ns: list[int]
-    problem: str = ""
+    findings: tuple[Finding, ...] = ()
 
 
 def read_frames(
@@ -77,7 +77,7 @@ def read_frames(
     return RecordedFrames(
         [frame.image for frame in chosen],
         [frame.stamp_ns for frame in chosen],
-        recording.health.summary,
+        warnings_of(recording.health.summary),
     )
 
 

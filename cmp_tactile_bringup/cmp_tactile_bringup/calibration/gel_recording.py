@@ -12,7 +12,12 @@ from cmp_tactile_bringup.recordings.library import check_source, recorded_source
 from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
-from cmp_tactile_processing.errors import CalibrationError, FrameSourceError
+from cmp_tactile_processing.errors import (
+    CalibrationError,
+    Finding,
+    FrameSourceError,
+    warnings_of,
+)
 from cmp_tactile_processing.measured import Markers3D, Surface
 from cmp_tactile_processing.pipeline import MarkerCamera
 from cmp_tactile_processing.processes import OnProgress, no_progress
@@ -85,7 +90,6 @@ class GelMotion:
     source: what messages call the recording.  stamp_ns (n,) of the camera frames, which rise.
     displacement (n, rows, cols, 3) m, gel frame; status (n, rows, cols).
     rest: range of the frames that gave the reference, empty for a surface topic, which has its own.
-    doubts: what a user should know of it.
     """
 
     source: str
@@ -93,7 +97,7 @@ class GelMotion:
     displacement: NDArray[np.float64]
     status: NDArray[np.uint8]
     rest: range = range(0)
-    doubts: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def time_s(self) -> NDArray[np.float64]:
@@ -141,14 +145,15 @@ def _read(
         else:
             continue
         stamps.append(frame.time_ns)
-    doubts = recording.health.summary, recording.calibration_mismatch(sensor), recording.gaps
+    mismatch = recording.calibration_mismatch(sensor)
+    findings = warnings_of(recording.health.summary, mismatch, recording.gaps)
     stamp_ns = np.array(running_ns(stamps), np.int64)
     surfaces = [item for item in markers if isinstance(item, Surface)]
     if surfaces and rest_s is None:
-        return _moved(str(path), stamp_ns, surfaces, range(0), doubts)
+        return _moved(str(path), stamp_ns, surfaces, range(0), findings)
     time_s = np.array(passed_ns(stamps)) * 1e-9
     rest = _rest_frames(str(path), time_s, np.stack([item.position for item in markers]), rest_s)
-    return displaced(str(path), sensor, (stamp_ns, markers), rest, doubts)
+    return displaced(str(path), sensor, (stamp_ns, markers), rest, findings)
 
 
 def displaced(
@@ -156,7 +161,7 @@ def displaced(
     sensor: SensorDescription,
     frames: tuple[NDArray[np.int64], list[Markers3D]],
     rest: range,
-    doubts: tuple[str, ...] = (),
+    findings: tuple[Finding, ...] = (),
 ) -> GelMotion:
     """Displacements of frames, by stamps in ns and markers, against those at rest among them.
 
@@ -172,9 +177,9 @@ def displaced(
     shape = rest_shape(sensor.pattern.corners(), reference.position)
     touched = why_touched(shape, RestParameters())
     if touched:
-        doubts += (f"{which} are used as the gel at rest, but {touched}",)
+        findings += warnings_of(f"{which} are used as the gel at rest, but {touched}")
     surfaces = [reference.surface(item) for item in markers]
-    return _moved(source, stamps, surfaces, rest, doubts)
+    return _moved(source, stamps, surfaces, rest, findings)
 
 
 def _moved(
@@ -182,7 +187,7 @@ def _moved(
     stamps: NDArray[np.int64],
     surfaces: list[Surface],
     rest: range,
-    doubts: tuple[str, ...],
+    findings: tuple[Finding, ...],
 ) -> GelMotion:
     return GelMotion(
         source=source,
@@ -190,7 +195,7 @@ def _moved(
         displacement=np.stack([item.displacement for item in surfaces]),
         status=np.stack([item.status for item in surfaces]),
         rest=rest,
-        doubts=tuple(filter(None, doubts)),
+        findings=findings,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -144,7 +143,8 @@ class Pattern(Command):
         """Write the files and print what is on them."""
         from cmp_tactile_bringup.printing.facts import pattern_warnings, print_facts, seen_facts
         from cmp_tactile_bringup.printing.files import FORMATS, PatternFiles
-        from cmp_tactile_processing.errors import printable
+        from cmp_tactile_bringup.terminal import print_findings
+        from cmp_tactile_processing.errors import printable, warnings_of
         from cmp_tactile_processing.printing.pattern import why_no_dots
         from cmp_tactile_processing.printing.sheet import print_sheet
         from cmp_tactile_processing.sensor.description import find_sensor_description
@@ -164,8 +164,7 @@ class Pattern(Command):
             reason = why_no_dots(sensor, self.ink_gain / 1e6)
             seen["Code"] = f"none: {reason}; --code dots prints dots all the same"
         _show("What the camera will see", seen)
-        for warning in (*pattern_warnings(sensor, printed), *missing):
-            print(printable(f"warning: {warning}"), file=sys.stderr)
+        print_findings(warnings_of(*pattern_warnings(sensor, printed), *missing))
         for path in written:
             print(printable(f"Written: {path}"))
         # What was asked for by name and is not there is a failure.

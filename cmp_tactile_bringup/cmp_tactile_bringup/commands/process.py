@@ -208,7 +208,8 @@ def _run(
 
 def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
     """Print the result of a job; whether all of it could be used."""
-    from cmp_tactile_bringup.terminal import error_reason, print_line
+    from cmp_tactile_bringup.terminal import error_reason, print_findings, print_line
+    from cmp_tactile_processing.errors import errors_in
 
     if isinstance(result, Exception):
         line = error_reason(result, "; --debug shows where")
@@ -219,11 +220,8 @@ def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
     print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}")
     print_line(console, f"{job.label}: sensor description: {job.sensor}")
     print_line(console, f"{job.label}: displacement is relative to: {result.reference}")
-    for doubt in result.doubts:
-        print_line(console, f"warning: {job.label}: {doubt}", "yellow")
-    if result.problem:
-        print_line(console, f"{job.label}: some of it could not be used: {result.problem}", "red")
-    return not result.problem
+    print_findings(result.findings, job.label, console)
+    return not errors_in(result.findings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +235,7 @@ class _Import(Command):
         """Write the files of each recording of a sensor, and print what they are."""
         from cmp_tactile_bringup.offline.imported import plan_import, write_import
         from cmp_tactile_bringup.offline.outputs import check_results_free
-        from cmp_tactile_bringup.terminal import output_console, print_line
+        from cmp_tactile_bringup.terminal import output_console, print_findings
 
         console, output = output_console(), expanded_path(self.output)
         plans = [plan_import(item, output, overwrite=self.overwrite) for item, _ in imports]
@@ -248,8 +246,7 @@ class _Import(Command):
             _report_import(recording, sensor, output, console)
             if found.agreement is not None:
                 _report_agreement(recording.name, found.agreement, console)
-            for doubt in found.doubts:
-                print_line(console, f"warning: {recording.name}: {doubt}", "yellow")
+            print_findings(found.findings, recording.name, console)
         return 0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from dataclasses import dataclass
 from functools import partial
@@ -422,15 +421,15 @@ def _progress_line(progress: RecordingProgress | None) -> str:
 
 
 def _summary(bag: Path, progress: RecordingProgress, missing: list[str]) -> int:
+    from cmp_tactile_bringup.terminal import print_findings
+
     for topic, count in sorted(progress.messages.items()):
         print(f"{count:8d}  {topic}")
     for topic in missing:
         print(f"       0  {topic}: no node published it")
     for topic, count in sorted(progress.dropped.items()):
-        print(f"warning: {count} messages of {topic} dropped: {progress.problem}", file=sys.stderr)
+        print(f"{count:8d}  {topic}: dropped")
     size = f"{progress.duration_s:.1f} s, {progress.size / MEGABYTE:.1f} MB"
     print(f"{bag}: {sum(progress.messages.values())} messages, {size}")
-    if progress.has_failed:
-        print(f"error: {progress.problem}", file=sys.stderr)
-        return 1
-    return 0
+    print_findings([progress.finding])
+    return int(progress.has_failed)

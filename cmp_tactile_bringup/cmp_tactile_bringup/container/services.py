@@ -21,9 +21,9 @@ from rclpy.task import Future
 
 from cmp_tactile_bringup.container.components import ComponentContainer, LoadedComponent
 from cmp_tactile_bringup.graphs.description import Component
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.ros.base_nodes import SERVICE_QOS
-from cmp_tactile_processing.ros.diagnostics import ERROR, OK, status_message, status_name
+from cmp_tactile_processing.ros.diagnostics import status_message, status_name
 from cmp_tactile_processing.ros.process import LastingExecutor, joining_ros
 
 INTRA_PROCESS = "use_intra_process_comms"
@@ -157,15 +157,16 @@ class ContainerServices:
 
 def _status(container: str, unique_id: int, item: LoadedComponent) -> DiagnosticStatus:
     component = item.full_name.lstrip("/")
-    summary = OK, "running"
+    finding = Finding(Severity.OK, "running")
     if item.failure:
-        summary = ERROR, item.failure
+        finding = Finding(Severity.ERROR, item.failure)
     elif item.errors.count:
-        summary = ERROR, f"{item.errors.count} callbacks raised, last: {item.errors.last}"
+        text = f"{item.errors.count} callbacks raised, last: {item.errors.last}"
+        finding = Finding(Severity.ERROR, text)
     values = {"id": unique_id, "callback errors": item.errors.count}
     # A sensor's namespace is its name.
     sensor = component.rpartition("/")[0] or "none"
-    return status_message(f"{container}: {component}", sensor, summary, values)
+    return status_message(f"{container}: {component}", sensor, finding, values)
 
 
 def _component(request: Any) -> Component:

@@ -20,6 +20,7 @@ from cmp_tactile_bringup.recordings import results
 from cmp_tactile_driver.bags.reader import RecordedSurface
 from cmp_tactile_driver.sources.markers import MarkerRecording
 from cmp_tactile_driver.sources.tac3d import Tac3dRecording
+from cmp_tactile_processing.errors import Finding
 from cmp_tactile_processing.force.stage import ForceStage
 from cmp_tactile_processing.measured import NS_PER_S, ForceField, Surface
 from cmp_tactile_processing.pipeline import PipelineResult
@@ -40,11 +41,11 @@ REFERENCE = "markers at rest, as the sensor reports them"
 class Imported:
     """agreement: of our forces and the sensor's own; None where it says nothing of a force.
 
-    doubts: why forces may not be trusted, a line each.
+    findings: why forces may not be trusted.
     """
 
     agreement: Agreement | None
-    doubts: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def write_import(recording: MarkerRecording, sensor: SensorDescription, job: Job
     found = None
     if isinstance(recording, Tac3dRecording):
         found = agreement(np.array(ours), recording.wrench[:, :3])
-    return Imported(found, tuple(flags.doubts))
+    return Imported(found, tuple(flags.findings))
 
 
 def _frames(

@@ -11,7 +11,7 @@ from cmp_tactile_bringup.recordings.library import check_source, is_packaged, re
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
 from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_processing.cache.files import expanded_path
-from cmp_tactile_processing.errors import OutputError
+from cmp_tactile_processing.errors import Finding, OutputError
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
@@ -92,13 +92,12 @@ class Job:
 class Outcome:
     """frames: processed.
 
-    problem: why frames of the recording could not be used, or empty.  doubts: why the results may
-    not be trusted.  reference: what displacement counts from, in words.
+    findings: why frames could not be used, which is an error, and why the results may not be
+    trusted.  reference: what displacement counts from, in words.
     """
 
     frames: int
-    problem: str = ""
-    doubts: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     reference: str = ""
 
 

@@ -37,7 +37,14 @@ from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import COMPILING, compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
-from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, OutputError
+from cmp_tactile_processing.errors import (
+    CmpTactileError,
+    Finding,
+    FrameSourceError,
+    OutputError,
+    Severity,
+    warnings_of,
+)
 from cmp_tactile_processing.image.light_bands import LightBands, flicker_report
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
@@ -107,9 +114,7 @@ class Processor:
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_share((frame.time_s - begin_s) / length_s)
         on_share(1.0)
-        doubts = (
-            *watch.misfits,
-            *watch.doubts,
+        doubts = warnings_of(
             *faults.doubts,
             self._doubt_of_reference(pipeline),
             self._doubt_of_codec(),
@@ -117,11 +122,10 @@ class Processor:
             self._sensor.size_doubt,
             self._doubt_of_assumed(),
         )
-        problems = (self._recording.health.summary, watch.problem)
+        lost = Finding(Severity.ERROR, self._recording.health.summary)
         return Outcome(
             frames=count,
-            problem="; ".join(filter(None, problems)),
-            doubts=tuple(filter(None, doubts)),
+            findings=(lost, *watch.findings, *doubts),
             reference=pipeline.reference_note or (AS_RECORDED if is_surface else NOMINAL),
         )
 
@@ -189,26 +193,15 @@ class _Doubts:
         self._flags.add(result.force)
 
     @property
-    def problem(self) -> str:
-        """Why none of it can be used; empty where some can."""
-        return self._faults.problem
-
-    @property
-    def misfits(self) -> Iterator[str]:
-        """Where no frame can be used: how the first one differs from the description."""
-        if self.problem and isinstance(self._first, RecordedFrame):
+    def findings(self) -> Iterator[Finding]:
+        if self._faults.in_all and isinstance(self._first, RecordedFrame):
             from cmp_tactile_bringup.recordings.misfit import description_misfits
 
-            yield from description_misfits(self._sensor, self._first.image)
-
-    @property
-    def doubts(self) -> Iterator[str]:
-        yield self._calibration
-        yield self._recording.gaps
-        if self._gaps:
-            yield f"in {self._gaps} frames: {self._last_gap}"
-        yield from self._faults.doubts
-        yield from self._flags.doubts
+            yield from warnings_of(*description_misfits(self._sensor, self._first.image))
+        gaps = f"in {self._gaps} frames: {self._last_gap}" if self._gaps else ""
+        yield from warnings_of(self._calibration, self._recording.gaps, gaps)
+        yield from self._faults.findings
+        yield from self._flags.findings
 
 
 class _FrameFaults:

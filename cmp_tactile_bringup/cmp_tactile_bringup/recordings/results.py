@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.files import atomic_path
+from cmp_tactile_processing.errors import Finding, Severity, warnings_of
 from cmp_tactile_processing.force.advice import (
     RECORDED_ADVICE,
     UNUSABLE,
@@ -134,16 +135,15 @@ class ForceFlags:
         self._flagged.update(single_flags(force.flags))
 
     @property
-    def doubts(self) -> Iterator[str]:
+    def findings(self) -> Iterator[Finding]:
         """In how many frames the force must not be used, and a line for each flag that was set."""
         if self._unusable:
-            yield (
-                f"do not use the force of {self._unusable} of {self._frames} frames (column usable)"
-            )
+            count = f"{self._unusable} of {self._frames} frames"
+            yield from warnings_of(f"do not use the force of {count} (column usable)")
         for flag in sorted(self._flagged, key=lambda flag: not flag & UNUSABLE):
             frames = f"in {self._flagged[flag]} of {self._frames} frames {flag_names(flag)}"
             use = "not usable" if flag & UNUSABLE else "use with care"
-            yield f"{frames}: {use}; {RECORDED_ADVICE[flag]}"
+            yield from warnings_of(f"{frames}: {use}; {RECORDED_ADVICE[flag]}")
 
 
 def grid_arrays(grid: Grid) -> dict[str, NDArray[Any]]:
@@ -189,17 +189,16 @@ class GridFaults:
         self._frames_with_fault += has_fault
 
     @property
-    def problem(self) -> str:
-        """That all frames have a fault, and how many these are; empty where one has none."""
-        if not self._frames or self._frames_with_fault < self._frames:
-            return ""
-        return f"all {self._frames} frames have a fault: {'; '.join(self.doubts)}"
+    def in_all(self) -> bool:
+        """Whether all frames have a fault."""
+        return 0 < self._frames == self._frames_with_fault
 
     @property
-    def doubts(self) -> Iterator[str]:
-        """A line for each view with faults."""
+    def findings(self) -> Iterator[Finding]:
+        """One for each view with faults; an error where no frame is without."""
         for view, count in self._faulty.items():
-            yield f"{view} view: in {count} of {self._frames} frames {self._last[view]}"
+            text = f"{view} view: in {count} of {self._frames} frames {self._last[view]}"
+            yield Finding(Severity.ERROR if self.in_all else Severity.WARNING, text)
 
 
 class ArrayLog:

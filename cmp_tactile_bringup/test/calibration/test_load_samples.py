@@ -210,8 +210,8 @@ def test_a_clock_that_is_set_back_exchanges_neither_frames_nor_forces(weigh_bag,
     np.testing.assert_allclose(motion.time_s, whole.time_s, atol=1e-9)
     force = at_frames(read_wrench(bag, "/ft/wrench"), motion.stamp_ns, 0.0)
     np.testing.assert_allclose(force[:, 0], whole.time_s, atol=1e-9)
-    (doubt,) = motion.doubts
-    assert f"at {whole.time_s[half]:.2f} s" in doubt
+    (found,) = motion.findings
+    assert f"at {whole.time_s[half]:.2f} s" in found.text
 
 
 def test_a_wrench_topic_of_too_few_numbers_is_refused(tmp_path):

@@ -96,7 +96,7 @@ def test_each_flag_is_counted_and_a_recording_is_not_to_be_zeroed(field):
     flags.add(replace(field, flags=ForceFlag.NO_DEPTH | ForceFlag.HIDDEN_CONTACT))
     flags.add(replace(field, flags=ForceFlag.NO_DEPTH | ForceFlag.BEYOND_MARKERS))
     flags.add(replace(field, flags=ForceFlag.POOR_FIT))
-    begins = [doubt.partition(";")[0] for doubt in flags.doubts]
+    begins = [found.text.partition(";")[0] for found in flags.findings]
     assert "2 of 3 frames" in begins[0]
     assert [" ".join(begin.split()[:6]) for begin in begins[1:3]] == [
         "in 1 of 3 frames beyond_markers:",
@@ -106,7 +106,7 @@ def test_each_flag_is_counted_and_a_recording_is_not_to_be_zeroed(field):
         "in 1 of 3 frames hidden_contact",
         "in 2 of 3 frames no_depth",
     ]
-    fit = list(flags.doubts)[2]
+    fit = list(flags.findings)[2].text
     assert "--reference first-N" in fit
     assert "zero again" not in fit
 
@@ -139,7 +139,7 @@ def test_grids_with_and_without_deviations_and_every_fault_go_into_one_file(tmp_
 def test_a_hidden_part_is_no_reason_for_doubt(fault):
     faults = GridFaults()
     faults.add({"left": _grid(fault, "3 corners not seen"), "right": None})
-    assert list(faults.doubts) == []
+    assert list(faults.findings) == []
 
 
 def test_each_view_reports_how_often_and_the_last_reason():
@@ -148,7 +148,7 @@ def test_each_view_reports_how_often_and_the_last_reason():
     faults.add({"left": good, "right": _grid(GridFault.DARK, "too dark: 3")})
     faults.add({"left": good, "right": _grid(GridFault.MIRRORED, "a mirror image")})
     faults.add({"left": _grid(GridFault.NO_PATTERN, "nothing"), "right": good})
-    assert sorted(faults.doubts) == [
+    assert sorted(found.text for found in faults.findings) == [
         "left view: in 1 of 3 frames no_pattern: nothing",
         "right view: in 2 of 3 frames mirrored: a mirror image",
     ]

@@ -57,15 +57,10 @@ class PairedRecording:
     @property
     def health(self) -> SourceHealth:
         """What either could not give in the last reading, and frames without a partner."""
-        found = [self._left.health, self._right.health]
-        problems = [item.problem for item in found if item.problem]
         alone = self._alone + len(self._left_out)
-        if alone:
-            such = f", such as {self._left_out[0].name}" if self._left_out else ""
-            text = f"{alone} frames have no partner of the other view{such}"
-            problems.append(f"{self.name}: {text}")
-        bad = sum(item.bad_frames for item in found) + alone
-        return SourceHealth(bad, "; ".join(problems))
+        such = f", such as {self._left_out[0].name}" if self._left_out else ""
+        text = f"{self.name}: {alone} frames have no partner of the other view{such}"
+        return self._left.health + self._right.health + SourceHealth(alone, text if alone else "")
 
     @property
     def gaps(self) -> str:

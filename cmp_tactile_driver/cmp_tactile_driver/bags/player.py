@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TypeVar, cast
 
@@ -17,6 +17,7 @@ from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.sources.capture import Pacer, Worker
+from cmp_tactile_driver.sources.frames import SourceHealth
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_processing.errors import FrameSourceError
 
@@ -73,15 +74,14 @@ class StartGate:
 class Progress:
     """How far the player is.  frames: sent so far.  passes: through the whole recording.
 
-    bad_frames, problem: of the recording.  max_lateness: s.  position: of what was sent last, in s
-    from the first frame.
+    health: of the recordings, silent where playing failed.  max_lateness: s.  position: of what was
+    sent last, in s from the first frame.
     """
 
     state: PlayerState
     frames: int
     passes: int
-    bad_frames: int
-    problem: str
+    health: SourceHealth
     max_lateness: float
     position: float
 
@@ -128,16 +128,18 @@ class Player:
     @property
     def progress(self) -> Progress:
         """A snapshot; may be asked for from any thread."""
-        health, failure = [item.health for item in self._recordings], self._worker.failure
-        state = PlayerState.FAILED if failure else self._state
+        health = sum((item.health for item in self._recordings), SourceHealth())
+        state = self._state
+        if self._worker.failure:
+            state = PlayerState.FAILED
+            health = replace(health, problem=self._worker.failure, silent=True)
         if state is PlayerState.PLAYING and self._paused:
             state = PlayerState.PAUSED
         return Progress(
             state,
             self._frames,
             self._passes,
-            sum(item.bad_frames for item in health),
-            failure or next((item.problem for item in health if item.problem), ""),
+            health,
             self._pacer.max_lateness,
             self._position,
         )

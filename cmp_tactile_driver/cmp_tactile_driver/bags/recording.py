@@ -266,8 +266,7 @@ class RecordedSource:
     @property
     def health(self) -> frames.SourceHealth:
         """Frames that could not be used, in all passes."""
-        health = self._recording.health
-        return frames.SourceHealth(self._past_bad_frames + health.bad_frames, health.problem)
+        return frames.SourceHealth(self._past_bad_frames) + self._recording.health
 
     def read(self) -> frames.Frame | None:
         """The next good frame, or None at the end; FrameSourceError where none is good."""

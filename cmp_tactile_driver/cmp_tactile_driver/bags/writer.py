@@ -20,7 +20,7 @@ from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
-from cmp_tactile_processing.errors import CmpTactileError, OutputError
+from cmp_tactile_processing.errors import CmpTactileError, Finding, OutputError, Severity
 from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
 from cmp_tactile_processing.sensor.description import find_sensor_description
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
@@ -218,6 +218,14 @@ class RecordingProgress:
     def has_failed(self) -> bool:
         """Whether it ended early, or its index is missing."""
         return self.state is RecorderState.FAILED
+
+    @property
+    def finding(self) -> Finding:
+        """What is missing for good, however little; an error where it has failed."""
+        dropped = self.dropped.total()
+        if self.has_failed or not dropped:
+            return Finding(Severity.ERROR, self.problem if self.has_failed else "")
+        return Finding(Severity.WARNING, f"{dropped} messages dropped, last: {self.problem}")
 
 
 class BagRecorder:

@@ -18,9 +18,15 @@ from cmp_tactile_driver.sources import frames
 from cmp_tactile_driver.sources.capture import Capture, CaptureState, on_clock
 from cmp_tactile_driver.sources.parameters import CameraDriverParameters, CameraParameters
 from cmp_tactile_driver.v4l2.control_parameters import PREFIX
-from cmp_tactile_processing.errors import CmpTactileError, FrameSourceError, InputError
+from cmp_tactile_processing.errors import (
+    CmpTactileError,
+    Finding,
+    FrameSourceError,
+    InputError,
+    Severity,
+)
 from cmp_tactile_processing.ros.base_nodes import ReportingNode
-from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
+from cmp_tactile_processing.ros.diagnostics import SentFrames
 from cmp_tactile_processing.ros.messages.conversions import frame_to_msg, header_at
 from cmp_tactile_processing.ros.messages.making import camera_frame
 from cmp_tactile_processing.ros.parameters import SensorParameters, declare_parameters
@@ -34,20 +40,19 @@ CAMERA = "v4l2"
 def _state_finding(
     problem: str, capture: Capture | None, health: frames.SourceHealth, name: str
 ) -> Finding:
-    """What is to be reported; without text where nothing is.
+    """What is to be reported.
 
     problem: why it could not be configured.  name: of what it reads.
     """
     if problem:
-        return Finding(DiagnosticStatus.ERROR, problem)
+        return Finding(Severity.ERROR, problem)
     if capture is None:
-        return Finding(DiagnosticStatus.WARN, "not configured")
+        return Finding(Severity.WARNING, "not configured")
     if capture.state is CaptureState.FAILED:
-        return Finding(DiagnosticStatus.ERROR, capture.failure)
+        return Finding(Severity.ERROR, capture.failure)
     if capture.state is CaptureState.ENDED:
-        return Finding(DiagnosticStatus.WARN, f"{CaptureState.ENDED.value}: {name}")
-    level = DiagnosticStatus.ERROR if health.silent else DiagnosticStatus.WARN
-    return Finding(level if health.problem else DiagnosticStatus.OK, health.problem)
+        return Finding(Severity.WARNING, f"{CaptureState.ENDED.value}: {name}")
+    return health.finding
 
 
 class CameraDriver(ReportingNode, LifecycleNode):
@@ -259,7 +264,7 @@ class CameraDriver(ReportingNode, LifecycleNode):
         capture, calibration = self._capture, self._calibration.problem
         findings = [
             _state_finding(self._problem_text, capture, health, self._opened),
-            Finding(DiagnosticStatus.WARN, calibration),
+            Finding(Severity.WARNING, calibration),
         ]
         values: dict[str, object] = {
             "state": self._state_machine.current_state[1],

@@ -41,7 +41,7 @@ from cmp_tactile_processing.errors import FrameError, FrameSourceError, OutputEr
 from cmp_tactile_processing.image.encodings import COMPRESSED
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.base_nodes import ReportingNode, latched_qos
-from cmp_tactile_processing.ros.diagnostics import Finding, InputWatch, SentFrames
+from cmp_tactile_processing.ros.diagnostics import InputWatch, SentFrames
 from cmp_tactile_processing.ros.messages.conversions import image_from_topic, message_class
 from cmp_tactile_processing.ros.parameters import declare_parameters
 from cmp_tactile_processing.ros.process import run_node
@@ -406,15 +406,14 @@ class Recorder(ReportingNode):
         self._report_change(progress)
         records = self._is_recording()
         values: dict[str, object] = {"state": self._state_text()}
-        finding, dropped = Finding(DiagnosticStatus.OK, ""), 0
+        findings = []
         if progress is not None:
-            dropped = sum(progress.dropped.values())
             missing = self.missing_topics if records else []
             values |= _figures(progress)
             values |= {"bag": self.bag, "not published yet": " ".join(missing)}
-            finding = _finding(progress, dropped)
+            findings = [progress.finding]
         values["rate (Hz)"] = self._taken.close_period()["rate (Hz)"]
-        return self.status_of(self._sensor.ros_name, values, [finding], self._state_text())
+        return self.status_of(self._sensor.ros_name, values, findings, self._state_text())
 
     def _report_change(self, progress: RecordingProgress | None) -> None:
         state = progress.state if progress is not None else None
@@ -424,14 +423,6 @@ class Recorder(ReportingNode):
             elif state is RecorderState.FINISHED:
                 self.get_logger().info(f"recorded {sum(progress.messages.values())} messages")
         self._reported = state
-
-
-def _finding(progress: RecordingProgress, dropped: int) -> Finding:
-    if progress.state is RecorderState.FAILED:
-        return Finding(DiagnosticStatus.ERROR, progress.problem)
-    # What is dropped is missing for good, however few.
-    text = f"{dropped} messages dropped: {progress.problem}" if dropped else ""
-    return Finding(DiagnosticStatus.WARN, text)
 
 
 def _figures(progress: RecordingProgress) -> dict[str, object]:

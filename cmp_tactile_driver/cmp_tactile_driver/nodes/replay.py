@@ -31,7 +31,7 @@ from cmp_tactile_processing.cache.files import split_paths
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.base_nodes import ReportingNode, latched_qos
-from cmp_tactile_processing.ros.diagnostics import Finding, SentFrames
+from cmp_tactile_processing.ros.diagnostics import SentFrames
 from cmp_tactile_processing.ros.messages.conversions import (
     frame_to_msg,
     header_at,
@@ -327,18 +327,18 @@ class Replay(ReportingNode):
         if self._reported is None or progress.state is not self._reported[0]:
             self.report()
             text = f"{progress.state.value}: {self._names}, {progress.frames} frames sent"
-            bad = f", {progress.bad_frames} bad" if progress.bad_frames else ""
+            bad = f", {progress.health.bad_frames} bad" if progress.health.bad_frames else ""
             if self._passed_over:
                 bad += f", {self._passed_over} passed over (frame_queue: newest)"
             if progress.state is PlayerState.FAILED:
-                self.get_logger().error(f"{text}{bad}: {progress.problem}")
-                self.failure = f"{self.get_name()}: {progress.problem}"
+                self.get_logger().error(f"{text}{bad}: {progress.health.problem}")
+                self.failure = f"{self.get_name()}: {progress.health.problem}"
                 return
             self.get_logger().info(f"{text}{bad}")
             self._warn_of_gaps()
-            if progress.problem not in ("", self._warned_of):
-                self._warned_of = progress.problem
-                self.get_logger().warning(progress.problem)
+            if progress.health.problem not in ("", self._warned_of):
+                self._warned_of = progress.health.problem
+                self.get_logger().warning(progress.health.problem)
 
     @property
     def _passed_over(self) -> int:
@@ -348,22 +348,21 @@ class Replay(ReportingNode):
     def _status(self) -> DiagnosticStatus:
         progress = self._require_player().progress
         self._reported = (progress.state, progress.frames)
-        failed = progress.state is PlayerState.FAILED
-        level = DiagnosticStatus.ERROR if failed else DiagnosticStatus.WARN
         values: dict[str, object] = {
             "state": progress.state.name.lower(),
             "frames out": progress.frames,
             "passed over": self._passed_over,
-            "bad frames": progress.bad_frames,
+            "bad frames": progress.health.bad_frames,
             "rate (Hz)": self._sent.close_period()["rate (Hz)"],
             "passes": progress.passes,
             "position (s)": f"{progress.position:.3f}",
             "max lateness (ms)": f"{progress.max_lateness * 1e3:.1f}",
-            "problem": progress.problem,
+            "problem": progress.health.problem,
             "recording": self._names,
         }
-        finding = Finding(level, progress.problem)
-        return self.status_of(self._sensor.ros_name, values, [finding], progress.state.value)
+        return self.status_of(
+            self._sensor.ros_name, values, [progress.health.finding], progress.state.value
+        )
 
 
 def main() -> int:

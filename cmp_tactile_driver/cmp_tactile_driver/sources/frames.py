@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.sources.parameters import CameraParameters
-from cmp_tactile_processing.errors import FrameSourceError, InputError
+from cmp_tactile_processing.errors import Finding, FrameSourceError, InputError, Severity
 from cmp_tactile_processing.ros.messages.making import encoding_of
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -61,9 +61,23 @@ class SourceHealth:
     silent: bool = False
     dropped_frames: int = 0
 
+    def __add__(self, other: SourceHealth) -> SourceHealth:
+        """That of two sources together."""
+        return SourceHealth(
+            self.bad_frames + other.bad_frames,
+            "; ".join(filter(None, (self.problem, other.problem))),
+            silent=self.silent or other.silent,
+            dropped_frames=self.dropped_frames + other.dropped_frames,
+        )
+
     def with_bad_frame(self, problem: str) -> SourceHealth:
         """One bad frame more."""
         return SourceHealth(self.bad_frames + 1, problem)
+
+    @property
+    def finding(self) -> Finding:
+        """The last reason, an error while no frames come."""
+        return Finding(Severity.ERROR if self.silent else Severity.WARNING, self.problem)
 
     @property
     def summary(self) -> str:

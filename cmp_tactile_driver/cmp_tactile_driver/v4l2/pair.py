@@ -83,14 +83,9 @@ class CameraPair:
     @property
     def health(self) -> SourceHealth:
         """What either could not give; a frame without a partner counts as dropped."""
-        found = [source.health for source in self._sources]
-        problems = [item.problem for item in found if item.problem]
-        return SourceHealth(
-            sum(item.bad_frames for item in found),
-            "; ".join(problems) or self._apart,
-            silent=any(item.silent for item in found),
-            dropped_frames=self._unpaired + sum(item.dropped_frames for item in found),
-        )
+        unpaired = SourceHealth(dropped_frames=self._unpaired)
+        health = sum((source.health for source in self._sources), unpaired)
+        return replace(health, problem=health.problem or self._apart)
 
     @property
     def diagnostics(self) -> Mapping[str, object]:

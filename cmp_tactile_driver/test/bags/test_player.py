@@ -221,7 +221,7 @@ def test_failure_is_reported_after_what_was_good(start, error, wanted, problem):
     player, sent = _play(ReplayParameters(start=start), _Recording(error))
     _wait(lambda: player.progress.state is PlayerState.FAILED)
     assert sent == wanted
-    assert player.progress.problem == problem
+    assert player.progress.health.problem == problem
 
 
 def test_steps_that_are_asked_for_at_once_are_all_made():

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.calibration import observation, outcome
 from cmp_tactile_processing.calibration.outcome import finding
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Finding, Severity, errors_in
 from cmp_tactile_processing.geometry.optics import ViewGeometry
 from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
 from cmp_tactile_processing.measured import Grid, Status
@@ -238,7 +238,7 @@ class CheckReport(outcome.WithFindings):
     figures: tuple[CheckFigure, ...]
     residuals: tuple[outcome.ViewResiduals, ...]
     drift: RigidDrift | None
-    findings: tuple[outcome.Finding, ...]
+    findings: tuple[Finding, ...]
     verdict: str
 
 
@@ -367,7 +367,7 @@ def _rest_figures(
 
 def _findings(
     sensor: SensorDescription, figures: Sequence[CheckFigure], rest: NDArray[np.intp]
-) -> tuple[outcome.Finding, ...]:
+) -> tuple[Finding, ...]:
     findings = []
     for figure in figures:
         if figure.kept:
@@ -377,14 +377,14 @@ def _findings(
         value, limit = (outcome.value_text(v, figure.unit) for v in (figure.value, figure.limit))
         name = f"{figure.name[0].upper()}{figure.name[1:]}"
         text = f"{name}: found {value}{whom}, expected {wanted} {limit}."
-        findings.append(outcome.Finding(outcome.Severity.ERROR, text, figure.advice))
+        findings.append(Finding(Severity.ERROR, text, figure.advice))
     if not len(rest):
         findings.append(finding("no rest", error=len(sensor.views) != 2))
     return tuple(findings)
 
 
-def _verdict(figures: Sequence[CheckFigure], findings: Sequence[outcome.Finding]) -> str:
-    errors = outcome.errors_in(findings)
+def _verdict(figures: Sequence[CheckFigure], findings: Sequence[Finding]) -> str:
+    errors = errors_in(findings)
     if errors:
         return f"Do not measure with this calibration. {errors[0].text} {errors[0].advice}"
     listed = ", ".join(

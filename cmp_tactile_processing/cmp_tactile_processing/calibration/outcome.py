@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from enum import Enum
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,31 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.map_fit import MapFit
+from cmp_tactile_processing.errors import Finding, errors_in
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
-
-
-class Severity(str, Enum):
-    """ERROR: the result must not be used.  WARNING: it may be, and is worse than it could be."""
-
-    ERROR = "error"
-    WARNING = "warning"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something wrong with images or result, in words, and what to do about it."""
-
-    severity: Severity
-    text: str
-    advice: str
-
-    @classmethod
-    def graded(cls, text: str, advice: str, *, error: bool) -> Finding:
-        """An error, or else a warning."""
-        return cls(Severity.ERROR if error else Severity.WARNING, text, advice)
 
 
 @cache
@@ -50,13 +29,7 @@ def finding_texts() -> dict[str, dict[str, str]]:
 def finding(name: str, /, *, error: bool, **values: Any) -> Finding:
     """The finding of that name with these values in its texts; a warning unless it is an error."""
     texts = finding_texts()[name]
-    text, advice = (texts[part].format_map(values) for part in ("text", "advice"))
-    return Finding(Severity.ERROR if error else Severity.WARNING, text, advice)
-
-
-def errors_in(findings: Iterable[Finding]) -> list[Finding]:
-    """Those that speak against using the result."""
-    return [item for item in findings if item.severity is Severity.ERROR]
+    return Finding.graded(*(texts[k].format_map(values) for k in ("text", "advice")), error=error)
 
 
 def number_text(value: float, digits: int = 3) -> str:

@@ -171,15 +171,15 @@ class ForceReconstructor(StageNode):
 
     def _update_diagnostics(self) -> None:
         self._adopt_built()
-        level, note, figures = self._health.close_period()
-        ready, notes = self._stage is not None, [note]
-        if self._one_view and ADVICE[ForceFlag.NO_DEPTH] not in note:
+        found, figures = self._health.close_period()
+        ready, notes = self._stage is not None, [found.text]
+        if self._one_view and ADVICE[ForceFlag.NO_DEPTH] not in found.text:
             notes.append(ADVICE[ForceFlag.NO_DEPTH])
         if self._stage is not None and self._stage.zeroed_load:
             load = self._stage.zeroed_load
             notes.insert(0, f"the reference was taken under a load of {load:.2f} N")
-        self.diagnostics.note_level = level
-        self.diagnostics.note = "; ".join(filter(None, notes)) if ready else self._progress
+        text = "; ".join(filter(None, notes)) if ready else self._progress
+        self.diagnostics.note = replace(found, text=text)
         waiting = "failed" if self.diagnostics.failure else "building"
         self.diagnostics.extra = {"model": "ready" if ready else waiting, **figures}
 

@@ -6,7 +6,6 @@ import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 from numpy.typing import NDArray
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
@@ -14,7 +13,7 @@ from std_msgs.msg import Header
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_processing.drawing import draw_grid
-from cmp_tactile_processing.errors import CalibrationError, InputError
+from cmp_tactile_processing.errors import CalibrationError, Finding, InputError, Severity
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.nodes.health import GridHealth
@@ -170,10 +169,10 @@ class GridlineTracker(StageNode):
             finish(False, "the inspection failed, see the node's log")
 
     def _update_diagnostics(self) -> None:
-        level, note, figures = self._health.close_period()
-        if figures and not note and self._tracker.pattern_doubt:
-            level, note = DiagnosticStatus.WARN, self._tracker.pattern_doubt
-        self.diagnostics.note_level, self.diagnostics.note = level, note
+        note, figures = self._health.close_period()
+        if figures and not note.text:
+            note = Finding(Severity.WARNING, self._tracker.pattern_doubt)
+        self.diagnostics.note = note
         self.diagnostics.extra = {"view": self._view, **figures}
 
 

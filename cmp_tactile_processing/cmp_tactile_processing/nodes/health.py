@@ -4,29 +4,28 @@ from __future__ import annotations
 
 from collections import Counter
 
-from diagnostic_msgs.msg import DiagnosticStatus
-
+from cmp_tactile_processing.errors import Finding, Severity
 from cmp_tactile_processing.force.advice import ADVICE, UNUSABLE, flag_names, single_flags
 from cmp_tactile_processing.measured import ForceField, ForceFlag, Grid, GridFault
 from cmp_tactile_processing.surface.reference_keeping import ReferenceKeeper
 
-FAULT_LEVELS: dict[GridFault, bytes] = {
+FAULT_LEVELS = {
     # A hand in front of the gel, or a finger in it: what it is made for.
-    GridFault.NONE: DiagnosticStatus.OK,
-    GridFault.PARTLY_HIDDEN: DiagnosticStatus.OK,
+    GridFault.NONE: Severity.OK,
+    GridFault.PARTLY_HIDDEN: Severity.OK,
     # Light, dirt or something in the way.
-    GridFault.DARK: DiagnosticStatus.WARN,
-    GridFault.OVEREXPOSED: DiagnosticStatus.WARN,
-    GridFault.NO_CONTRAST: DiagnosticStatus.WARN,
-    GridFault.NO_PATTERN: DiagnosticStatus.WARN,
-    GridFault.TWO_PATTERNS: DiagnosticStatus.WARN,
-    GridFault.AMBIGUOUS: DiagnosticStatus.WARN,
+    GridFault.DARK: Severity.WARNING,
+    GridFault.OVEREXPOSED: Severity.WARNING,
+    GridFault.NO_CONTRAST: Severity.WARNING,
+    GridFault.NO_PATTERN: Severity.WARNING,
+    GridFault.TWO_PATTERNS: Severity.WARNING,
+    GridFault.AMBIGUOUS: Severity.WARNING,
     # The sensor description is not that of this sensor: it does not pass by itself.
-    GridFault.OTHER_SIZE: DiagnosticStatus.ERROR,
-    GridFault.OTHER_PATTERN: DiagnosticStatus.ERROR,
-    GridFault.MIRRORED: DiagnosticStatus.ERROR,
-    GridFault.TURNED: DiagnosticStatus.ERROR,
-    GridFault.OTHER_COLOURS: DiagnosticStatus.ERROR,
+    GridFault.OTHER_SIZE: Severity.ERROR,
+    GridFault.OTHER_PATTERN: Severity.ERROR,
+    GridFault.MIRRORED: Severity.ERROR,
+    GridFault.TURNED: Severity.ERROR,
+    GridFault.OTHER_COLOURS: Severity.ERROR,
 }
 
 # The others are reported, but belong to ordinary use.
@@ -47,14 +46,11 @@ class GridHealth:
         self._faults.append((grid.fault, grid.reason))
         self._found = grid.found_fraction
 
-    def close_period(self) -> tuple[bytes, str, dict[str, str]]:
-        """Level, text and figures of the period, with its worst fault.
-
-        The text is empty where nothing was missing, the figures where no grid came.
-        """
+    def close_period(self) -> tuple[Finding, dict[str, str]]:
+        """The worst fault of the period, and figures, which are empty if no grid came."""
         faults, self._faults = self._faults, []
         if not faults:
-            return DiagnosticStatus.OK, "", {}
+            return Finding(Severity.OK, ""), {}
         # The last one of those that are equally bad.
         worst, reason = max(reversed(faults), key=lambda item: FAULT_LEVELS[item[0]])
         faulty = sum(fault is not GridFault.NONE for fault, _ in faults)
@@ -63,7 +59,7 @@ class GridHealth:
             "fault": worst.value,
             "frames with a fault": f"{faulty} of {len(faults)}",
         }
-        return FAULT_LEVELS[worst], reason, figures
+        return Finding(FAULT_LEVELS[worst], reason), figures
 
 
 def reference_figures(keeper: ReferenceKeeper) -> dict[str, object]:
@@ -97,8 +93,8 @@ class ForceHealth:
         self._last = field
         self._counts[int(field.flags)] += 1
 
-    def close_period(self) -> tuple[bytes, str, dict[str, str]]:
-        """Level, advice and figures; the advice is empty where there is nothing to say."""
+    def close_period(self) -> tuple[Finding, dict[str, str]]:
+        """The advice on flags of the period, and figures."""
         counts, self._counts = self._counts, Counter()
         reported = ForceFlag.NONE
         for flag in ADVICE:
@@ -107,11 +103,11 @@ class ForceHealth:
                 reported |= flag
         # What is warned of comes first.
         flags = sorted(single_flags(reported), key=lambda flag: not flag & WARNED_OF)
-        level = DiagnosticStatus.WARN if reported & WARNED_OF else DiagnosticStatus.OK
+        severity = Severity.WARNING if reported & WARNED_OF else Severity.OK
         figures = {"flags": flag_names(reported)}
         if self._last is not None:
             figures |= {
                 "contacts": str(len(self._last.contacts)),
                 "slip": self._last.slip_state.name.lower(),
             }
-        return level, "; ".join(ADVICE[flag] for flag in flags), figures
+        return Finding(severity, "; ".join(ADVICE[flag] for flag in flags)), figures

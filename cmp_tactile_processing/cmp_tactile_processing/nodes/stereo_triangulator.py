@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from sensor_msgs.msg import PointCloud2
@@ -18,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import Grid as GridMsg
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Finding, Severity
 from cmp_tactile_processing.measured import Grid, Markers3D, measured_share
 from cmp_tactile_processing.nodes.health import reference_figures
 from cmp_tactile_processing.ros.base_nodes import Answer, FrameService, StageNode
@@ -239,9 +238,8 @@ class StereoTriangulator(StageNode):
         return self._options.value.reference_frames, self._options.value.reference_timeout, topics
 
     def _update_diagnostics(self) -> None:
-        note, self._doubt = self._doubt or self._keeper.warning(), ""
-        self.diagnostics.note = note
-        self.diagnostics.note_level = DiagnosticStatus.WARN if note else DiagnosticStatus.OK
+        text, self._doubt = self._doubt or self._keeper.warning(), ""
+        self.diagnostics.note = Finding(Severity.WARNING, text)
         self.diagnostics.extra = {
             "tracked fraction": f"{self._tracked:.4f}",
             "unpaired grids": sum(self._pairing.unpaired.values()),

@@ -29,9 +29,8 @@ from rclpy.timer import Timer
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, Finding
 from cmp_tactile_processing.ros.diagnostics import (
-    Finding,
     InputWatch,
     StageDiagnostics,
     Stamp,
@@ -368,5 +367,4 @@ class StageNode(ReportingNode):
         topics = [watch.end.subscription.topic_name for watch in self.diagnostics.inputs]
         self.diagnostics.unpublished = [item for item in topics if not self.count_publishers(item)]
         values, findings = self.diagnostics.report()
-        otherwise = self.diagnostics.note or "running"
-        return self.status_of(self.sensor.ros_name, values, findings, otherwise)
+        return self.status_of(self.sensor.ros_name, values, findings, "running")

@@ -6,7 +6,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from cmp_tactile_processing.errors import Finding, Severity
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.wiring import Input
 
@@ -24,7 +24,6 @@ NEW_PACE = 5
 SMOOTHING = 0.1
 # A longer gap is to another recording, or of a clock that was set: no frames are missing in it.
 LONGEST_GAP_NS = 60 * NS_PER_S
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 # Share of a second's frames above which losses are warned of.
 DROPPED_WARN = 0.01
 # A source without a frame for so long is silent; a slow one after so many times the pause before
@@ -173,20 +172,12 @@ def _latency(ages_s: list[float]) -> dict[str, object]:
     return {"latency median (ms)": median, "latency p99 (ms)": high}
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Something to be reported, with its level; without text nothing is."""
-
-    level: bytes
-    text: str
-
-
-def summary(findings: Iterable[Finding], otherwise: str) -> tuple[bytes, str]:
-    """The worst level, and the texts, worst first; `otherwise` where there are none."""
+def summary(findings: Iterable[Finding], otherwise: str) -> Finding:
+    """All in one: the worst severity, and the texts, worst first; `otherwise` if there are none."""
     found = [item for item in findings if item.text]
-    ordered = sorted(found, key=lambda item: item.level, reverse=True)
-    level = ordered[0].level if ordered else OK
-    return level, "; ".join(dict.fromkeys(item.text for item in ordered)) or otherwise
+    ordered = sorted(found, key=lambda item: item.severity, reverse=True)
+    severity = ordered[0].severity if ordered else Severity.OK
+    return Finding(severity, "; ".join(dict.fromkeys(item.text for item in ordered)) or otherwise)
 
 
 def status_name(node: Node) -> str:
@@ -195,13 +186,13 @@ def status_name(node: Node) -> str:
 
 
 def status_message(
-    name: str, hardware_id: str, summary: tuple[bytes, str], values: Mapping[str, object]
+    name: str, hardware_id: str, finding: Finding, values: Mapping[str, object]
 ) -> DiagnosticStatus:
-    """A status; summary: level and message."""
+    """A status."""
     return DiagnosticStatus(
-        level=summary[0],
+        level=bytes([finding.severity]),
         name=name,
-        message=summary[1],
+        message=finding.text,
         hardware_id=hardware_id,
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
     )
@@ -214,7 +205,7 @@ class StageDiagnostics:
     """Counts frames and remembers the last error; `report` closes one period.
 
     inputs: what is known of each input.  `failure` holds the text of a lasting failure, empty while
-    the stage can work; `note` and `note_level` what the stage makes of its results; `extra` further
+    the stage can work; `note` what the stage makes of its results; `extra` further
     figures of it by name; `unpublished` input topics that nobody publishes.
     """
 
@@ -227,8 +218,7 @@ class StageDiagnostics:
         self.started_again = 0
         self.last_error = ""
         self.failure = ""
-        self.note = ""
-        self.note_level: bytes = OK
+        self.note = Finding(Severity.OK, "")
         self.unpublished: list[str] = []
         self.extra: dict[str, object] = {}
         self._before = dict.fromkeys(self._counts(), 0)
@@ -277,21 +267,22 @@ class StageDiagnostics:
 
     def _findings(self, new: Mapping[str, int]) -> Iterator[Finding]:
         if self.failure:
-            yield Finding(ERROR, self.failure)
+            yield Finding(Severity.ERROR, self.failure)
             return
         longest_s = max(SILENT_S, TIMES_USUAL * self._usual_silence_s)
         if self._silence_s >= longest_s or not self.frames_in:
             why = f": no publisher of {', '.join(self.unpublished)}" if self.unpublished else ""
-            yield Finding(WARN, f"no frames received{why}")
+            yield Finding(Severity.WARNING, f"no frames received{why}")
             return
         if new["bad frames"]:
-            yield Finding(WARN, f"{new['bad frames']} bad frames, last: {self.last_error}")
-        yield Finding(self.note_level, self.note)
+            text = f"{new['bad frames']} bad frames, last: {self.last_error}"
+            yield Finding(Severity.WARNING, text)
+        yield self.note
         for kind, fault in STAMP_FAULTS.items():
             if count := new[f"stamps {kind.value}"]:
-                yield Finding(WARN, f"stamps {fault} ({count} in the last second)")
+                yield Finding(Severity.WARNING, f"stamps {fault} ({count} in the last second)")
         lost, passed_over = new["lost on the way"], new["passed over"]
         if lost + passed_over > DROPPED_WARN * (new["frames in"] + lost):
             received = new["frames in"]
             text = f"{lost} frames lost on the way, {passed_over} passed over, {received} received"
-            yield Finding(WARN, text)
+            yield Finding(Severity.WARNING, text)

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 from cmp_tactile_processing import calibration
-from cmp_tactile_processing.calibration.outcome import Severity, finding, finding_texts
+from cmp_tactile_processing.calibration.outcome import finding, finding_texts
+from cmp_tactile_processing.errors import Severity
 
 NAME = re.compile(r'\bfinding\(\s*(?:"([^"]+)" if \w+ else )?"([^"]+)"')
 

@@ -7,8 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from cmp_tactile_processing.calibration.material.relaxation import fit_relaxation
-from cmp_tactile_processing.calibration.outcome import Severity
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Severity
 
 LOAD_N, SCALE, BEGIN_S = 5.0, 1.1, 1.0
 RATE_HZ = 15

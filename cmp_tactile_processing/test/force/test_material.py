@@ -16,10 +16,9 @@ from cmp_tactile_processing.calibration.material.calibrate import (
     load_findings,
 )
 from cmp_tactile_processing.calibration.material.loads import LoadSample
-from cmp_tactile_processing.calibration.outcome import Severity
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem, SurfaceGrid
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Severity
 from cmp_tactile_processing.force.large_press import LargePress
 
 from .conftest import MEASURED, NOISE_M

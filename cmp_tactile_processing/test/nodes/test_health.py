@@ -9,9 +9,9 @@ pytest.importorskip("rclpy")
 from dataclasses import replace
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
 from made_forces import made_field
 
+from cmp_tactile_processing.errors import Finding, Severity
 from cmp_tactile_processing.force.advice import ADVICE, flag_names
 from cmp_tactile_processing.measured import ForceFlag, Grid, GridFault, GridShape, Status
 from cmp_tactile_processing.nodes.health import FAULT_LEVELS, WARNED_OF, ForceHealth, GridHealth
@@ -43,12 +43,12 @@ def test_the_worst_fault_of_a_period_is_reported_though_good_frames_follow():
         _good(),
     ):
         health.add(grid)
-    level, text, figures = health.close_period()
-    assert (level, text) == (DiagnosticStatus.ERROR, "because of mirrored")
+    found, figures = health.close_period()
+    assert found == Finding(Severity.ERROR, "because of mirrored")
     assert figures["fault"] == "mirrored"
     assert figures["frames with a fault"] == "3 of 4"
     health.add(_good())
-    assert health.close_period()[:2] == (DiagnosticStatus.OK, "")
+    assert health.close_period()[0] == Finding(Severity.OK, "")
 
 
 def test_every_flag_has_its_advice():
@@ -62,14 +62,14 @@ def test_a_flag_is_reported_with_advice_and_warned_of_where_it_spoils_the_force(
     health = ForceHealth()
     for flags in (flag, flag, ForceFlag.NONE):
         health.add(made_field(rows=2, cols=2, flags=flags))
-    level, text, figures = health.close_period()
-    assert text == ADVICE[flag]
+    found, figures = health.close_period()
+    assert found.text == ADVICE[flag]
     assert figures["flags"] == flag.name.lower()
-    assert level == (DiagnosticStatus.WARN if flag in WARNED_OF else DiagnosticStatus.OK)
+    assert found.severity == (Severity.WARNING if flag in WARNED_OF else Severity.OK)
 
 
 def test_a_flag_of_few_frames_is_not_reported():
     health = ForceHealth()
     for flags in (ForceFlag.POOR_FIT, ForceFlag.NONE, ForceFlag.NONE):
         health.add(made_field(rows=2, cols=2, flags=flags))
-    assert health.close_period()[:2] == (DiagnosticStatus.OK, "")
+    assert health.close_period()[0] == Finding(Severity.OK, "")

@@ -16,11 +16,11 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from cmp_tactile_msgs.msg import Surface
+from cmp_tactile_processing.errors import Finding, Severity
 from cmp_tactile_processing.ros import diagnostics
 from cmp_tactile_processing.ros.base_nodes import StageNode
 from cmp_tactile_processing.ros.diagnostics import (
     SILENT_S,
-    Finding,
     InputWatch,
     SentFrames,
     StageDiagnostics,
@@ -31,7 +31,7 @@ from cmp_tactile_processing.ros.wiring import Input
 
 pytestmark = pytest.mark.ros
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+OK, WARN, ERROR = Severity.OK, Severity.WARNING, Severity.ERROR
 MS = 1_000_000
 
 
@@ -223,7 +223,7 @@ def test_gaps_before_and_after_a_recording_begins_again_are_no_new_pace():
 
 def test_the_worst_finding_comes_first():
     findings = [Finding(WARN, "warm"), Finding(OK, ""), Finding(ERROR, "hot"), Finding(OK, "fine")]
-    assert summary(findings, "running") == (ERROR, "hot; warm; fine")
+    assert summary(findings, "running") == Finding(ERROR, "hot; warm; fine")
 
 
 def test_a_clock_that_is_set_and_another_recording_miss_no_frames():
@@ -267,7 +267,7 @@ def test_latency_is_unknown_where_stamps_are_of_another_clock(age_s):
     assert reported.startswith(f"not known: stamps differ from the clock by {-age_s:+.0f} s")
 
 
-def _reported(diagnostics: StageDiagnostics) -> tuple[bytes, str]:
+def _reported(diagnostics: StageDiagnostics) -> Finding:
     _, findings = diagnostics.report()
     return summary(findings, "running")
 
@@ -278,9 +278,9 @@ def test_losses_are_warned_of_and_a_newer_frame_in_the_place_of_another_is_no_lo
         diagnostics.inputs.append(InputWatch(end, newest=newest))
         diagnostics.frames_in, end.dropped = 30, 3
         text = "{} frames lost on the way, {} passed over, 30 received".format(*words)
-        assert _reported(diagnostics) == (WARN, text)
+        assert _reported(diagnostics) == Finding(WARN, text)
         diagnostics.frames_in += 30
-        assert _reported(diagnostics) == (OK, "running")
+        assert _reported(diagnostics) == Finding(OK, "running")
 
 
 @pytest.mark.parametrize(("received", "level"), [(98, WARN), (99, OK)])
@@ -288,7 +288,7 @@ def test_one_frame_in_a_hundred_that_were_sent_may_be_lost(received, level):
     diagnostics, end = StageDiagnostics(), _end()
     diagnostics.inputs.append(InputWatch(end))
     diagnostics.frames_in, end.dropped = received, 1
-    assert _reported(diagnostics)[0] == level
+    assert _reported(diagnostics).severity == level
 
 
 @pytest.mark.parametrize("report_s", [0.1, 1.0])
@@ -301,7 +301,7 @@ def test_a_slow_source_is_not_a_silent_one(clock, pause_s, report_s):
         levels = []
         for _ in range(round(seconds / report_s)):
             clock[0] += report_s
-            levels.append(_reported(diagnostics)[0])
+            levels.append(_reported(diagnostics).severity)
         return levels
 
     # The first pause is not known to be usual yet.
@@ -317,19 +317,19 @@ def test_bad_frames_are_warned_of_in_their_second_and_the_last_one_is_remembered
     diagnostics.frames_in = 30
     diagnostics.bad_frame("/rig/image_raw: step: found 3, expected 4")
     text = "1 bad frames, last: /rig/image_raw: step: found 3, expected 4"
-    assert _reported(diagnostics) == (WARN, text)
+    assert _reported(diagnostics) == Finding(WARN, text)
     diagnostics.frames_in += 1
     values, findings = diagnostics.report()
-    assert summary(findings, "running") == (OK, "running")
+    assert summary(findings, "running") == Finding(OK, "running")
     assert values["last error"] == "/rig/image_raw: step: found 3, expected 4"
     clock[0] += SILENT_S - 0.1
-    assert _reported(diagnostics)[0] == OK
+    assert _reported(diagnostics).severity == OK
     clock[0] += 0.2
-    assert _reported(diagnostics) == (WARN, "no frames received")
+    assert _reported(diagnostics) == Finding(WARN, "no frames received")
 
 
 def test_lasting_failure_is_an_error_whatever_comes_in():
     diagnostics = StageDiagnostics()
     diagnostics.failure = "no model"
     diagnostics.frames_in += 1
-    assert _reported(diagnostics) == (ERROR, "no model")
+    assert _reported(diagnostics) == Finding(ERROR, "no model")

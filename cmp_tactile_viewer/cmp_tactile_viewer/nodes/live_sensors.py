@@ -24,7 +24,7 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.messages.making import gel_frame
@@ -33,8 +33,6 @@ from cmp_tactile_viewer.nodes.controls import RecordingButton, RunningSensor, no
 from cmp_tactile_viewer.snapshot import (
     Action,
     Audience,
-    HealthLine,
-    Level,
     Playback,
     Pose,
     ResultReader,
@@ -257,7 +255,7 @@ class _Watched:
             self._problem(topic.name, str(error))
             return None
 
-    def silence(self) -> Iterator[HealthLine]:
+    def silence(self) -> Iterator[Finding]:
         """A line for the first topic of the chain on which nothing comes."""
         now_s = time.monotonic()
         for topic in reversed(self.topics):
@@ -266,7 +264,7 @@ class _Watched:
             published = self._node.count_publishers(topic.name)
             why = "it has a publisher, but no message comes" if published else "nothing published"
             text = f"waiting for {topic.name}: {why}; is the sensor running?"
-            yield HealthLine(Level.WARN, "topic:", text)
+            yield Finding(Severity.WARNING, text, about="topic")
             return
 
 
@@ -396,26 +394,26 @@ class LiveSensors:
         now_s = time.monotonic()
         lines = [line for item in self._watched for line in item.silence()]
         lines += [
-            HealthLine(Level.WARN, topic, text)
+            Finding(Severity.WARNING, text, about=topic)
             for topic, (time_s, text) in self._problems.items()
             if now_s - time_s < REPORT_AGE_S
         ]
         lines += self._reported(now_s)
         self._audience.show_health(lines)
 
-    def _reported(self, now_s: float) -> Iterator[HealthLine]:
+    def _reported(self, now_s: float) -> Iterator[Finding]:
         """What the nodes report of late; those without trouble are only counted."""
         well = 0
         for name, (time_s, status) in self._reports.items():
             if now_s - time_s >= REPORT_AGE_S:
                 continue
-            level = Level(min(int.from_bytes(status.level, "little"), Level.ERROR))
-            if level is Level.OK:
+            severity = Severity(min(int.from_bytes(status.level, "little"), Severity.ERROR))
+            if severity is Severity.OK:
                 well += 1
             else:
-                yield HealthLine(level, name, status.message)
+                yield Finding(severity, status.message, about=name)
         if well:
-            yield HealthLine(Level.OK, "diagnostics:", f"{well} reports without problems")
+            yield Finding(Severity.OK, f"{well} reports without problems", about="diagnostics")
 
     def _touch_of(self, item: _Watched) -> Touch:
         # A publisher that is made when somebody drags would lose the first targets.

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from cmp_tactile_processing.errors import Finding
 from cmp_tactile_viewer.page import camera_image
 from cmp_tactile_viewer.page.layout import (
     BEAT_S,
@@ -25,7 +26,7 @@ from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPane
 from cmp_tactile_viewer.page.plots import History, Plots
 from cmp_tactile_viewer.page.scene import LEAST_RANGE, Aim, DraggedIndenter, Gel, framed_points
 from cmp_tactile_viewer.page.server import Access, PageServer
-from cmp_tactile_viewer.snapshot import HealthLine, ShownSensor, Snapshot, Source
+from cmp_tactile_viewer.snapshot import ShownSensor, Snapshot, Source
 
 # Pictures of the scene a second, of the camera, and of plots, clocks and health, which are read.
 RATE_HZ, IMAGE_HZ, SLOW_HZ = 30.0, 10.0, 5.0
@@ -87,7 +88,7 @@ class Page:
         self._wake, self._ended = threading.Event(), False
         self._changed = False
         self._image, self._slow = _Cadence(1 / IMAGE_HZ), _Cadence(1 / SLOW_HZ)
-        self._health: list[HealthLine] = []
+        self._health: list[Finding] = []
         self._beat, self._beat_s = 0, 0.0
         self._viewers = 0
         self._aims: dict[int, Aim] = {}
@@ -127,7 +128,7 @@ class Page:
                 shown.imaged = snapshot
         self._wake.set()
 
-    def show_health(self, lines: list[HealthLine]) -> None:
+    def show_health(self, lines: list[Finding]) -> None:
         """Replace the list of what is the matter."""
         self._health = lines
         self._wake.set()

@@ -10,17 +10,17 @@ from typing import Any
 
 import viser
 
-from cmp_tactile_processing.errors import CmpTactileError
+from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.surface.reference_keeping import DOUBTFUL
 from cmp_tactile_viewer.meshes import band_colours
 from cmp_tactile_viewer.page.scene import ARROWS, COLOURS, PRESETS, UNITS, Look
-from cmp_tactile_viewer.snapshot import Action, HealthLine, Level, Playback, Setting
+from cmp_tactile_viewer.snapshot import Action, Playback, Setting
 
 # Sign and colour: the signs differ, for who does not see the colours.
 SIGNS = {
-    Level.OK: ("&#10003;", "#00795a"),
-    Level.WARN: ("!", "#a05a00"),
-    Level.ERROR: ("&#10007;", "#b00020"),
+    Severity.OK: ("&#10003;", "#00795a"),
+    Severity.WARNING: ("!", "#a05a00"),
+    Severity.ERROR: ("&#10007;", "#b00020"),
 }
 TIME_STEP_S = 0.01
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
@@ -102,14 +102,14 @@ def _legend(colour: str, top: float) -> str:
     )
 
 
-def health_html(lines: Iterable[HealthLine]) -> str:
+def health_html(lines: Iterable[Finding]) -> str:
     """A list, the worst first; texts are shown as they are, never taken as HTML."""
     items = []
-    for line in sorted(lines, key=lambda item: -item.level):
-        sign, colour = SIGNS[line.level]
+    for line in sorted(lines, key=lambda item: -item.severity):
+        sign, colour = SIGNS[line.severity]
         about, text = html.escape(line.about), html.escape(line.text)
         items.append(
-            f'<div style="{HANGING}"><b style="color:{colour}">{sign} {about}</b> {text}</div>'
+            f'<div style="{HANGING}"><b style="color:{colour}">{sign} {about}:</b> {text}</div>'
         )
     return f'<div style="{SMALL}">{"".join(items) or "nothing to report yet"}</div>'
 
@@ -195,15 +195,15 @@ class ControlPanel:
             )
 
     def _press(self, label: str, run: Callable[[], str], _event: object) -> None:
-        self._say(Level.OK, label, "...")
+        self._say(Severity.OK, label, "...")
         try:
             said = run()
-            self._say(Level.WARN if DOUBTFUL in said else Level.OK, label, said)
+            self._say(Severity.WARNING if DOUBTFUL in said else Severity.OK, label, said)
         except CmpTactileError as error:
-            self._say(Level.ERROR, label, str(error))
+            self._say(Severity.ERROR, label, str(error))
 
-    def _say(self, level: Level, label: str, text: str) -> None:
-        self._answer.content = ANSWER.format(health_html([HealthLine(level, f"{label}:", text)]))
+    def _say(self, severity: Severity, label: str, text: str) -> None:
+        self._answer.content = ANSWER.format(health_html([Finding(severity, text, about=label)]))
 
 
 class _LastingButton:

@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_msgs.msg import ForceField, Grid, Surface
-from cmp_tactile_processing.errors import CmpTactileError, InputError
+from cmp_tactile_processing.errors import CmpTactileError, Finding, InputError, Severity
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.messages.conversions import (
     force_field_to_msg,
@@ -30,7 +30,7 @@ from cmp_tactile_processing.ros.messages.conversions import (
 from cmp_tactile_viewer.nodes import controls
 from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
 from cmp_tactile_viewer.nodes.web_viewer import WebViewer, WebViewerParameters, running_sensors
-from cmp_tactile_viewer.snapshot import HealthLine, Level, Pose, Snapshot
+from cmp_tactile_viewer.snapshot import Pose, Snapshot
 
 pytestmark = pytest.mark.ros
 
@@ -42,13 +42,13 @@ class Audience:
 
     def __init__(self) -> None:
         self.snapshots: list[Snapshot] = []
-        self.health: list[HealthLine] = []
+        self.health: list[Finding] = []
 
     def show(self, sensor: str, snapshot: Snapshot) -> None:
         assert sensor == "thumb"
         self.snapshots.append(snapshot)
 
-    def show_health(self, lines: list[HealthLine]) -> None:
+    def show_health(self, lines: list[Finding]) -> None:
         self.health = lines
 
 
@@ -70,10 +70,10 @@ class Rig:
         self.live.start(self.audience)
         self.ros.wait(lambda: self.subscriptions() == len(TOPICS), "its subscriptions")
 
-    def says(self, text: str) -> HealthLine:
+    def says(self, text: str) -> Finding:
         """The line of the health list with a text."""
 
-        def found() -> list[HealthLine]:
+        def found() -> list[Finding]:
             return [line for line in self.audience.health if text in line.text]
 
         self.ros.wait(found, f"{text!r} in the health list")
@@ -182,7 +182,7 @@ def test_a_message_that_cannot_be_used_is_reported(rig, ros, snapshots):
     message.rows += 1
     publisher.publish(message)
     line = rig.says("expected")
-    assert (line.level, line.about) == (Level.WARN, f"{ros.namespace}/surface")
+    assert (line.severity, line.about) == (Severity.WARNING, f"{ros.namespace}/surface")
     assert rig.audience.snapshots[-1].surface is None
 
 
@@ -212,8 +212,8 @@ def test_diagnostics_of_other_sensors_are_left_out(rig, ros):
         )
     )
     line = rig.says("no frame for 2 s: check the cable")
-    assert (line.level, line.about) == (Level.ERROR, f"{ros.namespace}/camera")
-    assert rig.says("1 reports without problems").level is Level.OK
+    assert (line.severity, line.about) == (Severity.ERROR, f"{ros.namespace}/camera")
+    assert rig.says("1 reports without problems").severity is Severity.OK
     assert not any("another robot" in line.text for line in rig.audience.health)
 
 

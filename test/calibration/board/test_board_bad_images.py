@@ -14,7 +14,7 @@ from cmp_tactile_processing.calibration.board.calibrate import (
     calibrate_mirror_rig,
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
-from cmp_tactile_processing.calibration.outcome import Severity
+from cmp_tactile_processing.errors import Severity
 
 ERROR, WARNING = Severity.ERROR, Severity.WARNING
 

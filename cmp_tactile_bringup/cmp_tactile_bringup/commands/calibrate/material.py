@@ -164,7 +164,7 @@ def _weight_samples(
 ) -> list[LoadSample]:
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
     from cmp_tactile_bringup.calibration.loads import read_known_loads, samples_of_weights
-    from cmp_tactile_bringup.commands.calibrate.outcome import warn
+    from cmp_tactile_bringup.terminal import print_findings
 
     loads, rest = read_known_loads(weights)
     motions = {}
@@ -177,8 +177,7 @@ def _weight_samples(
         # Times of the file and of the options belong to INPUT.
         when = (arguments.rest or rest) if recording is None else None
         motions[recording] = motion = read_motion(source, sensor, arguments.topic, when, on_stage)
-        for doubt in motion.doubts:
-            warn(doubt)
+        print_findings(motion.findings)
     return samples_of_weights(loads, motions, arguments.frames)
 
 
@@ -194,23 +193,23 @@ def _sensor_samples(
         samples_of_sensor,
         zeroed,
     )
-    from cmp_tactile_bringup.commands.calibrate.outcome import warn
     from cmp_tactile_bringup.recordings.library import recorded_source
+    from cmp_tactile_bringup.terminal import print_findings
+    from cmp_tactile_processing.errors import warnings_of
 
     assert arguments.input is not None  # noqa: S101  else there was the usage
     # First, as it is soon found to be missing.
     series = read_wrench(recorded_source(arguments.input, on_stage), arguments.wrench_topic)
     motion = read_motion(arguments.input, sensor, arguments.topic, arguments.rest, on_stage)
-    lag = lag_s(motion, series, arguments.time_offset)
+    lag, late = lag_s(motion, series, arguments.time_offset), ""
     if lag:
         arguments = replace(arguments, time_offset=arguments.time_offset + lag)
-        warn(
+        late = (
             f"the force comes {abs(lag) * 1e3:.0f} ms {'late' if lag > 0 else 'early'}: "
             f"--time-offset {arguments.time_offset:.3g} is used"
         )
     zero = zeroed(motion, sources.force_at_frames(arguments, sensor, motion, series))
-    for doubt in (*motion.doubts, drift_text(motion, zero)):
-        warn(doubt)
+    print_findings((*motion.findings, *warnings_of(late, drift_text(motion, zero))))
     sampling = SensorSampling(
         steady=not arguments.every_frame,
         least_frames=arguments.frames,
@@ -291,15 +290,14 @@ def _record(
     from cmp_tactile_bringup.calibration.gel_recording import read_motion
     from cmp_tactile_bringup.calibration.loads import STANDARD_GRAVITY, read_wrench
     from cmp_tactile_bringup.calibration.reference_sensor import zeroed
-    from cmp_tactile_bringup.commands.calibrate.outcome import warn
     from cmp_tactile_bringup.recordings.library import recorded_source
+    from cmp_tactile_bringup.terminal import print_findings
 
     series = None
     if arguments.wrench_topic:
         series = read_wrench(recorded_source(arguments.input, on_stage), arguments.wrench_topic)
     motion = read_motion(arguments.input, sensor, arguments.topic, None, on_stage)
-    for doubt in motion.doubts:
-        warn(doubt)
+    print_findings(motion.findings)
     reference: NDArray[np.float64] | float | None = None
     if arguments.mass:
         reference = arguments.mass * STANDARD_GRAVITY

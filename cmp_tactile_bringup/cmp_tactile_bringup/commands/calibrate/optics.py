@@ -144,10 +144,9 @@ class Gel(Output, FrameInput):
         from cmp_tactile_bringup.commands.calibrate.outcome import (
             CalibrationFiles,
             view_pictures,
-            warn,
         )
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of
-        from cmp_tactile_bringup.terminal import shown_stages
+        from cmp_tactile_bringup.terminal import print_findings, shown_stages
         from cmp_tactile_processing.calibration.gel.calibrate import calibrate_gel
         from cmp_tactile_processing.prepare import TRACKING, prepare
         from cmp_tactile_processing.sensor.description import load_sensor
@@ -160,7 +159,7 @@ class Gel(Output, FrameInput):
             frames = frames_of(self, sensor, on_stage)
             prepare(sensor, TRACKING, on_stage)
             outcome = calibrate_gel(sensor, frames.images, on_progress=on_stage)
-        warn(frames.problem)
+        print_findings(frames.findings)
         return _conclude(outcome, files, view_pictures(sensor, frames.images[0]), sensor.name)
 
 
@@ -182,10 +181,11 @@ def _conclude(
 def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     """Two cameras, or one, without a sensor."""
     from cmp_tactile_bringup.calibration.frames import read_images
-    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles, warn
-    from cmp_tactile_bringup.terminal import shown_stages
+    from cmp_tactile_bringup.commands.calibrate.outcome import CalibrationFiles
+    from cmp_tactile_bringup.terminal import print_findings, shown_stages
     from cmp_tactile_driver.bags.pairs import pairs_by_number
     from cmp_tactile_processing.calibration.board.calibrate import calibrate_cameras
+    from cmp_tactile_processing.errors import warnings_of
 
     views = ("left", "right") if arguments.right else ("left",)
     files = CalibrationFiles.of_cameras(arguments.output, views)
@@ -194,12 +194,10 @@ def _run_cameras(arguments: Board, target: BoardTarget) -> int:
     if arguments.right:
         pairs, alone = pairs_by_number(chosen["left"], arguments.right)
         chosen = {view: [pair[side] for pair in pairs] for side, view in enumerate(views)}
-        names = ", ".join(file.name for file in alone)
-        warn(
-            f"{names}: found no image of the other camera with the same number; left out"
-            if alone
-            else ""
-        )
+        if alone:
+            names = ", ".join(file.name for file in alone)
+            text = f"{names}: found no image of the other camera with the same number; left out"
+            print_findings(warnings_of(text))
     images = {view: read_images(files) for view, files in chosen.items()}
     with shown_stages() as on_stage:
         outcome = calibrate_cameras(
@@ -215,9 +213,8 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
     from cmp_tactile_bringup.commands.calibrate.outcome import (
         CalibrationFiles,
         view_pictures,
-        warn,
     )
-    from cmp_tactile_bringup.terminal import shown_stages
+    from cmp_tactile_bringup.terminal import print_findings, shown_stages
     from cmp_tactile_processing.sensor.description import load_sensor
 
     sensor = load_sensor(arguments.sensor)
@@ -227,7 +224,7 @@ def _run_sensor(arguments: Board, target: BoardTarget) -> int:
         frames = _capture(arguments, sensor, target, files.report / "frames")
     else:
         found = read_frames(arguments.input, sensor, arguments.topic)
-        warn(found.problem)
+        print_findings(found.findings)
         frames = found.images
     with shown_stages() as on_stage:
         outcome = _calibrate(frames, target, sensor, on_stage)
@@ -324,7 +321,7 @@ class Check(FrameInput):
     def run(self) -> int:
         """Check and print the result; 1 where a limit is missed."""
         from cmp_tactile_bringup import terminal
-        from cmp_tactile_bringup.commands.calibrate.outcome import print_verdict, warn
+        from cmp_tactile_bringup.commands.calibrate.outcome import print_verdict
         from cmp_tactile_bringup.commands.calibrate.sources import frames_of
         from cmp_tactile_bringup.recordings.library import required_sensor
         from cmp_tactile_bringup.report.evaluation import truth_errors, truth_of
@@ -355,7 +352,7 @@ class Check(FrameInput):
         console = terminal.output_console()
         title = f"{sensor.name}, {report.frames} frames, {len(report.rest_frames)} of them at rest"
         console.print(terminal.results_table(title, rows))
-        warn(frames.problem)
+        terminal.print_findings(frames.findings)
         if errors is not None and not errors.kept:
             report = _with_truth_missed(report)
         print_verdict(console, report)
@@ -366,7 +363,7 @@ class Check(FrameInput):
 
 
 def _with_truth_missed(report: CheckReport) -> CheckReport:
-    from cmp_tactile_processing.calibration.outcome import Finding, Severity
+    from cmp_tactile_processing.errors import Finding, Severity
 
     text = "The markers differ from the recording's truth: see the errors above."
     advice = "Calibrate again; this is not the rig that was simulated."

@@ -12,12 +12,18 @@ from rich.console import Console, JustifyMethod
 from rich.table import Table
 
 from cmp_tactile_bringup.report.calibration import Report, ReportTable
-from cmp_tactile_bringup.terminal import cell, output_console, print_line, titled_table
+from cmp_tactile_bringup.terminal import (
+    cell,
+    output_console,
+    print_findings,
+    print_line,
+    titled_table,
+)
 from cmp_tactile_processing.cache.files import check_free, expanded_path
 from cmp_tactile_processing.calibration.check import CheckReport
 from cmp_tactile_processing.calibration.material.loads import MaterialOutcome
 from cmp_tactile_processing.calibration.material.relaxation import RelaxationOutcome
-from cmp_tactile_processing.calibration.outcome import CalibrationOutcome, Severity
+from cmp_tactile_processing.calibration.outcome import CalibrationOutcome
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import ViewCameraInfo, write_camera_info
@@ -30,7 +36,6 @@ SUFFIXES = (".yaml", ".yml")
 NUMBER_COLUMNS = ("Before", "After", "Change", "Std", "Reference", "Off")
 DIM_REMARKS = ("held", "left out")
 Outcome = CalibrationOutcome | MaterialOutcome | RelaxationOutcome | CheckReport
-FINDING_STYLES = {Severity.ERROR: "bold red", Severity.WARNING: "yellow"}
 
 
 @dataclass(frozen=True)
@@ -121,16 +126,8 @@ def conclude(
 
 def print_verdict(console: Console, outcome: Outcome) -> None:
     """What is wrong, and what to do about it, the errors first; then the verdict."""
-    for item in sorted(outcome.findings, key=lambda item: item.severity is not Severity.ERROR):
-        print_line(console, f"{item.severity.value}: {item.text}", FINDING_STYLES[item.severity])
-        print_line(console, f"  what to do: {item.advice}")
+    print_findings(outcome.findings, console=console)
     print_line(console, outcome.verdict, "bold green" if outcome.accepted else "bold red")
-
-
-def warn(problem: str) -> None:
-    """A line on stderr; none without a problem."""
-    if problem:
-        print_line(output_console(stderr=True), f"warning: {problem}", "yellow")
 
 
 def view_pictures(

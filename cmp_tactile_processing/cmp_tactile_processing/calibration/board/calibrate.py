@@ -29,8 +29,8 @@ from cmp_tactile_processing.calibration.board.start import (
 )
 from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.map_fit import MapFit, central_jacobian
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, finding, rig_estimates
-from cmp_tactile_processing.errors import CalibrationError, CmpTactileError
+from cmp_tactile_processing.calibration.outcome import Estimate, finding, rig_estimates
+from cmp_tactile_processing.errors import CalibrationError, CmpTactileError, Finding, errors_in
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
@@ -96,7 +96,7 @@ def calibrate_cameras(  # noqa: PLR0913, PLR0917 - two lists of images are two a
     found = findings_of_images(images)
     if sensor is not None:
         _check_sizes(sensor, images.sizes)
-    if outcome.errors_in(found):
+    if errors_in(found):
         return result.refused(found)
     on_progress("fitting the cameras", 0.0)
     fitted_rig = fit_cameras(model, target, corners_of(images), images.sizes, sensor)
@@ -294,7 +294,7 @@ def calibrate_mirror_rig(
         size=sensor.frame_size,
     )
     found = findings_of_images(images)
-    if outcome.errors_in(found):
+    if errors_in(found):
         return result.refused(found)
     on_progress("fitting camera and mirrors", 0.0)
     seen = corners_of(images)

@@ -16,7 +16,8 @@ from cmp_tactile_processing.calibration.board.target import (
     chessboard_size,
     find_board,
 )
-from cmp_tactile_processing.calibration.outcome import Finding, finding
+from cmp_tactile_processing.calibration.outcome import finding
+from cmp_tactile_processing.errors import Finding
 from cmp_tactile_processing.processes import OnProgress
 
 Cut = Callable[[str, NDArray[np.uint8]], NDArray[np.uint8]]

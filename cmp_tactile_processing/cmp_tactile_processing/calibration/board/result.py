@@ -13,13 +13,12 @@ from cmp_tactile_processing.calibration.board.target import BoardTarget
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
-    Finding,
     ViewResiduals,
-    errors_in,
     finding,
     provenance,
     reprojection,
 )
+from cmp_tactile_processing.errors import Finding, errors_in
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import CalibrationRecord, Camera

@@ -34,8 +34,6 @@ from cmp_tactile_processing.calibration.map_fit import MapFit
 from cmp_tactile_processing.calibration.outcome import (
     CalibrationOutcome,
     Estimate,
-    Finding,
-    errors_in,
     finding,
     length_text,
     number_text,
@@ -43,7 +41,7 @@ from cmp_tactile_processing.calibration.outcome import (
     reprojection,
     rig_estimates,
 )
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Finding, errors_in
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.measured import Grid
 from cmp_tactile_processing.processes import OnProgress, no_progress

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
 from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
-from cmp_tactile_processing.calibration.outcome import Finding, ViewResiduals, finding, number_text
-from cmp_tactile_processing.errors import CalibrationError, InputError
+from cmp_tactile_processing.calibration.outcome import ViewResiduals, finding, number_text
+from cmp_tactile_processing.errors import CalibrationError, Finding, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
 from cmp_tactile_processing.geometry.rigid_motion import local_mean

@@ -25,15 +25,10 @@ from cmp_tactile_processing.calibration.material.loads import (
     material_verdict,
     sample_name,
 )
-from cmp_tactile_processing.calibration.outcome import (
-    Estimate,
-    Finding,
-    finding,
-    provenance,
-)
+from cmp_tactile_processing.calibration.outcome import Estimate, finding, provenance
 from cmp_tactile_processing.elastic.mesh import MeshDensity
 from cmp_tactile_processing.elastic.model import ElasticProblem
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Finding
 from cmp_tactile_processing.force.contact_regions import material_covariance
 from cmp_tactile_processing.force.model import LINEAR_STD_PER_DEPTH_RATIO, ForceModel
 from cmp_tactile_processing.measured import ForceField, Status

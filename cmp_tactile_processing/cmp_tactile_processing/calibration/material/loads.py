@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.calibration.outcome import Estimate, Finding, WithFindings, errors_in
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.calibration.outcome import Estimate, WithFindings
+from cmp_tactile_processing.errors import CalibrationError, Finding, errors_in
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import MaterialRecord
 

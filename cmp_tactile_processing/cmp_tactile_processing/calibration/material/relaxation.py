@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from cmp_tactile_processing.calibration.outcome import Finding, WithFindings, errors_in, finding
+from cmp_tactile_processing.calibration.outcome import WithFindings, finding
 from cmp_tactile_processing.elastic.relaxation import step_weights
-from cmp_tactile_processing.errors import CalibrationError
+from cmp_tactile_processing.errors import CalibrationError, Finding, errors_in
 from cmp_tactile_processing.sensor.parts import GelRelaxation
 
 Array = NDArray[np.float64]
