@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tables import head, line
 
-from cmp_tactile_driver.sources.files import VideoFile
+from cmp_tactile_driver.bags.images import VideoFile
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tables import CommandLine
 
 from cmp_tactile_bringup.recordings import library
-from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_processing.sensor.description import SensorDescription, load_sensor
 from cmp_tactile_simulation.recording.run import recording_of
@@ -54,9 +53,8 @@ class Input:
 
     def frames(self) -> Iterator[tuple[NDArray[np.uint8], int]]:
         """Images (H, W) or (H, W, 3) and stamps, ns."""
-        for item in open_recording(self.path).messages():
-            if isinstance(item, RecordedFrame):
-                yield item.image, item.stamp_ns
+        for item in open_recording(self.path).frames():
+            yield item.image, item.stamp_ns
 
 
 def add_options(parser: CommandLine) -> None:

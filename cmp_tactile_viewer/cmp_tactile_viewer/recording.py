@@ -9,19 +9,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from rosbags.serde import SerdeError
-
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, Recorded, RecordedSurface
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
-from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
+from cmp_tactile_driver.sources.capture import Pacer
+from cmp_tactile_processing.errors import CmpTactileError, Finding, FrameError, Severity
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.ros.messages import reading
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_viewer.snapshot import (
@@ -82,8 +80,8 @@ class IndenterPoses:
         poses: dict[int, Pose] = {}
         for stored in self._storage.messages(self._topics):
             try:
-                message: Any = simulation_typestore().deserialize_cdr(stored.data, POSE_STAMPED)
-            except (SerdeError, ValueError):
+                message = stored.decode()
+            except FrameError:
                 continue  # the indenter is not what the recording is about
             p, q = message.pose.position, message.pose.orientation
             stamp = stamp_ns(message.header.stamp)
@@ -112,7 +110,7 @@ class ProcessedFrames:
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
         self._recording = open_recording_of(sensor, path, topic=topic)
-        if next(self._frames(0.0), None) is None:
+        if next(self._recording.frames(), None) is None:
             msg = f"{path}: found no frame of {sensor.name}, expected at least one"
             raise CmpTactileError(msg)
         self.problem = self._recording.gaps
@@ -122,9 +120,9 @@ class ProcessedFrames:
     def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
         """As `Frames.read`; the trackers begin again, and the reference stays."""
         self._pipeline.reset()
-        for frame in self._frames(start_s):
+        for frame in self._recording.frames(TimeSpan(start=start_s)):
             done = self._pipeline.process(frame.content, frame.stamp_ns)
-            image = None if isinstance(frame, RecordedSurface) else frame.image
+            image = None if frame.is_surface else frame.image
             shown = Snapshot(frame.stamp_ns, image, done.left, done.right, done.surface, done.force)
             yield frame.time_s, shown
 
@@ -135,10 +133,6 @@ class ProcessedFrames:
 
         encoded = bool(self._recording.codec)
         return Pipeline(self._sensor, auto_reference="when_still", encoded=encoded)
-
-    def _frames(self, start_s: float) -> Iterator[Recorded]:
-        messages = self._recording.messages(TimeSpan(start=start_s))
-        return (item for item in messages if isinstance(item, Recorded))
 
 
 class StoredResults:
@@ -165,15 +159,14 @@ class StoredResults:
 
     def read(self, start_s: float) -> Iterator[tuple[float, Snapshot]]:
         """As `Frames.read`."""
-        store = simulation_typestore()
         open_ones: dict[int, tuple[float, Snapshot]] = {}
         for stored in self._storage.read(self._timeline.part(TimeSpan(start=start_s))):
             field = self._topics[stored.topic]
             try:
-                message: Any = store.deserialize_cdr(stored.data, stored.kind)
+                message = stored.decode()
                 stamp_ns = reading.stamp_ns(message.header.stamp)
                 value = self._reader.value(field, message)
-            except (CmpTactileError, SerdeError, ValueError) as error:
+            except (CmpTactileError, ValueError) as error:
                 self.problem = f"{stored.topic} at {stored.time_ns} ns: {error}"
                 continue
             begun = stored.time_s, Snapshot(stamp_ns)
@@ -301,14 +294,14 @@ class RecordingSource(PassiveSource):
         assert audience is not None  # noqa: S101  `start` came before
         start_s = playback.seek_s or 0.0
         playback.seek_s, playback.ended = None, False
-        clock = _Clock()
+        pacer = Pacer()
         sought = True
         shown = 0
         for time_s, snapshot in frames.read(start_s):
             if not sought and not self._may_go_on(playback):
                 return
             if playback.playing and not sought:
-                clock.wait(time_s, playback, self._ended)
+                self._wait(pacer.delay((time_s - playback.position_s) / playback.speed))
             elif playback.steps > 0:
                 playback.steps -= 1
             if playback.is_sought or self._ended.is_set():
@@ -330,6 +323,13 @@ class RecordingSource(PassiveSource):
             if playback.steps < 0:
                 self._step_back(playback)
             time.sleep(0.05)
+
+    def _wait(self, delay_s: float) -> None:
+        """So long, or until another place is asked for."""
+        due_s = time.monotonic() + delay_s
+        while (left_s := due_s - time.monotonic()) > 0 and not self.playback.is_sought:
+            if self._ended.wait(min(left_s, 0.1)):
+                return
 
     def _show(self, snapshot: Snapshot, audience: Audience) -> None:
         if self.indenter:
@@ -378,23 +378,6 @@ class RecordingSource(PassiveSource):
         self.playback.preparing = preparing
         if self.audience is not None:
             self.audience.show_health(lines)
-
-
-class _Clock:
-    """Paces frames by their times; what was late is not made up for."""
-
-    def __init__(self) -> None:
-        self._wall_s = time.monotonic()
-        self._time_s: float | None = None
-
-    def wait(self, time_s: float, playback: Playback, ended: threading.Event) -> None:
-        """Until the frame of that time is due."""
-        if self._time_s is not None:
-            due = self._wall_s + (time_s - self._time_s) / playback.speed
-            while (left := due - time.monotonic()) > 0:
-                if ended.wait(min(left, 0.1)) or playback.is_sought:
-                    return
-        self._wall_s, self._time_s = time.monotonic(), time_s
 
 
 def snapshot_health(snapshot: Snapshot) -> Iterator[Finding]:

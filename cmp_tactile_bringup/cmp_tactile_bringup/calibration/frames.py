@@ -20,9 +20,9 @@ from cmp_tactile_bringup.recordings.library import (
     check_source,
     recorded_source,
 )
+from cmp_tactile_driver.bags.images import decode_file
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import TimeSpan
-from cmp_tactile_driver.sources.files import decode_file
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
 from cmp_tactile_processing.errors import Finding, FrameSourceError, warnings_of

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.recordings.library import check_source, recorded_source
-from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedSurface
 from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.bags.timeline import passed_ns, running_ns
 from cmp_tactile_processing.errors import (
@@ -136,14 +135,12 @@ def _read(
     camera = None
     stamps: list[int] = []
     markers: list[Markers3D] = []
-    for frame in recording.messages():
-        if isinstance(frame, RecordedFrame):
-            camera = camera or MarkerCamera(sensor)
-            markers.append(camera.measure(frame.image)[1])
-        elif isinstance(frame, RecordedSurface):
+    for frame in recording.frames():
+        if isinstance(frame.content, Surface):
             markers.append(frame.content)
         else:
-            continue
+            camera = camera or MarkerCamera(sensor)
+            markers.append(camera.measure(frame.content)[1])
         stamps.append(frame.time_ns)
     mismatch = recording.calibration_mismatch(sensor)
     findings = warnings_of(recording.health.summary, mismatch, recording.gaps)

@@ -7,23 +7,21 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_bringup.calibration.gel_recording import (
     GelMotion,
     steady_stretches,
 )
-from cmp_tactile_driver.bags.reader import BAD_MESSAGE
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import timeline
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.material.loads import LoadSample
-from cmp_tactile_processing.errors import FrameSourceError, RefusedValueError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError, RefusedValueError
 from cmp_tactile_processing.measured import NS_PER_S, Status
 from cmp_tactile_processing.sensor.yaml_file import Check, Part, number, positive, read_yaml, text
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit
@@ -87,7 +85,6 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
             f"expected one of: {', '.join(there) or 'there is none'}"
         )
         raise FrameSourceError(msg)
-    store = get_typestore(Stores.ROS2_JAZZY)
     rows: dict[int, list[float]] = {}
     frame_id = ""
     line = timeline(storage.index([topic]), topic)
@@ -95,9 +92,9 @@ def read_wrench(bag: Path, topic: str) -> WrenchSeries:
     stamps = dict(zip(places, line.stamps_ns, strict=True))
     for stored in storage.read(line.messages):
         try:
-            message: Any = store.deserialize_cdr(stored.data, WRENCH_STAMPED)
-        except BAD_MESSAGE as error:
-            msg = f"{bag}: {topic} at {stored.time_ns} ns: not a {WRENCH_STAMPED}: {error}"
+            message = stored.decode()
+        except FrameError as error:
+            msg = f"{bag}: {topic} at {stored.time_ns} ns: {error}"
             raise FrameSourceError(msg) from None
         frame_id = frame_id or message.header.frame_id.lstrip("/")
         vector = message.wrench.force
@@ -161,14 +158,13 @@ def _fixed_rotations(bag: Path) -> dict[str, dict[str, Rotation]]:
     storage, edges = BagStorage(bag), defaultdict[str, dict[str, Rotation]](dict)
     if storage.topics.get(TF_STATIC) != TF_MESSAGE:
         return edges
-    store = get_typestore(Stores.ROS2_JAZZY)
     for stored in storage.messages([TF_STATIC]):
         try:
-            message: Any = store.deserialize_cdr(stored.data, TF_MESSAGE)
-        except BAD_MESSAGE:
+            transforms = stored.decode().transforms
+        except FrameError:
             # Frames that it alone names are then not known.
             continue
-        for item in message.transforms:
+        for item in transforms:
             parent = item.header.frame_id.lstrip("/")
             child = item.child_frame_id.lstrip("/")
             q = item.transform.rotation

@@ -17,12 +17,12 @@ from cmp_tactile_bringup.offline.outputs import (
     whole_results,
 )
 from cmp_tactile_bringup.recordings import results
-from cmp_tactile_driver.bags.reader import RecordedSurface
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.sources.markers import MarkerRecording
 from cmp_tactile_driver.sources.tac3d import Tac3dRecording
 from cmp_tactile_processing.errors import Finding
 from cmp_tactile_processing.force.stage import ForceStage
-from cmp_tactile_processing.measured import NS_PER_S, ForceField, Surface
+from cmp_tactile_processing.measured import NS_PER_S, Surface
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages
@@ -75,11 +75,11 @@ def write_import(recording: MarkerRecording, sensor: SensorDescription, job: Job
     ours, flags = [], results.ForceFlags()
     with whole_results(job) as folder:
         with result_files(folder, job, sensor) as append:
-            for number, (frame, field) in enumerate(_frames(recording, sensor)):
+            for number, (frame, result) in enumerate(_frames(recording, sensor)):
                 own = _own_messages(recording, number, making.gel_frame(sensor))
-                append(frame, PipelineResult(None, None, frame.content, field), more=own)
-                ours.append(field.wrench[:3])
-                flags.add(field)
+                append(frame, result, more=own)
+                ours.append(result.force.wrench[:3])
+                flags.add(result.force)
         write_sensor_description(folder / f"{job.name}.yaml", sensor)
     found = None
     if isinstance(recording, Tac3dRecording):
@@ -89,14 +89,16 @@ def write_import(recording: MarkerRecording, sensor: SensorDescription, job: Job
 
 def _frames(
     recording: MarkerRecording, sensor: SensorDescription
-) -> Iterator[tuple[RecordedSurface, ForceField]]:
-    """Surface and our force field of each frame."""
+) -> Iterator[tuple[RecordedFrame, PipelineResult]]:
+    """Each frame, and our force field of it."""
     stage, shape, rest = ForceStage(sensor), sensor.pattern.shape, recording.reference
     stamps = recording.stamp_ns.tolist()
     for stamp, moved in zip(stamps, recording.displacement, strict=True):
         surface = Surface.from_positions(shape, rest, rest + moved)
         time_s = (stamp - stamps[0]) / NS_PER_S
-        yield RecordedSurface(time_s, stamp, stamp, surface), stage.process(surface, stamp)
+        force = stage.process(surface, stamp)
+        result = PipelineResult(None, None, surface, force)
+        yield RecordedFrame(time_s, stamp, stamp, "", surface), result
 
 
 def _own_messages(

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cmp_tactile_bringup.recordings.library import check_source, is_packaged, required_sensor
+from cmp_tactile_driver.bags.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
-from cmp_tactile_driver.sources.files import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import Finding, OutputError
 from cmp_tactile_processing.sensor.description import find_sensor_description

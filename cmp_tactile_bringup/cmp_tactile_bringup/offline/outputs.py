@@ -28,7 +28,7 @@ from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_bringup.terminal import installed_version
-from cmp_tactile_driver.bags.reader import Recorded
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import check_free, locked
@@ -143,7 +143,7 @@ class ResultBag:
 
     def append(
         self,
-        frame: Recorded,
+        frame: RecordedFrame,
         result: PipelineResult,
         more: Iterable[NamedMessage] = (),
     ) -> None:
@@ -172,7 +172,7 @@ class ResultBag:
         yield "force_field", FORCE_FIELD, make.force_field(result.force, gel)
         yield "wrench", WRENCH_STAMPED, make.wrench_stamped(result.force, gel)
 
-    def _write(self, topic: str, kind: str, message: Any, frame: Recorded) -> None:
+    def _write(self, topic: str, kind: str, message: Any, frame: RecordedFrame) -> None:
         latched = topic == "/tf_static" or topic.endswith("/camera_info")
         qos = [LATCHED] if latched else []
         self._bag.add_topic(topic, kind, qos, simulation_definition(kind))
@@ -240,7 +240,7 @@ def result_files(folder: Path, job: Job, sensor: SensorDescription) -> Iterator[
             arrays = files.enter_context(results.ArrayLog(folder / f"{job.name}.npz"))
 
         def append(
-            frame: Recorded,
+            frame: RecordedFrame,
             result: PipelineResult,
             stamp_fault: str = "",
             more: Iterable[NamedMessage] = (),

@@ -31,9 +31,9 @@ from cmp_tactile_bringup.offline.pools import connected, in_processes, on_cluste
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal import error_reason, processor_name
-from cmp_tactile_driver.bags.reader import Recorded, RecordedFrame, RecordedSurface
+from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.recording import Recording, open_recording_of
-from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
+from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import COMPILING, compiled_digest
 from cmp_tactile_processing.cache.files import digest, locked
@@ -84,7 +84,7 @@ class Processor:
             frame_rate=job.options.frame_rate,
         )
         # Up to the first good frame, before any work is done for the others.
-        next(self._frames_within(WHOLE), None)
+        next(self._recording.frames(), None)
 
     def run(self, folder: Path, on_share: Callable[[float], None]) -> Outcome:
         """Process every frame and write the files into a folder.
@@ -110,7 +110,7 @@ class Processor:
                 result = pipeline.process(frame.content, frame.stamp_ns)
                 watch.add(frame, result)
                 append(frame, result, fault)
-                count, is_surface = count + 1, isinstance(frame, RecordedSurface)
+                count, is_surface = count + 1, frame.is_surface
                 if not count % FRAMES_BETWEEN_REPORTS:
                     on_share((frame.time_s - begin_s) / length_s)
         on_share(1.0)
@@ -147,10 +147,10 @@ class Processor:
             return pipeline.reference_doubt
         return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
-    def _frames(self) -> Iterator[Recorded]:
+    def _frames(self) -> Iterator[RecordedFrame]:
         """The frames that are asked for.  Raises FrameSourceError where there is none."""
         start_s, end_s, count = self._options.start, self._options.end, 0
-        for frame in self._frames_within(TimeSpan(start_s, end_s)):
+        for frame in self._recording.frames(TimeSpan(start_s, end_s)):
             count += 1
             yield frame
         if not count:
@@ -159,9 +159,6 @@ class Processor:
                 f"expected times from 0 to {self._recording.duration:.3f} s"
             )
             raise FrameSourceError(msg)
-
-    def _frames_within(self, span: TimeSpan) -> Iterator[Recorded]:
-        return (item for item in self._recording.messages(span) if isinstance(item, Recorded))
 
     def _take_reference(self, pipeline: Pipeline) -> None:
         wanted = self._options.reference_frames
@@ -182,9 +179,9 @@ class _Doubts:
         self._recording = recording
         self._faults, self._flags = results.GridFaults(), results.ForceFlags()
         self._gaps, self._last_gap = 0, ""
-        self._first: Recorded | None = None
+        self._first: RecordedFrame | None = None
 
-    def add(self, frame: Recorded, result: PipelineResult) -> None:
+    def add(self, frame: RecordedFrame, result: PipelineResult) -> None:
         self._first = self._first or frame
         surface = result.surface
         gap = implausible_ray_gap(surface.ray_gap, surface.status, self._sensor.name)
@@ -194,7 +191,7 @@ class _Doubts:
 
     @property
     def findings(self) -> Iterator[Finding]:
-        if self._faults.in_all and isinstance(self._first, RecordedFrame):
+        if self._faults.in_all and self._first and not self._first.is_surface:
             from cmp_tactile_bringup.recordings.misfit import description_misfits
 
             yield from warnings_of(*description_misfits(self._sensor, self._first.image))
@@ -216,13 +213,13 @@ class _FrameFaults:
         self._repeated = self._most_in_a_row = 0
         self._bands, self._losses = LightBands(1), list[float]()
 
-    def add(self, frame: Recorded) -> str:
+    def add(self, frame: RecordedFrame) -> str:
         """What is wrong: "back", "repeated", "zero" or "gap" of the stamp, "old_picture"; or ""."""
         self._frames += 1
         return " ".join(filter(None, (self._stamp_fault(frame), self._picture_fault(frame))))
 
-    def _picture_fault(self, frame: Recorded) -> str:
-        if isinstance(frame, RecordedSurface):
+    def _picture_fault(self, frame: RecordedFrame) -> str:
+        if frame.is_surface:
             return ""
         self._add_light(frame.image)
         in_a_row = self._pictures.add(frame.image)
@@ -238,7 +235,7 @@ class _FrameFaults:
         self._bands = LightBands(len(image))
         self._bands.add(image)
 
-    def _stamp_fault(self, frame: Recorded) -> str:
+    def _stamp_fault(self, frame: RecordedFrame) -> str:
         passed = frame.stamp_ns - self._last_ns
         self._last_ns = frame.stamp_ns or self._last_ns
         if not frame.time_ns and not frame.stamp_ns:

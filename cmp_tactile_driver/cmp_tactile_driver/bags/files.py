@@ -21,11 +21,16 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 from rosbags.rosbag2 import Reader
+from rosbags.serde import SerdeError
 
-from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError
 from cmp_tactile_processing.measured import NS_PER_S
+from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+# What rosbags raises for bytes that are no message of their type.
+# KeyError where a damaged schema names a type that nobody knows.
+BAD_MESSAGE = (SerdeError, ValueError, LookupError, OverflowError)
 HEAD_BYTES = 12
 """Of a message: what names the encoding, and the stamp of a header that it begins with."""
 
@@ -58,6 +63,14 @@ class StoredMessage:
     def moment_ns(self) -> int:
         """Its stamp; when it was received where it has none."""
         return self.stamp_ns or self.time_ns
+
+    def decode(self) -> Any:
+        """The message in its bytes; FrameError where they are none of its type."""
+        try:
+            return simulation_typestore().deserialize_cdr(self.data, self.kind)
+        except BAD_MESSAGE as error:
+            msg = f"not a {self.kind}: {error}"
+            raise FrameError(msg) from None
 
 
 def unpacked(data: bytes) -> bytes:

@@ -27,7 +27,7 @@ class PairedRecording:
     others are counted as bad.  The time of a pair is that of its left frame.
     """
 
-    has_camera_info = of_surfaces = False
+    of_surfaces = False
 
     def __init__(
         self,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TypeVar, cast
 
-from cmp_tactile_driver.bags.reader import Recorded, RecordedMessage
+from cmp_tactile_driver.bags.reader import RecordedFrame, RecordedMessage
 from cmp_tactile_driver.bags.recording import Recording
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.sources.capture import Pacer, Worker
@@ -260,7 +260,7 @@ class Player:
         """False where it was stopped or is to jump.  offset: where its recording begins, s."""
         elapsed = self._gap if self._last_s is None else message.time_s - self._last_s
         self._last_s = message.time_s
-        is_frame = isinstance(message, Recorded)
+        is_frame = isinstance(message, RecordedFrame)
         if not self._wait_until_due(max(0.0, elapsed), is_step=is_frame):
             return False
         self._send(message)

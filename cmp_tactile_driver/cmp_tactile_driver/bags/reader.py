@@ -13,23 +13,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
 
 from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.storage import BagStorage
-from cmp_tactile_driver.bags.timeline import WHOLE, Timeline, TimeSpan, timeline
-from cmp_tactile_driver.sources.files import DEFAULT_FRAME_RATE
+from cmp_tactile_driver.bags.timeline import DEFAULT_FRAME_RATE, WHOLE, Timeline, TimeSpan, timeline
 from cmp_tactile_driver.sources.frames import MOST_WRONG_SIZES, ImageSize, SourceHealth, size_text
 from cmp_tactile_processing.errors import FrameError, FrameSourceError, InputError
 from cmp_tactile_processing.geometry.rectification import ROS_MODEL, ViewCameraInfo
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.measured import NS_PER_S, GridShape, Surface
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import CAMERA_INFO, SURFACE, whole_frame_info
 from cmp_tactile_processing.ros.messages.reading import (
     camera_info_from_msg,
@@ -42,9 +38,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 FRAMES_FOR_RATE = 20
-# What rosbags raises for bytes that are no message of their type.
-# KeyError where a damaged schema names a type that nobody knows.
-BAD_MESSAGE = (SerdeError, ValueError, LookupError, OverflowError)
 # What rounding in a description file may change; another camera differs by more.
 MATRIX_TOLERANCE_PX = 0.1
 DISTORTION_TOLERANCE = 1e-3
@@ -52,34 +45,29 @@ DISTORTION_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """A camera frame.
+    """A camera frame, or a surface in its place, where a sensor has measured its markers itself.
 
     time_s: from the recording's first frame, which gives the timing.  stamp_ns, frame_id: of its
-    header.  time_ns: its stamp; when it was received where it has none.  image: (H, W) grey or
-    (H, W, 3) BGR, uint8.  has_camera_info: whether its recording has camera infos, too.
+    header.  time_ns: its stamp; when it was received where it has none.  content: (H, W) grey or
+    (H, W, 3) BGR, uint8, or the surface.  has_camera_info: whether its recording has camera infos.
     """
 
     time_s: float
     time_ns: int
     stamp_ns: int
     frame_id: str
-    image: NDArray[np.uint8]
+    content: NDArray[np.uint8] | Surface
     has_camera_info: bool = False
 
     @property
-    def content(self) -> NDArray[np.uint8]:
-        """What a pipeline processes."""
-        return self.image
+    def is_surface(self) -> bool:
+        """Whether there is no image."""
+        return isinstance(self.content, Surface)
 
-
-@dataclass(frozen=True)
-class RecordedSurface:
-    """A cmp_tactile_msgs/Surface in place of a camera frame; times as of a frame."""
-
-    time_s: float
-    time_ns: int
-    stamp_ns: int
-    content: Surface
+    @property
+    def image(self) -> NDArray[np.uint8]:
+        """The content of a camera frame."""
+        return cast("NDArray[np.uint8]", self.content)
 
 
 @dataclass(frozen=True)
@@ -91,8 +79,7 @@ class RecordedCameraInfo:
     data: bytes
 
 
-Recorded = RecordedFrame | RecordedSurface
-RecordedMessage = Recorded | RecordedCameraInfo
+RecordedMessage = RecordedFrame | RecordedCameraInfo
 
 
 class BagReader:
@@ -120,7 +107,6 @@ class BagReader:
         self._path, self.name = path, str(path)
         self._storage = BagStorage(path)
         self._shape = shape
-        self._typestore = simulation_typestore() if shape else get_typestore(Stores.ROS2_JAZZY)
         topic = topic and f"/{topic.strip('/')}"
         topics = _topics_with_frames(self._storage, topic)
         self.image_topic = _choose_topic(path, topics, topic, surfaces=bool(shape))
@@ -141,14 +127,9 @@ class BagReader:
         return self._storage.topics[self.image_topic] == SURFACE
 
     @property
-    def loss(self) -> str:
-        """What of a damaged bag cannot be read; empty for a whole one."""
-        return self._storage.loss
-
-    @property
     def health(self) -> SourceHealth:
         """Frames that could not be used in the last reading, and what a damaged bag lost."""
-        return replace(self._health, problem=self._health.problem or self.loss)
+        return replace(self._health, problem=self._health.problem or self._storage.loss)
 
     @property
     def duration(self) -> float:
@@ -180,7 +161,7 @@ class BagReader:
         messages = [item for item in self._timeline.messages if item.topic == self._info_topic]
         for stored in self._storage.read(messages):
             with suppress(FrameError):
-                message = self._read_message(stored)
+                message = stored.decode()
                 infos = camera_info_from_msg(message), image_camera_info_from_msg(message)
                 readings = [replace(sized, K=info.K) for sized in infos for info in infos]
                 found = [calibration_mismatch(stored.topic, info, sensor) for info in readings]
@@ -188,7 +169,7 @@ class BagReader:
         return ""
 
     def frames(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
-        """The frames alone; as `messages`."""
+        """As `messages`, without camera infos."""
         return (item for item in self.messages(span) if isinstance(item, RecordedFrame))
 
     def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedMessage]:
@@ -224,7 +205,7 @@ class BagReader:
     def _is_camera_info(self, stored: StoredMessage) -> bool:
         """Whether others will be able to read it, as they get the bytes that are there."""
         try:
-            self._read_message(stored)
+            stored.decode()
         except FrameError as error:
             where = f"{self._path}: {stored.topic} at {stored.time_ns} ns"
             problem = self._health.problem or f"{where}: {error}"
@@ -237,26 +218,21 @@ class BagReader:
         messages = [item for item in self._timeline.messages if item.topic == self.image_topic]
         for stored in self._storage.read(messages):
             with suppress(FrameError):
-                image_from_msg(self._read_message(stored), None, depth)
+                image_from_msg(stored.decode(), None, depth)
         return depth.bits
 
-    def _read_message(self, stored: StoredMessage) -> Any:
-        try:
-            return self._typestore.deserialize_cdr(stored.data, stored.kind)
-        except BAD_MESSAGE as error:
-            msg = f"not a {stored.kind}: {error}"
-            raise FrameError(msg) from None
-
-    def _read_frame(self, stored: StoredMessage) -> Recorded:
+    def _read_frame(self, stored: StoredMessage) -> RecordedFrame:
         times = stored.time_s, stored.moment_ns
-        message = self._read_message(stored)
+        message = stored.decode()
         stamp = message.header.stamp
         stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
         if stamp_ns < 0:
             msg = f"header.stamp: found {stamp.sec} s, expected 0 or more"
             raise FrameError(msg)
+        frame_id = message.header.frame_id
         if self._shape is not None and self.of_surfaces:
-            return RecordedSurface(*times, stamp_ns, surface_from_msg(message, self._shape))
+            surface = surface_from_msg(message, self._shape)
+            return RecordedFrame(*times, stamp_ns, frame_id, surface)
         if not hasattr(message, "format"):
             # Before it is converted: a wrong one may be large.
             self._check_size((message.width, message.height))
@@ -264,7 +240,6 @@ class BagReader:
         size = (image.shape[1], image.shape[0])
         self._check_size(size)
         self._expected_size = size
-        frame_id = message.header.frame_id
         return RecordedFrame(*times, stamp_ns, frame_id, image, self.has_camera_info)
 
     def _check_size(self, size: ImageSize) -> None:

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 
+from cmp_tactile_driver.bags.images import (
+    HEIF_SUFFIXES,
+    IMAGE_SUFFIXES,
+    VIDEO_SUFFIXES,
+    ImageFolder,
+    VideoFile,
+    image_files,
+    natural_key,
+)
 from cmp_tactile_driver.bags.pairs import PairedRecording, pairs_by_number
-from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, image_topics
+from cmp_tactile_driver.bags.reader import BagReader, image_topics
 from cmp_tactile_driver.bags.storage import (
     STORAGE_SUFFIXES,
     BagStorage,
     bag_files,
+    foreign_content,
     is_bag_file,
 )
-from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan
-from cmp_tactile_driver.sources import files, frames
+from cmp_tactile_driver.bags.timeline import DEFAULT_FRAME_RATE
+from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.image.encodings import COMPRESSED
@@ -27,51 +36,14 @@ SHOWN_NAMES = 6
 SEPARATOR = ","
 
 
-class ImageRecording:
-    """Images or a video: stamps are times from the first frame, and there is no calibration."""
-
-    has_camera_info = of_surfaces = False
-    gaps = ""
-
-    def __init__(self, source: files.ImageFolder | files.VideoFile, frame_id: str) -> None:
-        self._source, self._frame_id = source, frame_id
-        self.name, self.frame_rate = source.name, source.frame_rate
-        self.codec = source.codec
-
-    @property
-    def health(self) -> frames.SourceHealth:
-        """Frames that could not be used in the last reading."""
-        return self._source.health
-
-    @property
-    def duration(self) -> float:
-        """Time of the last frame that is said to be there, s."""
-        return max(self._source.declared_frames - 1, 0) / self.frame_rate
-
-    def calibration_mismatch(self, _sensor: SensorDescription) -> str:
-        """Nothing: images alone have no calibration."""
-        return ""
-
-    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
-        """The good frames; FrameSourceError where there is none, or of another size."""
-        for time_s, image in self._source.images():
-            if time_s >= span.end:
-                return
-            if time_s in span:
-                stamp_ns = round(time_s * 1e9)
-                yield RecordedFrame(time_s, stamp_ns, stamp_ns, self._frame_id, image)
-
-    frames = messages
-
-
-Recording = BagReader | ImageRecording | PairedRecording
+Recording = BagReader | ImageFolder | VideoFile | PairedRecording
 
 
 def open_recording(  # noqa: PLR0913  what files do not say, and what is expected
     path: Path,
     *,
     topic: str = "",
-    frame_rate: float = files.DEFAULT_FRAME_RATE,
+    frame_rate: float = DEFAULT_FRAME_RATE,
     frame_id: str = "",
     expected_size: frames.ImageSize | None = None,
     shape: GridShape | None = None,
@@ -90,13 +62,12 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
     check_folder(path)
     if is_bag(path):
         return BagReader(path, topic, expected_size, shape)
-    if path.is_dir() or path.suffix.lower() in files.IMAGE_SUFFIXES:
-        images = files.ImageFolder(path, frame_rate, expected_size=expected_size)
-        return ImageRecording(images, frame_id)
-    return ImageRecording(_video(path, expected_size), frame_id)
+    if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
+        return ImageFolder(path, frame_rate, expected_size=expected_size, frame_id=frame_id)
+    return _video(path, expected_size, frame_id)
 
 
-def _video(path: Path, expected_size: frames.ImageSize | None) -> files.VideoFile:
+def _video(path: Path, expected_size: frames.ImageSize | None, frame_id: str) -> VideoFile:
     suffix = path.suffix.lower()
     if suffix == ".bag":
         msg = (
@@ -104,15 +75,15 @@ def _video(path: Path, expected_size: frames.ImageSize | None) -> files.VideoFil
             f"rosbags-convert --src {shlex.quote(str(path))} --dst NEW_FOLDER"
         )
         raise FrameSourceError(msg)
-    if foreign := files.foreign_content(path):
+    if foreign := foreign_content(path):
         msg = f"{path}: {foreign}"
         raise FrameSourceError(msg)
     try:
-        return files.VideoFile(path, expected_size=expected_size)
+        return VideoFile(path, expected_size=expected_size, frame_id=frame_id)
     except FrameSourceError as error:
-        if suffix in files.VIDEO_SUFFIXES:
+        if suffix in VIDEO_SUFFIXES:
             raise
-        kinds = ", ".join([*STORAGE_SUFFIXES, *files.IMAGE_SUFFIXES])
+        kinds = ", ".join([*STORAGE_SUFFIXES, *IMAGE_SUFFIXES])
         msg = f"{error}, or a file named {kinds}"
         raise FrameSourceError(msg) from None
 
@@ -122,7 +93,7 @@ def open_recording_of(  # noqa: PLR0913  as open_recording
     path: Path,
     *,
     topic: str = "",
-    frame_rate: float = files.DEFAULT_FRAME_RATE,
+    frame_rate: float = DEFAULT_FRAME_RATE,
     frame_id: str = "",
     any_size: bool = False,
     surfaces: bool = True,
@@ -185,8 +156,8 @@ def _pair_of_topics(path: Path) -> list[str]:
 
 def _images_named(folder: Path, view: str) -> list[Path]:
     named = [path for path in folder.iterdir() if view in path.stem.lower()]
-    images = (path for path in named if path.suffix.lower() in files.IMAGE_SUFFIXES)
-    return sorted(images, key=files.natural_key)
+    images = (path for path in named if path.suffix.lower() in IMAGE_SUFFIXES)
+    return sorted(images, key=natural_key)
 
 
 def _with_partners(sides: list[Side]) -> tuple[list[Side], list[Path]]:
@@ -201,7 +172,7 @@ def _with_partners(sides: list[Side]) -> tuple[list[Side], list[Path]]:
 
 
 def _images_of(path: Path) -> list[Path]:
-    return files.image_files(path) if path.is_dir() and not is_bag(path) else []
+    return image_files(path) if path.is_dir() and not is_bag(path) else []
 
 
 def _opened_sides(
@@ -212,8 +183,9 @@ def _opened_sides(
         size = sensor.views[view].roi.width, sensor.views[view].roi.height
         if isinstance(side, list):
             place = side[0].parent
-            images = files.ImageFolder(place, frame_rate, expected_size=size, chosen=side)
-            opened[view] = ImageRecording(images, frame_id)
+            opened[view] = ImageFolder(
+                place, frame_rate, expected_size=size, frame_id=frame_id, chosen=side
+            )
             continue
         path, topic = side
         opened[view] = open_recording(
@@ -228,7 +200,7 @@ def check_folder(path: Path) -> None:
         return
     there = [item for item in path.iterdir() if not item.name.startswith(".")]
     names = sorted(f"{item.name}/" if item.is_dir() else item.name for item in there)
-    images = (*files.IMAGE_SUFFIXES, *files.HEIF_SUFFIXES)
+    images = (*IMAGE_SUFFIXES, *HEIF_SUFFIXES)
     if any(Path(name).suffix.lower() in images for name in names):
         return
     bags = [name for name in names if name.endswith("/") and is_bag(path / name)]

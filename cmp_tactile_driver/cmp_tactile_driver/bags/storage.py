@@ -6,10 +6,11 @@ messages they should hold.
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -25,12 +26,14 @@ from cmp_tactile_driver.bags.files import (
     unpacked,
 )
 from cmp_tactile_driver.bags.timeline import run_on
-from cmp_tactile_driver.sources.files import foreign_content
 from cmp_tactile_processing.errors import FrameSourceError
 
 FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
 STORAGE_SUFFIXES = tuple(FORMATS)
 PACKED_SUFFIX = ".zstd"
+GIT_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+# Of pictures that telephones take.
+HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 
 
 class BagStorage:
@@ -159,6 +162,18 @@ class BagStorage:
             except zstandard.ZstdError as error:
                 raise FrameSourceError(str(error)) from None
         return target
+
+
+def foreign_content(path: Path) -> str:
+    """What a file is in place of an image, video or bag, and the command that helps; or empty."""
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(len(GIT_LFS_POINTER))
+        if head == GIT_LFS_POINTER:
+            return "found a pointer of git-lfs, expected the file itself; to get it: git lfs pull"
+        if head[4:8] == b"ftyp" and head[8:12] in HEIF_BRANDS:
+            names = f"{shlex.quote(str(path))} {shlex.quote(str(path.with_suffix('.png')))}"
+            return f"found a HEIC image, expected PNG or JPEG; to convert it: heif-convert {names}"
+    return ""
 
 
 def is_bag_file(path: Path) -> bool:

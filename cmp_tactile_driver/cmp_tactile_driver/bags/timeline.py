@@ -20,7 +20,8 @@ LONGEST_GAP_S = 60.0
 # A clock that was set back stays so; a message that came late is one of a few.
 FEW = 6
 SURELY_SET_BACK_S = 1.0
-DEFAULT_STEP_S = 1 / 30
+DEFAULT_FRAME_RATE = 30.0
+"""Of recordings that do not have theirs, Hz."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def running_ns(stamps: Sequence[int]) -> list[int]:
 
 def _usual_step(steps: Sequence[int]) -> int:
     usual = [step for step in steps if 0 < step <= LONGEST_GAP_S * NS_PER_S]
-    return round(median(usual) if usual else DEFAULT_STEP_S * NS_PER_S)
+    return round(median(usual) if usual else NS_PER_S / DEFAULT_FRAME_RATE)
 
 
 def _filled_stamps(messages: Sequence[StoredMessage], receipts: Sequence[int]) -> list[int]:

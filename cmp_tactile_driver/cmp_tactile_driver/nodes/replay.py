@@ -244,11 +244,11 @@ class Replay(ReportingNode):
             self._info_publisher.publish(self._named(message.data))
             return
         stamp = Time(nanoseconds=message.stamp_ns).to_msg()
-        if isinstance(message, RecordedFrame):
+        if message.is_surface:
+            header = header_at(stamp, gel_frame(self._sensor))
+        else:
             named = bool(self._settings.sensor_name)
             header = header_at(stamp, camera_frame(self._sensor) if named else message.frame_id)
-        else:
-            header = header_at(stamp, gel_frame(self._sensor))
         self._frame.publish(message.content, header)
         if self._lacks_info(message) and self._info_publisher.get_subscription_count():
             self._info_publisher.publish(with_header(self._info, header))
@@ -271,11 +271,11 @@ class Replay(ReportingNode):
         message.header.frame_id = camera_frame(self._sensor)
         return message
 
-    def _lacks_info(self, message: RecordedMessage) -> bool:
-        """Whether it is a frame of the sensor's camera without a camera_info of its recording."""
-        if not isinstance(message, RecordedFrame) or message.has_camera_info or self._info is None:
+    def _lacks_info(self, frame: RecordedFrame) -> bool:
+        """Whether it is an image of the sensor's camera without a camera_info of its recording."""
+        if frame.is_surface or frame.has_camera_info or self._info is None:
             return False
-        height, width = message.image.shape[:2]
+        height, width = frame.image.shape[:2]
         return (width, height) == self._sensor.frame_size
 
     def _on_pause(self, request: Any, response: Any) -> Any:

@@ -40,7 +40,7 @@ from cmp_tactile_driver.bags.files import StoredMessage
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_driver.bags.recording import open_recording
 from cmp_tactile_driver.bags.storage import BagStorage, bag_files
-from cmp_tactile_driver.bags.timeline import DEFAULT_STEP_S, TimeSpan, timeline
+from cmp_tactile_driver.bags.timeline import DEFAULT_FRAME_RATE, TimeSpan, timeline
 from cmp_tactile_processing.errors import FrameSourceError
 
 IMAGE, TOPIC = "sensor_msgs/msg/Image", "/rig/image_raw"
@@ -493,7 +493,7 @@ def test_a_part_that_begins_at_a_frame_has_that_frame():
 def test_the_only_step_of_a_recording_is_skipped_where_it_is_a_jump():
     stamps = (HOUR_NS, 3 * HOUR_NS)
     line = timeline([StoredMessage(TOPIC, IMAGE, stamp, stamp, None) for stamp in stamps], TOPIC)
-    assert line.duration == pytest.approx(DEFAULT_STEP_S)
+    assert line.duration == pytest.approx(1 / DEFAULT_FRAME_RATE)
     assert "the largest 7200 s" in line.gaps
 
 

@@ -277,9 +277,10 @@ def test_killed_recorder_leaves_a_bag_that_can_be_read(ros, output):
     back = list(reader.frames())
     assert len(back) >= 28
     made_bags.assert_played(back, frames[: len(back)])
-    assert f"{len(back)} messages can be read" in reader.loss
+    problem = reader.health.problem
+    assert f"{len(back)} messages can be read" in problem
     # It was killed between two records, or within one.
-    assert "the file has no end" in reader.loss or "is incomplete" in reader.loss
+    assert "the file has no end" in problem or "is incomplete" in problem
 
 
 def test_an_image_that_is_published_compressed_alone_is_recorded(ros, output, capfd):
@@ -344,7 +345,7 @@ def test_full_disk_ends_the_recording_with_what_it_has(ros, output):
     # What did not fit is not reported as recorded.
     reader = BagReader(output)
     assert len(list(reader.frames())) >= max(12, int(statuses.values["messages"]))
-    assert "messages can be read; others are lost" in reader.loss
+    assert "messages can be read; others are lost" in reader.health.problem
 
 
 def test_what_is_pushed_out_within_a_container_is_counted(ros, output):

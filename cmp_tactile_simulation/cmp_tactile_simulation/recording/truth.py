@@ -143,14 +143,13 @@ class RecordedFrame:
     def __init__(
         self,
         stamp_ns: int,
-        messages: Mapping[str, bytes],
+        messages: Mapping[str, StoredMessage],
         sensor: SensorDescription,
         views: Mapping[str, ViewGeometry],
     ) -> None:
-        """messages: CDR bytes by topic, below the sensor's namespace."""
+        """messages: by topic, below the sensor's namespace."""
         self.stamp_ns = stamp_ns
         self._messages, self._sensor, self._views = messages, sensor, views
-        self._types = recorded_topics(sensor).types
 
     @property
     def png(self) -> bytes:
@@ -191,7 +190,7 @@ class RecordedFrame:
         return Pose(np.array([p.x, p.y, p.z]), rotation)
 
     def _message(self, topic: str) -> Any:
-        return simulation_typestore().deserialize_cdr(self._messages[topic], self._types[topic])
+        return self._messages[topic].decode()
 
 
 @dataclass(frozen=True)
@@ -262,7 +261,7 @@ def recorded_frames(
     if not storage.topics.keys() >= set(wanted):
         return
     for stamp_ns, messages in groupby(storage.messages(wanted), key=_time_ns):
-        frame = {item.topic.removeprefix(prefix): item.data for item in messages}
+        frame = {item.topic.removeprefix(prefix): item for item in messages}
         if len(frame) < len(wanted):
             return
         yield RecordedFrame(stamp_ns, frame, sensor, views)

@@ -48,7 +48,7 @@ def test_the_bag_holds_the_frames_without_loss(bag, frames):
     reader = BagReader(bag)
     read = list(reader.frames())
     assert reader.image_topic == "/small/image_raw/compressed"
-    assert (len(read), reader.loss) == (FRAMES, "")
+    assert (len(read), reader.health.problem) == (FRAMES, "")
     for found, frame in zip(read, frames, strict=True):
         assert (found.stamp_ns, found.frame_id) == (frame.stamp_ns, "small_camera_optical_frame")
         np.testing.assert_array_equal(found.image, frame.image)

@@ -44,7 +44,7 @@ def test_after_ctrl_c_the_frames_are_read_and_the_same_run_starts_again(kind, sc
         run_scene(scene, tmp_path / "out", options, progress=stop_at(5))
     with Reader(tmp_path / "out") as reader:
         assert reader.message_count == 7 * 5
-    assert BagReader(tmp_path / "out").loss == ""
+    assert BagReader(tmp_path / "out").health.problem == ""
     assert run_scene(scene, tmp_path / "out", options) == FRAMES
     run_scene(scene, tmp_path / "whole" / "out", options)
     assert contents(tmp_path / "out") == contents(tmp_path / "whole" / "out")
@@ -73,7 +73,7 @@ def test_a_killed_run_leaves_what_can_be_read(scene, tmp_path):
     reader = BagReader(target)
     # Killed when frame 6 was handed over to be written.
     assert 4 <= len(list(reader.frames())) <= 6
-    assert "the file has no end" in reader.loss
+    assert "the file has no end" in reader.health.problem
     assert run_scene(scene, target) == FRAMES
 
 

@@ -1,11 +1,11 @@
-"""Frames from folders of images and from videos."""
+"""Recordings that are folders of images, one image, or a video."""
 
 from __future__ import annotations
 
 import math
 import re
-import shlex
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,19 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_driver.bags.reader import RecordedFrame
+from cmp_tactile_driver.bags.storage import foreign_content
+from cmp_tactile_driver.bags.timeline import DEFAULT_FRAME_RATE, WHOLE, TimeSpan
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.errors import FrameError, FrameSourceError
 from cmp_tactile_processing.image.encodings import BitDepth, decode_image, not_turned
+from cmp_tactile_processing.sensor.description import SensorDescription
 
 WEBP_HEAD_BYTES = 21
-GIT_LFS_POINTER = b"version https://git-lfs.github.com/spec/"
-# Of pictures that telephones take.
-HEIF_BRANDS = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 HEIF_SUFFIXES = (".heic", ".heif")
 _PNG_CHUNK = struct.Struct(">I4sI")
-
-DEFAULT_FRAME_RATE = 30.0
-"""Of files that do not have theirs, Hz."""
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -52,18 +50,6 @@ CODECS_OF_CHANGES = (
 COUNTING_SUFFIXES = (".avi", ".m4v", ".mov", ".mp4")
 # Matroska and WebM round times to it.
 TIME_STEP_S = 1e-3
-
-
-def foreign_content(path: Path) -> str:
-    """What a file is in place of an image, video or bag, and the command that helps; or empty."""
-    with suppress(OSError), path.open("rb") as file:
-        head = file.read(len(GIT_LFS_POINTER))
-        if head == GIT_LFS_POINTER:
-            return "found a pointer of git-lfs, expected the file itself; to get it: git lfs pull"
-        if head[4:8] == b"ftyp" and head[8:12] in HEIF_BRANDS:
-            names = f"{shlex.quote(str(path))} {shlex.quote(str(path.with_suffix('.png')))}"
-            return f"found a HEIC image, expected PNG or JPEG; to convert it: heif-convert {names}"
-    return ""
 
 
 def decode_file(path: Path, depth: BitDepth | None = None) -> NDArray[np.uint8]:
@@ -109,30 +95,6 @@ def _is_animation(content: NDArray[np.uint8]) -> bool:
         chunk += length + 12
 
 
-class _Images:
-    """Name, health and frame size of images that a file or folder holds.
-
-    health: frames that could not be used in the last reading.
-    """
-
-    codec = ""
-
-    def __init__(self, path: Path, expected_size: frames.ImageSize | None) -> None:
-        """expected_size: where absent, the size of the first image that is compared."""
-        self._path, self.name = path, str(path)
-        self._expected_size, self._wrong_sizes = expected_size, 0
-        self.health = frames.SourceHealth()
-
-    def _wrong_size(self, image: NDArray[np.uint8]) -> str:
-        """What was found and expected; empty where the size is right."""
-        size = (image.shape[1], image.shape[0])
-        self._expected_size = self._expected_size or size
-        if size == self._expected_size:
-            return ""
-        self._wrong_sizes += 1
-        return f"found {frames.size_text(size)}, expected {frames.size_text(self._expected_size)}"
-
-
 def image_files(folder: Path) -> list[Path]:
     """The images of a folder in natural order: 2.png before 10.png; hidden files are none.
 
@@ -158,12 +120,70 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(files, key=natural_key)
 
 
+def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+    """Puts 2.png before 10.png."""
+    parts = re.findall(r"\d+|\D+", path.name)
+    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
+
+
+class _Images(ABC):
+    """Images or a video: stamps are times from the first frame, and there is no calibration.
+
+    health: frames that could not be used in the last reading.  frame_rate: frames per second.
+    declared_frames: how many are said to be there; 0 where that is not said.  frame_id: of all.
+    """
+
+    of_surfaces, gaps, codec = False, "", ""
+    frame_rate: float
+    declared_frames: int
+
+    def __init__(self, path: Path, expected_size: frames.ImageSize | None, frame_id: str) -> None:
+        """expected_size: where absent, the size of the first image that is compared."""
+        self._path, self.name, self._frame_id = path, str(path), frame_id
+        self._expected_size, self._wrong_sizes = expected_size, 0
+        self.health = frames.SourceHealth()
+
+    def _wrong_size(self, image: NDArray[np.uint8]) -> str:
+        """What was found and expected; empty where the size is right."""
+        size = (image.shape[1], image.shape[0])
+        self._expected_size = self._expected_size or size
+        if size == self._expected_size:
+            return ""
+        self._wrong_sizes += 1
+        return f"found {frames.size_text(size)}, expected {frames.size_text(self._expected_size)}"
+
+    @property
+    def duration(self) -> float:
+        """Time of the last frame that is said to be there, s."""
+        return max(self.declared_frames - 1, 0) / self.frame_rate
+
+    def calibration_mismatch(self, _sensor: SensorDescription) -> str:
+        """Nothing: images alone have no calibration."""
+        return ""
+
+    def messages(self, span: TimeSpan = WHOLE) -> Iterator[RecordedFrame]:
+        """The good frames; FrameSourceError where there is none, or of another size."""
+        for time_s, image in self.images():
+            if time_s >= span.end:
+                return
+            if time_s in span:
+                stamp_ns = round(time_s * 1e9)
+                yield RecordedFrame(time_s, stamp_ns, stamp_ns, self._frame_id, image)
+
+    frames = messages
+
+    @abstractmethod
+    def images(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Time in s and pixels of the good images, from the first on; others are counted.
+
+        Raises FrameSourceError where there is none.
+        """
+
+
 class ImageFolder(_Images):
     """The images of a folder in natural order, or one image.
 
     Where they have 16 bits a pixel, all are read ahead once for the bits that they use.
-
-    frame_rate: frames per second.  declared_frames: how many images there are.
     """
 
     def __init__(
@@ -172,24 +192,21 @@ class ImageFolder(_Images):
         frame_rate: float = DEFAULT_FRAME_RATE,
         *,
         expected_size: frames.ImageSize | None = None,
+        frame_id: str = "",
         chosen: Sequence[Path] = (),
     ) -> None:
         """expected_size: where absent, the size of the first good image.  chosen: all if empty.
 
         Raises FrameSourceError for an absent folder and one without images.
         """
-        super().__init__(folder, expected_size)
+        super().__init__(folder, expected_size, frame_id)
         self.frame_rate = frame_rate
         self._files = list(chosen) or image_files(folder)
         self.declared_frames = len(self._files)
         self._depth = BitDepth(str(folder), look_ahead=self._used_bits)
 
     def images(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-        """Time in s and pixels of the good images, from the first on; bad ones are counted.
-
-        A bad image leaves a gap, as a lost frame does.
-        Raises FrameSourceError where none of them is good.
-        """
+        """As of all images; a bad one leaves a gap, as a lost frame does."""
         self.health = frames.SourceHealth()
         good = self._wrong_sizes = 0
         for number, path in enumerate(self._files):
@@ -229,12 +246,6 @@ class ImageFolder(_Images):
         return image
 
 
-def natural_key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-    """Puts 2.png before 10.png."""
-    parts = re.findall(r"\d+|\D+", path.name)
-    return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts], path.name
-
-
 class VideoFile(_Images):
     """The frames of a video file, which are BGR; as the camera made them, not turned for viewing.
 
@@ -243,12 +254,14 @@ class VideoFile(_Images):
     it encodes with loss what changes between frames, else empty.
     """
 
-    def __init__(self, path: Path, *, expected_size: frames.ImageSize | None = None) -> None:
+    def __init__(
+        self, path: Path, *, expected_size: frames.ImageSize | None = None, frame_id: str = ""
+    ) -> None:
         """Raises FrameSourceError for an absent file and one that is no video."""
         if not path.is_file():
             msg = f"{path}: found no such file, expected a video"
             raise FrameSourceError(msg)
-        super().__init__(path, expected_size)
+        super().__init__(path, expected_size, frame_id)
         with self._opened() as capture:
             rate = capture.get(cv2.CAP_PROP_FPS)
             self.declared_frames = max(0, round(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -259,10 +272,7 @@ class VideoFile(_Images):
         self.frame_rate = rate if sensible else DEFAULT_FRAME_RATE
 
     def images(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
-        """Time in s and pixels of the frames, from the first on; missing ones are counted.
-
-        Raises FrameSourceError where there is none at all, or its size is wrong.
-        """
+        """As of all images; FrameSourceError, too, where a size is wrong."""
         self.health = frames.SourceHealth()
         count, first_s, time_s = 0, 0.0, 0.0
         with self._opened() as capture:

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from cmp_tactile_driver.sources.files import ImageFolder, VideoFile
+from cmp_tactile_driver.bags.images import ImageFolder, VideoFile
 from cmp_tactile_processing.errors import FrameSourceError
 
 
