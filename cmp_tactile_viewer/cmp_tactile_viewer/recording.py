@@ -16,7 +16,7 @@ from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
 from cmp_tactile_driver.sources.capture import Pacer
-from cmp_tactile_processing.errors import CmpTactileError, Finding, FrameError, Severity
+from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
 from cmp_tactile_processing.ros.messages import reading
@@ -78,11 +78,8 @@ class IndenterPoses:
     @cached_property
     def _by_stamp(self) -> tuple[list[int], list[Pose]]:
         poses: dict[int, Pose] = {}
-        for stored in self._storage.messages(self._topics):
-            try:
-                message = stored.decode()
-            except FrameError:
-                continue  # the indenter is not what the recording is about
+        # Damaged ones do not matter: the indenter is not what the recording is about.
+        for message in self._storage.decoded(self._topics):
             p, q = message.pose.position, message.pose.orientation
             stamp = stamp_ns(message.header.stamp)
             poses[stamp] = Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))

@@ -158,13 +158,9 @@ def _fixed_rotations(bag: Path) -> dict[str, dict[str, Rotation]]:
     storage, edges = BagStorage(bag), defaultdict[str, dict[str, Rotation]](dict)
     if storage.topics.get(TF_STATIC) != TF_MESSAGE:
         return edges
-    for stored in storage.messages([TF_STATIC]):
-        try:
-            transforms = stored.decode().transforms
-        except FrameError:
-            # Frames that it alone names are then not known.
-            continue
-        for item in transforms:
+    # Frames that a damaged message alone names are not known.
+    for message in storage.decoded([TF_STATIC]):
+        for item in message.transforms:
             parent = item.header.frame_id.lstrip("/")
             child = item.child_frame_id.lstrip("/")
             q = item.transform.rotation

@@ -139,7 +139,8 @@ class Process(Command):
         """Process all inputs; returns 1 where one, or frames of one, could not be used."""
         from cmp_tactile_bringup.offline.jobs import Options, plan_jobs
         from cmp_tactile_bringup.offline.outputs import require_parquet
-        from cmp_tactile_bringup.terminal import output_console
+        from cmp_tactile_bringup.terminal import output_console, print_findings
+        from cmp_tactile_processing.errors import warnings_of
 
         self.check_exclusive("jobs", "scheduler")
         if self.end < self.start:
@@ -150,10 +151,8 @@ class Process(Command):
         jobs = plan_jobs(self.inputs, self.output, options, overwrite=self.overwrite)
         console = output_console(stderr=True)
         if len(jobs) < len(self.inputs):
-            console.print(
-                "warning: found recordings that are named twice; each is processed once",
-                style="yellow",
-            )
+            text = "found recordings that are named twice; each is processed once"
+            print_findings(warnings_of(text), console=console)
         complete = _process(jobs, self, console)
         if len(jobs) > 1:
             console.print(f"{len(jobs)} recordings, {complete.count(True)} without problems")

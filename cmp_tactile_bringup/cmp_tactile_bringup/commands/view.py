@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -116,11 +115,14 @@ def serve(source: Source, access: Access, *, open_browser: bool = False) -> int:
 
 
 def _say_where(page: Page, access: Access) -> None:
+    from cmp_tactile_bringup.terminal import print_findings
+    from cmp_tactile_processing.errors import warnings_of
+
     print(f"Open {page.url} in a browser. Ctrl-C ends it.", flush=True)
     if not access.is_local and not access.read_only:
         who = "anyone who has this address" if access.token else "anyone on that network"
-        print(
-            f"warning: listening on {access.host}, port {page.port}: {who} can press the buttons; "
-            "--read-only removes them" + ("" if access.token else ", --token sets a secret word"),
-            file=sys.stderr,
+        text = (
+            f"listening on {access.host}, port {page.port}: {who} can press the buttons; "
+            "--read-only removes them" + ("" if access.token else ", --token sets a secret word")
         )
+        print_findings(warnings_of(text))

@@ -55,10 +55,6 @@ from cmp_tactile_processing.stereo.rig import implausible_ray_gap
 
 NOMINAL = "nominal surface of the sensor description"
 AS_RECORDED = "reference of the recorded surfaces; without images there are no grids"
-STAMP_FAULTS = {
-    diagnostics.Stamp.REPEATED: "came twice",
-    diagnostics.Stamp.ZERO: "were 0",
-}
 # Of all frames, what may be missing without a word.
 MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
@@ -259,7 +255,7 @@ class _FrameFaults:
         # What moves in front of the camera changes rows in some frames, too.
         if flicker := flicker_report(float(np.median(self._losses or [0.0]))):
             yield flicker
-        for kind, text in STAMP_FAULTS.items():
+        for kind, text in diagnostics.STAMP_FAULTS.items():
             if self._watch.stamps[kind]:
                 yield f"{self._watch.stamps[kind]} of {self._frames} stamps {text}"
         missing = self._watch.missing

@@ -26,7 +26,7 @@ from cmp_tactile_driver.bags.files import (
     unpacked,
 )
 from cmp_tactile_driver.bags.timeline import run_on
-from cmp_tactile_processing.errors import FrameSourceError
+from cmp_tactile_processing.errors import FrameError, FrameSourceError
 
 FORMATS: dict[str, type[BagFile]] = {".mcap": McapBagFile, ".db3": SqliteBagFile}
 STORAGE_SUFFIXES = tuple(FORMATS)
@@ -106,6 +106,12 @@ class BagStorage:
     def messages(self, topics: Collection[str]) -> Iterator[StoredMessage]:
         """The messages of some topics in the order in which they were received."""
         return self.read(self.index(topics))
+
+    def decoded(self, topics: Collection[str]) -> Iterator[Any]:
+        """As `messages`, decoded, without those that are none of their type."""
+        for stored in self.messages(topics):
+            with suppress(FrameError):
+                yield stored.decode()
 
     def _losses(self, topics: Collection[str], found: Counter[str]) -> Iterator[str]:
         yield from self._faults

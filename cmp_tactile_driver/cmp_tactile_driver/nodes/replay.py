@@ -23,7 +23,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from cmp_tactile_driver.bags.player import Player, PlayerState, StartGate
 from cmp_tactile_driver.bags.reader import RecordedCameraInfo, RecordedFrame, RecordedMessage
-from cmp_tactile_driver.bags.recording import Recording, open_recording_of
+from cmp_tactile_driver.bags.recording import open_recording_of
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos
 from cmp_tactile_driver.sources.parameters import ReplayParameters
 from cmp_tactile_msgs.msg import Surface as SurfaceMsg
@@ -161,14 +161,13 @@ class Replay(ReportingNode):
             )
             raise FrameSourceError(msg)
         for recording in self._recordings:
-            self._check_calibration(recording)
+            if mismatch := recording.calibration_mismatch(self._sensor):
+                self.get_logger().warning(f"{recording.name}: {mismatch}")
         self._create_publishers()
         self._player = self._make_player()
         self._reported: tuple[PlayerState, int] | None = None
         self._reported_losses = 0
-        self._warned_of = ""
-        self._warned_gaps: set[str] = set()
-        self._warn_of_gaps()
+        self._warned: set[str] = set()
         self.add_post_set_parameters_callback(self._use_parameters)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
@@ -178,18 +177,6 @@ class Replay(ReportingNode):
         self.start_reporting(also_to=[self._status_publisher])
         self.warn_of_unknown_parameters()
         self._player.start()
-
-    def _warn_of_gaps(self) -> None:
-        """How far the pictures of a pair are apart is known once they were read."""
-        gaps = {f"{item.name}: {item.gaps}" for item in self._recordings if item.gaps}
-        for text in sorted(gaps - self._warned_gaps):
-            self.get_logger().warning(text)
-        self._warned_gaps |= gaps
-
-    def _check_calibration(self, recording: Recording) -> None:
-        doubt = recording.calibration_mismatch(self._sensor)
-        if doubt:
-            self.get_logger().warning(f"{recording.name}: {doubt}")
 
     def _create_publishers(self) -> None:
         overridable = QoSOverridingOptions.with_default_policies()
@@ -335,10 +322,12 @@ class Replay(ReportingNode):
                 self.failure = f"{self.get_name()}: {progress.health.problem}"
                 return
             self.get_logger().info(f"{text}{bad}")
-            self._warn_of_gaps()
-            if progress.health.problem not in ("", self._warned_of):
-                self._warned_of = progress.health.problem
-                self.get_logger().warning(progress.health.problem)
+            # How far the pictures of a pair are apart is known once they were read.
+            gaps = {f"{item.name}: {item.gaps}" for item in self._recordings if item.gaps}
+            found = gaps | {progress.health.problem} - {""}
+            for text in sorted(found - self._warned):
+                self.get_logger().warning(text)
+            self._warned |= found
 
     @property
     def _passed_over(self) -> int:
