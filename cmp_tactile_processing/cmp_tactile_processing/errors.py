@@ -92,12 +92,7 @@ def errors_in(findings: Iterable[Finding]) -> list[Finding]:
 
 
 class CmpTactileError(Exception):
-    """Base of all errors that a user can cause and repair.
-
-    trace: where in the code of another process it was found, in several lines; empty for this one.
-    """
-
-    trace = ""
+    """Base of all errors that a user can cause and repair."""
 
 
 class InputError(CmpTactileError, ValueError):

@@ -161,35 +161,25 @@ class Process(Command):
 
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
-    from cmp_tactile_bringup.terminal import shown_stages
+    from cmp_tactile_bringup.offline.jobs import Outcome, sensor_of
+    from cmp_tactile_bringup.terminal import error_line, shown_stages
     from cmp_tactile_processing.errors import CmpTactileError
 
     ready: list[Job] = []
     complete: list[bool] = []
     for job in jobs:
-        sensor = _sensor_of(job, arguments.sensor)
-        if isinstance(sensor, Exception):
-            complete.append(_report(console, job, sensor))
-        else:
-            ready.append(replace(job, sensor=sensor))
+        try:
+            ready.append(replace(job, sensor=sensor_of(job, arguments.sensor)))
+        except (CmpTactileError, OSError) as error:  # noqa: PERF203  the others are processed
+            complete.append(_report(console, job, Outcome.failed(error_line(error))))
     with shown_stages() as on_stage, closing(_run(ready, arguments, on_stage)) as results:
         for job, result in results:
-            if arguments.debug and isinstance(result, CmpTactileError):
+            if arguments.debug and result.trace:
                 console.print(result.trace, markup=False, highlight=False)
             complete.append(_report(console, job, result))
             if len(jobs) > 1:
                 on_stage("all recordings", len(complete) / len(jobs))
     return complete
-
-
-def _sensor_of(job: Job, given: str | None) -> str | Exception:
-    from cmp_tactile_bringup.offline.jobs import sensor_of
-    from cmp_tactile_processing.errors import CmpTactileError
-
-    try:
-        return sensor_of(job, given)
-    except (CmpTactileError, OSError) as error:
-        return error
 
 
 def _run(
@@ -205,22 +195,20 @@ def _run(
     return run_here(jobs, on_stage)
 
 
-def _report(console: Console, job: Job, result: Outcome | Exception) -> bool:
+def _report(console: Console, job: Job, result: Outcome) -> bool:
     """Print the result of a job; whether all of it could be used."""
-    from cmp_tactile_bringup.terminal import error_reason, print_findings, print_line
+    from cmp_tactile_bringup.terminal import print_findings, print_line
     from cmp_tactile_processing.errors import errors_in
 
-    if isinstance(result, Exception):
-        line = error_reason(result, "; --debug shows where")
-        # Most errors name the file that they are about.
-        text = line if job.label in line else f"{job.label}: {line}"
-        print_line(console, f"error: {text}", "red")
-        return False
-    print_line(console, f"{job.label}: {result.frames} frames -> {job.path('.mcap')}")
-    print_line(console, f"{job.label}: sensor description: {job.sensor}")
-    print_line(console, f"{job.label}: displacement is relative to: {result.reference}")
-    print_findings(result.findings, job.label, console)
-    return not errors_in(result.findings)
+    label, errors = job.label, errors_in(result.findings)
+    if result.frames:
+        print_line(console, f"{label}: {result.frames} frames -> {job.path('.mcap')}")
+        print_line(console, f"{label}: sensor description: {job.sensor}")
+        print_line(console, f"{label}: displacement is relative to: {result.reference}")
+    elif label in errors[0].text:  # most name the file that they are about
+        label = ""
+    print_findings(result.findings, label, console)
+    return not errors
 
 
 @dataclass(frozen=True, kw_only=True)

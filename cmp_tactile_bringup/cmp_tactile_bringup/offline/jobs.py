@@ -11,7 +11,7 @@ from cmp_tactile_bringup.recordings.library import check_source, is_packaged, re
 from cmp_tactile_driver.bags.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES
 from cmp_tactile_processing.cache.files import expanded_path
-from cmp_tactile_processing.errors import Finding, OutputError
+from cmp_tactile_processing.errors import Finding, OutputError, Severity
 from cmp_tactile_processing.sensor.description import find_sensor_description
 
 AUTOMATIC = ("when_still", "at_start")
@@ -90,15 +90,22 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """frames: processed.
+    """frames: processed; 0 where the job has failed.
 
-    findings: why frames could not be used, which is an error, and why the results may not be
-    trusted.  reference: what displacement counts from, in words.
+    findings: why frames could not be used, or none, which is an error, and why the results may not
+    be trusted.  reference: what displacement counts from, in words.  trace: where in the code it
+    has failed, in several lines.
     """
 
     frames: int
     findings: tuple[Finding, ...] = ()
     reference: str = ""
+    trace: str = ""
+
+    @classmethod
+    def failed(cls, reason: str, trace: str = "") -> Outcome:
+        """Of a job without results."""
+        return cls(0, (Finding(Severity.ERROR, reason),), trace=trace)
 
 
 def plan_jobs(

@@ -58,7 +58,7 @@ AS_RECORDED = "reference of the recorded surfaces; without images there are no g
 # Of all frames, what may be missing without a word.
 MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
-Result = tuple[Job, Outcome | CmpTactileError]
+Result = tuple[Job, Outcome]
 LOCK_WAIT_S = 1.0
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FRAMES_BETWEEN_REPORTS = 10
@@ -287,14 +287,13 @@ def run_job(job: Job, on_stage: OnProgress) -> Outcome:
             raise OutputError(msg) from error
 
 
-def run_guarded(job: Job, on_stage: OnProgress = no_progress) -> Outcome | CmpTactileError:
+def run_guarded(job: Job, on_stage: OnProgress = no_progress) -> Outcome:
     """As `run_job`; no error of the job leaves this."""
     try:
         return run_job(job, on_stage)
     except Exception as error:  # noqa: BLE001  the others are to be processed all the same
-        failure = CmpTactileError(error_reason(error, "; --debug shows where"))
-        failure.trace = traceback.format_exc()
-        return failure
+        line = error_reason(error, "; --debug shows where")
+        return Outcome.failed(line, traceback.format_exc())
 
 
 def compile_elsewhere(sensor: Path, on_stage: OnProgress) -> None:
@@ -336,13 +335,17 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
         for job, result in in_processes(jobs, run_guarded, processes):
             if not isinstance(result, CmpTactileError):
                 left.remove(job)
-            yield job, result
+            yield job, _outcome(result)
     finally:
         # A process that is killed leaves its own; what another run writes stays.
         for job in left:
             folder = partial_folder(job)
             with suppress(OSError), locked(folder.with_suffix(".lock"), LOCK_WAIT_S):
                 shutil.rmtree(folder, ignore_errors=True)
+
+
+def _outcome(result: Outcome | CmpTactileError) -> Outcome:
+    return Outcome.failed(str(result)) if isinstance(result, CmpTactileError) else result
 
 
 def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Result, None, None]:
@@ -355,12 +358,13 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Generator[Result, None,
     with connected(address) as client:
         for job in jobs:
             Path(job.folder).mkdir(parents=True, exist_ok=True)
-        yield from on_cluster(jobs, _run_on_worker, client)
+        for job, result in on_cluster(jobs, _run_on_worker, client):
+            yield job, _outcome(result)
 
 
-def _run_on_worker(job: Job) -> Outcome | CmpTactileError:
+def _run_on_worker(job: Job) -> Outcome:
     # It was made by who sent the job; results written elsewhere would never be found.
     if not Path(job.folder).is_dir():
         expected = "expected a file system that all machines share, with the same paths"
-        return CmpTactileError(f"{job.folder}: found no such folder on a worker, {expected}")
+        return Outcome.failed(f"{job.folder}: found no such folder on a worker, {expected}")
     return run_guarded(job)
