@@ -53,7 +53,7 @@ _REPR = _Repr()
 
 
 class Severity(IntEnum):
-    """ERROR: the result must not be used.  WARNING: it may be, and is worse than it could be.
+    """ERROR: the result, or a part of it, must not be used.  WARNING: it is worse than it could be.
 
     The values are the levels of diagnostic_msgs/DiagnosticStatus.
     """

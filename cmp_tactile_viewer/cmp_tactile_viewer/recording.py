@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
-from cmp_tactile_driver.bags.recording import is_bag, open_recording_of
+from cmp_tactile_driver.bags.recording import frames_within, is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import BagStorage
-from cmp_tactile_driver.bags.timeline import TimeSpan, timeline
+from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan, timeline
 from cmp_tactile_driver.sources.capture import Pacer
 from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
@@ -107,9 +107,7 @@ class ProcessedFrames:
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
         self._recording = open_recording_of(sensor, path, topic=topic)
-        if next(self._recording.frames(), None) is None:
-            msg = f"{path}: found no frame of {sensor.name}, expected at least one"
-            raise CmpTactileError(msg)
+        next(frames_within(self._recording, WHOLE))
         self.problem = self._recording.gaps
         self.length_s = self._recording.duration
         self._sensor = sensor

@@ -21,11 +21,11 @@ from cmp_tactile_bringup.recordings.library import (
     recorded_source,
 )
 from cmp_tactile_driver.bags.images import decode_file
-from cmp_tactile_driver.bags.recording import open_recording_of
+from cmp_tactile_driver.bags.recording import frames_within, open_recording_of
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.calibration.board.target import BoardSighting, BoardTarget
-from cmp_tactile_processing.errors import Finding, FrameSourceError, warnings_of
+from cmp_tactile_processing.errors import Finding, warnings_of
 from cmp_tactile_processing.geometry.split import to_grey
 from cmp_tactile_processing.sensor.description import SensorDescription
 
@@ -70,10 +70,7 @@ def read_frames(
     check_source(source, "a ROS 2 bag, a folder of images")
     path = recorded_source(source)
     recording = open_recording_of(sensor, path, topic=topic, surfaces=False)
-    chosen = list(islice(recording.frames(TimeSpan(start=start_s)), count))
-    if not chosen:
-        msg = f"{source}: found no frame after {start_s:g} s, expected a longer recording"
-        raise FrameSourceError(msg)
+    chosen = list(islice(frames_within(recording, TimeSpan(start=start_s)), count))
     return RecordedFrames(
         [frame.image for frame in chosen],
         [frame.stamp_ns for frame in chosen],

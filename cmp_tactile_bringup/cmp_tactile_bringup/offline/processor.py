@@ -32,7 +32,7 @@ from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
 from cmp_tactile_bringup.terminal import error_reason, processor_name
 from cmp_tactile_driver.bags.reader import RecordedFrame
-from cmp_tactile_driver.bags.recording import Recording, open_recording_of
+from cmp_tactile_driver.bags.recording import Recording, frames_within, open_recording_of
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import COMPILING, compiled_digest
@@ -40,7 +40,6 @@ from cmp_tactile_processing.cache.files import digest, locked
 from cmp_tactile_processing.errors import (
     CmpTactileError,
     Finding,
-    FrameSourceError,
     OutputError,
     Severity,
     warnings_of,
@@ -73,6 +72,7 @@ class Processor:
         """Raises InputError for the sensor, FrameSourceError and FrameError for the rest."""
         self._job, self._options = job, job.options
         self._sensor = SensorDescription.load(Path(job.sensor))
+        self._span = TimeSpan(job.options.start, job.options.end)
         self._recording: Recording = open_recording_of(
             self._sensor,
             Path(job.source),
@@ -98,7 +98,7 @@ class Processor:
         length_s = max(min(self._options.end, self._recording.duration) - begin_s, SHORTEST_S)
         shutil.copyfile(self._job.sensor, folder / f"{self._job.name}.yaml")
         with result_files(folder, self._job, self._sensor) as append:
-            for frame in self._frames():
+            for frame in frames_within(self._recording, self._span):
                 fault = faults.add(frame)
                 if diagnostics.Stamp.BACK.value in fault:
                     # As the nodes do: what came before may be another recording.
@@ -143,24 +143,11 @@ class Processor:
             return pipeline.reference_doubt
         return f"no reference was taken: {pipeline.reference_doubt or TOO_FEW}"
 
-    def _frames(self) -> Iterator[RecordedFrame]:
-        """The frames that are asked for.  Raises FrameSourceError where there is none."""
-        start_s, end_s, count = self._options.start, self._options.end, 0
-        for frame in self._recording.frames(TimeSpan(start_s, end_s)):
-            count += 1
-            yield frame
-        if not count:
-            msg = (
-                f"{self._recording.name}: found no frame from {start_s:g} to {end_s:g} s, "
-                f"expected times from 0 to {self._recording.duration:.3f} s"
-            )
-            raise FrameSourceError(msg)
-
     def _take_reference(self, pipeline: Pipeline) -> None:
         wanted = self._options.reference_frames
         if not wanted:
             return
-        frames = list(islice(self._frames(), wanted))
+        frames = list(islice(frames_within(self._recording, self._span), wanted))
         pipeline.set_reference([frame.content for frame in frames], frames[-1].stamp_ns)
         # The recording is then gone through from its beginning, as if they had been others.
         pipeline.reset()

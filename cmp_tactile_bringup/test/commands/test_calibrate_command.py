@@ -80,7 +80,10 @@ def test_frames_in_contact_are_refused_and_an_earlier_file_stays(practice_set, t
     [
         (("gel", "nowhere", "--output", "new.yaml"), "nowhere: found no such file or folder"),
         (("gel", "rest", "--output", "new.txt"), "found the suffix '.txt', expected .yaml"),
-        (("gel", "rest", "--start", "99", "--output", "new.yaml"), "found no frame after 99 s"),
+        (
+            ("gel", "rest", "--start", "99", "--output", "new.yaml"),
+            "found no frame from 99 ",
+        ),
         (("board", "board", *BOARD, "--charuco", "DICT_9", "--marker", "0.001"), "dictionary"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 from cmp_tactile_driver.bags.images import (
@@ -15,7 +16,7 @@ from cmp_tactile_driver.bags.images import (
     natural_key,
 )
 from cmp_tactile_driver.bags.pairs import PairedRecording, pairs_by_number
-from cmp_tactile_driver.bags.reader import BagReader, image_topics
+from cmp_tactile_driver.bags.reader import BagReader, RecordedFrame, image_topics
 from cmp_tactile_driver.bags.storage import (
     STORAGE_SUFFIXES,
     BagStorage,
@@ -23,7 +24,7 @@ from cmp_tactile_driver.bags.storage import (
     foreign_content,
     is_bag_file,
 )
-from cmp_tactile_driver.bags.timeline import DEFAULT_FRAME_RATE
+from cmp_tactile_driver.bags.timeline import DEFAULT_FRAME_RATE, TimeSpan
 from cmp_tactile_driver.sources import frames
 from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import FrameSourceError
@@ -65,6 +66,19 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageFolder(path, frame_rate, expected_size=expected_size, frame_id=frame_id)
     return _video(path, expected_size, frame_id)
+
+
+def frames_within(recording: Recording, span: TimeSpan) -> Iterator[RecordedFrame]:
+    """The frames of a part of a recording; FrameSourceError where there is none."""
+    frame = None
+    for frame in recording.frames(span):
+        yield frame
+    if frame is None:
+        msg = (
+            f"{recording.name}: found no frame from {span.start:g} to {span.end:g} s, expected "
+            f"times from 0 to {recording.duration:.3f} s"
+        )
+        raise FrameSourceError(msg)
 
 
 def _video(path: Path, expected_size: frames.ImageSize | None, frame_id: str) -> VideoFile:
