@@ -195,10 +195,12 @@ class GridFaults:
 
     @property
     def findings(self) -> Iterator[Finding]:
-        """One for each view with faults; an error where no frame is without."""
+        """One for each view with faults, and an error where all frames have one."""
         for view, count in self._faulty.items():
-            text = f"{view} view: in {count} of {self._frames} frames {self._last[view]}"
-            yield Finding(Severity.ERROR if self.in_all else Severity.WARNING, text)
+            last = self._last[view]
+            yield from warnings_of(f"{view} view: in {count} of {self._frames} frames {last}")
+        if self.in_all:
+            yield Finding(Severity.ERROR, f"all {self._frames} frames have a fault")
 
 
 class ArrayLog:

@@ -107,7 +107,8 @@ def test_frames_that_all_have_a_fault_are_a_failure_that_says_how_many(images, t
         cv2.imwrite(str(path), np.zeros((768, 1024), np.uint8))
     assert process(images, "--output", tmp_path) == 1
     said = printed(capsys)
-    assert f"error: {images}: left view: in 3 of 3 frames dark" in said
+    assert f"error: {images}: all 3 frames have a fault" in said
+    assert f"warning: {images}: left view: in 3 of 3 frames dark" in said
 
 
 @pytest.fixture

@@ -149,6 +149,7 @@ def test_each_view_reports_how_often_and_the_last_reason():
     faults.add({"left": good, "right": _grid(GridFault.MIRRORED, "a mirror image")})
     faults.add({"left": _grid(GridFault.NO_PATTERN, "nothing"), "right": good})
     assert sorted(found.text for found in faults.findings) == [
+        "all 3 frames have a fault",
         "left view: in 1 of 3 frames no_pattern: nothing",
         "right view: in 2 of 3 frames mirrored: a mirror image",
     ]

@@ -223,9 +223,10 @@ class RecordingProgress:
     def finding(self) -> Finding:
         """What is missing for good, however little; an error where it has failed."""
         dropped = self.dropped.total()
-        if self.has_failed or not dropped:
-            return Finding(Severity.ERROR, self.problem if self.has_failed else "")
-        return Finding(Severity.WARNING, f"{dropped} messages dropped, last: {self.problem}")
+        if self.has_failed:
+            return Finding(Severity.ERROR, self.problem)
+        text = f"{dropped} messages dropped, last: {self.problem}" if dropped else ""
+        return Finding(Severity.WARNING, text)
 
 
 class BagRecorder:

@@ -324,7 +324,7 @@ class Replay(ReportingNode):
             self.get_logger().info(f"{text}{bad}")
             # How far the pictures of a pair are apart is known once they were read.
             gaps = {f"{item.name}: {item.gaps}" for item in self._recordings if item.gaps}
-            found = gaps | {progress.health.problem} - {""}
+            found = gaps | {item.health.problem for item in self._recordings} - {""}
             for text in sorted(found - self._warned):
                 self.get_logger().warning(text)
             self._warned |= found
