@@ -162,7 +162,7 @@ class Process(Command):
 def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool]:
     """Whether all of each recording could be used, printed as soon as it has ended."""
     from cmp_tactile_bringup.offline.jobs import Outcome, sensor_of
-    from cmp_tactile_bringup.terminal import error_line, shown_stages
+    from cmp_tactile_bringup.terminal import error_reason, shown_stages
     from cmp_tactile_processing.errors import CmpTactileError
 
     ready: list[Job] = []
@@ -171,7 +171,7 @@ def _process(jobs: list[Job], arguments: Process, console: Console) -> list[bool
         try:
             ready.append(replace(job, sensor=sensor_of(job, arguments.sensor)))
         except (CmpTactileError, OSError) as error:  # noqa: PERF203  the others are processed
-            complete.append(_report(console, job, Outcome.failed(error_line(error))))
+            complete.append(_report(console, job, Outcome.failed(error_reason(error))))
     with shown_stages() as on_stage, closing(_run(ready, arguments, on_stage)) as results:
         for job, result in results:
             if arguments.debug and result.trace:
