@@ -49,20 +49,41 @@ def test_offline_example_prints_the_grasp(packaged_grasp):
         assert force == pytest.approx(true, abs=0.01 * abs(true[2]) + 0.01)
 
 
-def test_the_notebook_plots_force_and_slip(tmp_path):
-    """Its cells, one after the other, as a notebook runs them; the last value is looked at."""
-    notebook = json.loads((EXAMPLES / "force_and_slip.ipynb").read_text(encoding="utf-8"))
+def printed_by_notebook(name, checked, tmp_path):
+    """Lines that its cells print, one after the other, and what is added to them."""
+    notebook = json.loads((EXAMPLES / name).read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
     plt.switch_backend("agg")
     script = tmp_path / "notebook.py"
+    script.write_text("\n".join(cells) + checked, encoding="utf-8")
+    lines = printed_by(script).splitlines()
+    plt.close("all")
+    return lines
+
+
+def test_the_notebook_presses_drags_and_measures(tmp_path):
+    checked = """
+print(*np.abs(measured - true)[:, :3].max(axis=0))
+print(*loop[[0, 6, -1]], *true[-1])
+"""
+    *_, errors, forces = printed_by_notebook("press.ipynb", checked, tmp_path)
+    # What the force stage reaches on another mesh than the simulator's, and noise.
+    assert max(map(float, errors.split())) < 0.02
+    start, forth, back, *true = map(float, forces.split())
+    assert abs(start) < 1e-6
+    # Sliding both ways: Coulomb's coefficient times the normal force, at most.
+    assert 0.3 * -true[2] < forth <= 0.5 * -true[2] * 1.02
+    assert back == pytest.approx(-forth, rel=0.1)
+
+
+def test_the_notebook_plots_force_and_slip(tmp_path):
     checked = """
 print(output)
 print(*above.lines[2].get_ydata().round(3), max(below.lines[0].get_ydata()))
 print(*axes.lines[2].get_ydata().round(3))
 """
-    script.write_text("\n".join(cells) + checked, encoding="utf-8")
-    *_, output, pipeline, processed = printed_by(script).splitlines()
-    plt.close("all")
+    lines = printed_by_notebook("force_and_slip.ipynb", checked, tmp_path)
+    *_, output, pipeline, processed = lines
     shutil.rmtree(output)
     *normal, slip = map(float, pipeline.split())
     # The scene presses with 1.1 N and then slides.
