@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -77,7 +78,8 @@ class Dataset(Command):
         shards = begin(recipe, folder, resume=self.resume)
         failed = 0
         with shown_stages() as on_stage:
-            _prepare(recipe, on_stage)
+            if shards:
+                _prepare(recipe, on_stage)
             done = recipe.samples - sum(shard.end - shard.first for shard in shards)
             for shard, result in self._run(recipe, shards):
                 if isinstance(result, Exception):
@@ -139,9 +141,14 @@ def _made(recipe: Recipe, shard: Shard) -> int | CmpTactileError:
 
 
 def _prepare(recipe: Recipe, on_stage: OnProgress) -> None:
-    """Build the gels of all variants once, before several processes need them."""
-    from cmp_tactile_simulation.dataset.sampling import Sampler
+    """Build the gels of all variants, and compile, before several processes need both."""
+    from cmp_tactile_processing.cache.compiled import when_compiling
+    from cmp_tactile_processing.errors import CmpTactileError
+    from cmp_tactile_simulation.dataset.sampling import Sampler, draw
 
     sampler = Sampler(recipe, on_stage)
     for variant in range(recipe.variants):
         sampler.simulator(variant)
+    # A sample that cannot be simulated is reported when its turn comes.
+    with when_compiling(on_stage), suppress(CmpTactileError):
+        sampler.frames(draw(recipe, 0))
