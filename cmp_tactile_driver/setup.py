@@ -36,6 +36,7 @@ setup(
             f"v4l2 = {package_name}.v4l2.pair:open_cameras",
             f"video = {package_name}.bags.recording:recorded_source",
         ],
+        "cmp_tactile_results": [f"bag = {package_name}.bags.arrays:read_bag"],
         "cmp_tactile_components": [
             f"{package_name}::CameraDriver = {package_name}.nodes.camera_driver:CameraDriver",
             f"{package_name}::Recorder = {package_name}.nodes.recorder:Recorder",

@@ -62,6 +62,8 @@ setup(
         (f"share/{package_name}/config", sorted(map(str, Path("config").glob("*.yaml")))),
     ],
     install_requires=["setuptools", *requirements],
+    # What `load` needs; `distributed` brings dask.
+    extras_require={"data": ["distributed", "h5netcdf", "pandas", "pyarrow", "xarray"]},
     python_requires=">=3.10",
     zip_safe=False,
     maintainer="cmp_tactile maintainers",

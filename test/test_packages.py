@@ -31,6 +31,7 @@ ROSDEP_KEYS = {
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
+    "pandas": "python3-pandas",
     "pytest": "python3-pytest",
     "reportlab": "python3-reportlab",
     "rich": "python3-rich",
@@ -43,7 +44,7 @@ ROSDEP_KEYS = {
 }
 # No package of its own is asked for: numba stands on one version of it.
 # Version 1 of pydantic, which some systems have, comes without pydantic_core.
-COME_WITH = {"llvmlite": "numba", "pydantic": "pydantic_core"}
+COME_WITH = {"dask": "distributed", "llvmlite": "numba", "pydantic": "pydantic_core"}
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "linuxpy": "linuxpy",

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from cmp_tactile_processing.pipeline import Pipeline, PipelineResult
     from cmp_tactile_processing.sensor.description import SensorDescription
     from cmp_tactile_processing.stereo.rig import StereoRig
+    from cmp_tactile_processing.tables import load
     from cmp_tactile_processing.tracking.tracker import GridTracker
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "PipelineResult",
     "SensorDescription",
     "StereoRig",
+    "load",
 ]
 
 # Imported with the first use of the name (PEP 562): a stage takes a second to import.
@@ -40,6 +42,7 @@ MODULES = {
     "PipelineResult": "pipeline",
     "SensorDescription": "sensor.description",
     "StereoRig": "stereo.rig",
+    "load": "tables",
 }
 
 

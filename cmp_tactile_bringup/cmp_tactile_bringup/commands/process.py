@@ -139,7 +139,7 @@ class Process(Command):
         """Process all inputs; returns 1 where one, or frames of one, could not be used."""
         from cmp_tactile_bringup.offline.jobs import Options, plan_jobs
         from cmp_tactile_bringup.offline.outputs import require_parquet
-        from cmp_tactile_bringup.terminal import output_console, print_findings
+        from cmp_tactile_bringup.terminal import output_console, print_findings, print_line
         from cmp_tactile_processing.errors import warnings_of
 
         self.check_exclusive("jobs", "scheduler")
@@ -156,6 +156,12 @@ class Process(Command):
         complete = _process(jobs, self, console)
         if len(jobs) > 1:
             console.print(f"{len(jobs)} recordings, {complete.count(True)} without problems")
+        written = next((path for job in jobs if (path := job.path(".mcap")).is_file()), None)
+        if written is not None:
+            print_line(
+                console,
+                f'open in Python: cmp_tactile_processing.load("{written}"), an xarray dataset',
+            )
         return int(not all(complete))
 
 

@@ -1,0 +1,274 @@
+"""Any result of cmp_tactile as an xarray dataset: simulated datasets, tables and arrays, bags.
+
+Bags are read by packages above this one: an entry point of the group `cmp_tactile_results` loads to
+a function from a path and the name of a sensor to `Arrays`, or to None for what is not its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.files import expanded_path
+from cmp_tactile_processing.errors import InputError, shortened
+from cmp_tactile_processing.force.advice import UNUSABLE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+ENTRY_POINT_GROUP = "cmp_tactile_results"
+EXPECTED = (
+    "a folder of `cmp_tactile dataset`, results of `cmp_tactile process` (NAME_wrench.csv, "
+    "NAME_wrench.parquet, NAME.npz or their folder), or a bag with topics of cmp_tactile"
+)
+DATASET_FILE, SHARDS, TABLE = "dataset.yaml", "samples_*.nc", "_wrench.csv"
+FRAMES_PER_CHUNK = 64
+"""Frames that are read at once when values are asked for."""
+WRENCH_COMPONENTS = ("fx", "fy", "fz", "mx", "my", "mz")
+LABELS = {
+    "component": ("x", "y", "z"),
+    "wrench_component": WRENCH_COMPONENTS,
+    "view": ("left", "right"),
+    "pixel": ("u", "v"),
+}
+STAMP = {"units": "ns", "long_name": "stamp of the camera frame"}
+Arrays = tuple[Mapping[str, Any], NDArray[np.int64], Mapping[str, Any]]
+"""Arrays by names of VARIABLES, the first axis along the frames; stamps; attributes.
+
+An image may be anything with shape, dtype, ndim and slices: it is read when it is used.
+"""
+_MARKERS, _NODES = ("row", "col"), ("node_row", "node_col")
+_GEL = "gel"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """dims: of one frame.  frame: in which the components are."""
+
+    dims: tuple[str, ...]
+    units: str
+    long_name: str
+    frame: str = ""
+
+    @property
+    def attrs(self) -> dict[str, str]:
+        """The attributes of the variable in a dataset."""
+        named = {"units": self.units, "long_name": self.long_name, "frame": self.frame}
+        return {key: text for key, text in named.items() if text}
+
+
+VARIABLES = {
+    "image": Variable(("y", "x"), "1", "camera frame"),
+    "has_image": Variable((), "1", "1: the frame has an image; 0: the image is lost, and black"),
+    "position": Variable((*_MARKERS, "component"), "m", "measured markers", _GEL),
+    "displacement": Variable((*_MARKERS, "component"), "m", "displacement of the markers", _GEL),
+    "node_position": Variable((*_NODES, "component"), "m", "force nodes, gel at rest", _GEL),
+    "node_force": Variable((*_NODES, "component"), "N", "force on the gel at each node", _GEL),
+    "contact": Variable(_NODES, "1", "1: the node is in contact"),
+    "wrench": Variable(("wrench_component",), "N, N m", "force and moment on the gel", _GEL),
+    "wrench_std": Variable(("wrench_component",), "N, N m", "standard deviation of wrench", _GEL),
+    "contact_area": Variable((), "m2", "area of all contacts"),
+    "slip_state": Variable((), "1", "0 unknown, 1 no contact, 2 stick, 3 incipient, 4 full"),
+    "slip_ratio": Variable((), "1", "share of the contact that slides"),
+    "traction_ratio": Variable((), "1", "tangential over normal force"),
+    "friction_coefficient": Variable((), "1", "friction of what slides"),
+    "friction_std": Variable((), "1", "standard deviation of friction_coefficient"),
+    "flags": Variable((), "1", "sum of the bits FLAG_* of ForceField.msg"),
+    "usable": Variable((), "1", "1: no flag forbids the use of the force"),
+    "stamp_fault": Variable((), "", "what is wrong with stamp and picture"),
+    "pose": Variable(("pose_row", "pose_col"), "1, m", "T_gel_indenter", _GEL),
+}
+
+
+def load(path: str | Path, sensor: str = "") -> xr.Dataset:
+    """Open any result of cmp_tactile as an xarray dataset with a dimension `frame`.
+
+    path: a folder of `cmp_tactile dataset`, results of `cmp_tactile process` (their folder,
+    NAME.mcap, NAME_wrench.csv, NAME_wrench.parquet or NAME.npz), or any bag with our topics.
+    sensor: namespace of its topics, if a bag has those of several sensors.
+    Images, and all of a dataset, are read when they are used.  Names, dimensions and units are
+    those of docs/datasets.md.  Raises CmpTactileError where there is nothing of ours.
+    """
+    place = expanded_path(path)
+    if not place.exists():
+        msg = f"{path}: found no such file or folder, expected {EXPECTED}"
+        raise InputError(msg)
+    found = _dataset(place)
+    if found is None:
+        found = _results(place)
+    if found is None:
+        found = _opened_elsewhere(place, sensor)
+    if found is None:
+        msg = f"{path}: found {_found_there(place)}, expected {EXPECTED}"
+        raise InputError(msg)
+    return found
+
+
+def _labelled(read: Arrays) -> xr.Dataset:
+    import dask.array
+    import xarray as xr
+
+    # It states no types.
+    from_array: Any = dask.array.from_array
+    arrays, stamp_ns, attrs = dict(read[0]), read[1], dict(read[2])
+    if "flags" in arrays and "usable" not in arrays:
+        arrays["usable"] = ((arrays["flags"] & int(UNUSABLE)) == 0).astype(np.uint8)
+    if "node_position" in arrays:
+        # The same in all frames.
+        arrays["node_position"] = arrays["node_position"][0]
+    if (image := arrays.get("image")) is not None:
+        chunks = (FRAMES_PER_CHUNK, *image.shape[1:])
+        arrays["image"] = from_array(image, chunks, name=False, asarray=False)
+    data = {}
+    for name, values in arrays.items():
+        known, over = VARIABLES[name], () if name == "node_position" else ("frame",)
+        dims = (*over, *known.dims, "channel")[: values.ndim]
+        data[name] = (dims, values, known.attrs)
+    found = xr.Dataset(data, {"stamp_ns": ("frame", stamp_ns, STAMP)}, attrs)
+    return _with_labels(found)
+
+
+def _with_labels(dataset: xr.Dataset) -> xr.Dataset:
+    missing = {
+        name: list(labels)
+        for name, labels in LABELS.items()
+        if name in dataset.dims and name not in dataset.coords
+    }
+    found: xr.Dataset = dataset.assign_coords(missing)
+    return found
+
+
+def _dataset(place: Path) -> xr.Dataset | None:
+    """The shards of a dataset folder one after the other, or one shard."""
+    if place.suffix == ".nc":
+        return _shard(place)
+    if not (place / DATASET_FILE).is_file():
+        return None
+    shards = sorted(place.glob(SHARDS))
+    if not shards:
+        msg = f"{place}: found {DATASET_FILE} without {SHARDS}, expected at least one shard"
+        raise InputError(msg)
+    import xarray as xr
+
+    opened = [_shard(path) for path in shards]
+    try:
+        return xr.concat(
+            opened,
+            "frame",
+            data_vars="minimal",
+            coords="minimal",
+            compat="override",
+            join="exact",
+            combine_attrs="override",
+        )
+    except ValueError as error:
+        msg = f"{place}: found shards that differ ({error}), expected those of one dataset"
+        raise InputError(msg) from None
+
+
+def _shard(path: Path) -> xr.Dataset:
+    import xarray as xr
+
+    try:
+        found = xr.open_dataset(path, engine="h5netcdf", chunks={"frame": FRAMES_PER_CHUNK})
+    except (OSError, ValueError, KeyError) as error:
+        reason = shortened(str(error).partition("\n")[0])
+        msg = f"{path}: found no whole netCDF file ({reason}), expected a shard as it was written"
+        raise InputError(msg) from None
+    if "frame" not in found.dims:
+        msg = f"{path}: found the dimensions {', '.join(map(str, found.dims))}, expected frame"
+        raise InputError(msg)
+    return _with_labels(found)
+
+
+def _results(place: Path) -> xr.Dataset | None:
+    """Results of `cmp_tactile process`: a folder, a table or arrays."""
+    if place.suffix == ".npz":
+        return _arrays(place)
+    if place.suffix in {".csv", ".parquet"}:
+        return _table(place)
+    tables = sorted(place.glob(f"*{TABLE}")) if place.is_dir() else []
+    if len(tables) > 1:
+        names = ", ".join(table.name.removesuffix(TABLE) for table in tables)
+        msg = f"{place}: found the results of {names}, expected one: name the file NAME.mcap"
+        raise InputError(msg)
+    if not tables:
+        return None
+    table = _table(tables[0])
+    bag = place / f"{tables[0].name.removesuffix(TABLE)}.mcap"
+    found = _opened_elsewhere(bag, "") if bag.is_file() else None
+    if found is None or found.sizes["frame"] != table.sizes["frame"]:
+        return table
+    judged: xr.Dataset = found.assign({name: table[name] for name in ("usable", "stamp_fault")})
+    return judged
+
+
+def _table(path: Path) -> xr.Dataset:
+    import pandas as pd
+
+    columns = [f"{name}_N{'m' if name[0] == 'm' else ''}" for name in WRENCH_COMPONENTS]
+    try:
+        read = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+        plain = {
+            "contact_area": read["contact_area_m2"],
+            **{name: read[name] for name in VARIABLES if name in read and name != "stamp_fault"},
+            "stamp_fault": read["stamp_fault"].fillna("").astype(object),
+            "usable": read["usable"].astype(np.uint8),
+        }
+        arrays = {
+            "wrench": read[columns].to_numpy(),
+            "wrench_std": read[[f"std_{name}" for name in columns]].to_numpy(),
+            **{name: values.to_numpy() for name, values in plain.items()},
+        }
+        stamps = read["stamp_ns"].to_numpy()
+    except (KeyError, ValueError, OSError) as error:
+        reason = shortened(str(error).partition("\n")[0])
+        msg = f"{path}: cannot be read as NAME{TABLE} of `cmp_tactile process`: {reason}"
+        raise InputError(msg) from None
+    return _labelled((arrays, stamps, {"source": str(path)}))
+
+
+def _arrays(path: Path) -> xr.Dataset:
+    """NAME.npz of `cmp_tactile process --arrays`."""
+    try:
+        with np.load(path) as file:
+            stamps, variances = file["stamp_ns"], file["wrench_covariance"]
+            count, cols = len(stamps), _node_cols(file["node_position"])
+            arrays = {
+                **{name: file[name] for name in VARIABLES if name in file},
+                "node_position": file["node_position"].reshape(count, -1, cols, 3),
+                "node_force": file["force"].reshape(count, -1, cols, 3),
+                "contact": file["contact"].reshape(count, -1, cols),
+                "wrench_std": np.sqrt(np.diagonal(variances, axis1=1, axis2=2)),
+            }
+    except (KeyError, ValueError, OSError) as error:
+        msg = f"{path}: found {error}, expected NAME.npz of `cmp_tactile process --arrays`"
+        raise InputError(msg) from None
+    return _labelled((arrays, stamps, {"source": str(path)}))
+
+
+def _node_cols(position: NDArray[Any]) -> int:
+    """Nodes in a row, of their positions (frames, nodes, 3) row by row: x falls at its end."""
+    ends = np.flatnonzero(np.diff(position[:1, :, 0]) < 0)
+    return int(ends[0]) + 1 if len(ends) else int(position.shape[1])
+
+
+def _opened_elsewhere(place: Path, sensor: str) -> xr.Dataset | None:
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        read: Arrays | None = point.load()(place, sensor)
+        if read is not None:
+            return _labelled(read)
+    return None
+
+
+def _found_there(place: Path) -> str:
+    if place.is_file():
+        return f"a {place.suffix or 'nameless'} file"
+    names = sorted(item.name for item in place.iterdir() if not item.name.startswith("."))
+    return shortened(", ".join(names)) or "an empty folder"
