@@ -28,8 +28,13 @@ setup(
         *shared_files("launch", "config", "rviz", "foxglove"),
     ],
     install_requires=["setuptools", "jinja2", "joblib>=1.4", "mcap", "typer>=0.9"],
-    # What `cmp_tactile process` needs for --scheduler and --parquet.
-    extras_require={"cluster": ["distributed"], "parquet": ["pyarrow"]},
+    # What `cmp_tactile process` needs for --scheduler and --parquet, and `export`.
+    extras_require={
+        "cluster": ["distributed"],
+        "export": ["h5netcdf", "pyarrow"],
+        "parquet": ["pyarrow"],
+        "video": ["av"],
+    },
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -22,6 +22,7 @@ PAGES = {
     "simulate": "../docs/tutorials/simulate.md",
     "dataset": "../docs/tutorials/dataset.md",
     "process": "#process",
+    "export": "../docs/datasets.md",
     "zero": "../docs/reference.md",
     "call": "../docs/nodes.md",
     "topics": "../docs/launch.md",

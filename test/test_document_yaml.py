@@ -19,6 +19,7 @@ import pytest
 from documents import blocks
 
 from cmp_tactile_bringup.calibration.loads import read_known_loads
+from cmp_tactile_bringup.export.topics import read_feature_map
 from cmp_tactile_bringup.graphs.description import PARAMETERS, parameters_of_nodes
 from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.sensor.description import SensorDescription
@@ -57,6 +58,8 @@ def kind_of(block: str) -> str:
     keys = {"motion"} if isinstance(content, list) else set(content)
     if PARAMETERS in block:
         return "parameters"
+    if "features" in keys:
+        return "feature map"
     if "version" in keys:
         return "scene" if "motion" in keys else "sensor"
     if "loads" in keys:
@@ -97,12 +100,18 @@ def read_loads(folder: Path, block: str) -> None:
     assert read_known_loads(folder / "loads.yaml")[0]
 
 
+def read_map(folder: Path, block: str) -> None:
+    (folder / "map.yaml").write_text(block, encoding="utf-8")
+    assert read_feature_map(folder / "map.yaml")[1].features
+
+
 READERS: dict[str, Callable[[Path, str], None]] = {
     "scene": read_scene_text,
     "scene's part": read_part_of_a_scene,
     "sensor": read_sensor,
     "sensor's part": read_part_of_a_sensor,
     "loads": read_loads,
+    "feature map": read_map,
 }
 BLOCKS = list(documented())
 

@@ -32,6 +32,7 @@ SUBCOMMANDS = {
     "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
     "dataset": ("dataset.Dataset", "simulate many presses with truth, for learning"),
     "process": ("process.Process", "process recordings without ROS"),
+    "export": ("export.Export", "write datasets and bags for training: LeRobot"),
     "zero": ("running.Zero", "set displacement and force of a running sensor to zero"),
     "call": ("running.Call", "call a service of a running node, such as a replay's pause"),
     "topics": ("running.Topics", "list the topics of running nodes"),
