@@ -218,7 +218,7 @@ def _table(path: Path) -> xr.Dataset:
         plain = {
             "contact_area": read["contact_area_m2"],
             **{name: read[name] for name in VARIABLES if name in read and name != "stamp_fault"},
-            "stamp_fault": read["stamp_fault"].fillna("").astype(object),
+            "stamp_fault": read["stamp_fault"].astype(object).fillna(""),
             "usable": read["usable"].astype(np.uint8),
         }
         arrays = {

@@ -59,20 +59,23 @@ class Export(Command):
     def run(self) -> int:
         """Write the folder, and print what it holds."""
         from cmp_tactile_bringup.export import episodes, lerobot, topics
+        from cmp_tactile_bringup.terminal import shown_stages
 
         if self.images == "video":
             lerobot.require_video()
         mapping = topics.read_feature_map(expanded_path(self.map_)) if self.map_ else None
         output, writer = expanded_path(self.output).absolute(), None
         sources = [expanded_path(source) for source in self.sources]
-        with lerobot.new_folder(output) as folder:
-            for episode in episodes.episodes(sources, mapping, self.fps, self.max_error):
+        found = episodes.episodes(sources, mapping, self.fps, self.max_error)
+        with lerobot.new_folder(output) as folder, shown_stages() as on_stage:
+            for episode, share in found:
                 if writer is None:
                     video, facts = self.images == "video", self._facts(sources)
                     writer = lerobot.LeRobotWriter(
                         folder, episode, self.task, video=video, facts=facts
                     )
                 writer.add(episode)
+                on_stage("exporting", share)
             if writer is not None:
                 writer.close()
         if writer is not None:

@@ -51,11 +51,15 @@ FRAMES_AT_ONCE = 256
 
 @dataclass(frozen=True)
 class Recording:
-    """A bag or a sample.  series: by feature, the first gives the clock.  rate_hz: of frames."""
+    """A bag or a sample.  series: by feature, the first gives the clock.  rate_hz: of frames.
+
+    share: of its source, that is read with it.
+    """
 
     label: str
     series: Mapping[str, Series]
     rate_hz: float
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -130,7 +134,8 @@ def _samples(source: Path, dataset: xr.Dataset) -> Iterator[Recording]:
         for begin, end in together:
             part = read.isel(frame=slice(begin - first, end - first))
             label = f"{source}: sample {sample[begin]}"
-            yield Recording(label, dict(tactile_series(name.replace(" ", "_"), part)), rate)
+            series = dict(tactile_series(name.replace(" ", "_"), part))
+            yield Recording(label, series, rate, end / len(sample))
 
 
 def _rate(dataset: xr.Dataset) -> float:
@@ -227,14 +232,15 @@ def episodes(
     mapping: tuple[YamlFile, FeatureMap] | None,
     fps: int | None,
     most_error_s: float | None,
-) -> Iterator[Episode]:
-    """All samples and bags on clocks of one rate, with the same features.
+) -> Iterator[tuple[Episode, float]]:
+    """All samples and bags on clocks of one rate, with the same features, and the share until then.
 
     fps: of the clock, Hz; None for the rate of the first.  most_error_s: see `on_clock`.
     Raises CmpTactileError for a source that cannot be exported, or not with the first one.
     """
     first: Episode | None = None
-    for recording in (item for source in sources for item in recordings(source, mapping)):
+    every = ((n, item) for n, source in enumerate(sources) for item in recordings(source, mapping))
+    for number, recording in every:
         rate = fps or round(recording.rate_hz) or (recording.rate_hz > 0)
         if not rate:
             msg = f"{recording.label}: found a single frame, expected --fps"
@@ -246,7 +252,7 @@ def episodes(
         episode = on_clock(recording, int(rate), most_error_s)
         first = first or episode
         _check_same(episode.features, first.features, (episode.label, first.label))
-        yield episode
+        yield episode, (number + recording.share) / len(sources)
 
 
 def _check_same(

@@ -416,7 +416,9 @@ def _stats(values: Array, item: Feature) -> Stats:
             "max": np.nanmax(numbers, over),
             "mean": np.nanmean(numbers, over),
             "std": np.nanstd(numbers, over),
-            **{name: np.nanquantile(numbers, q, over) for name, q in QUANTILES.items()},
+            **dict(
+                zip(QUANTILES, np.nanquantile(numbers, [*QUANTILES.values()], over), strict=True)
+            ),
             "known": np.isfinite(numbers).sum(over).astype(np.float64),
         }
     shaped = {name: array.reshape(shape) for name, array in found.items()}

@@ -14,6 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from cmp_tactile_bringup.offline.outputs import ResultBag
 from cmp_tactile_driver.bags.reader import BagReader
+from cmp_tactile_processing import load
+from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.sensor.description import find_sensor_description, load_sensor
 
@@ -154,6 +156,23 @@ def test_parquet_has_the_columns_of_the_csv_with_types_and_units(images, tmp_pat
     wanted = {"stamp_ns": "ns", "fx_N": "N", "std_mz_Nm": "N m", "contact_area_m2": "m^2"}
     assert {name: units[name] for name in wanted} == wanted
     assert units["slip_ratio"] == units["friction_std"] == "1"
+
+
+def test_all_that_process_writes_is_opened_as_the_same_arrays(images, tmp_path, capsys):
+    assert process(images, "--output", tmp_path, "--parquet", "--arrays") == 0
+    bag = tmp_path / "images.mcap"
+    assert f'cmp_tactile_processing.load("{bag}")' in capsys.readouterr().err
+    whole = load(tmp_path)
+    assert {"displacement", "node_force", "wrench", "usable", "stamp_fault"} <= set(whole)
+    others = ("images.mcap", "images.npz", "images_wrench.csv", "images_wrench.parquet")
+    for found in (load(tmp_path / name) for name in others):
+        np.testing.assert_array_equal(found["stamp_ns"], whole["stamp_ns"])
+        for name in set(found.data_vars) - {"stamp_fault"}:
+            assert found[name].dims == whole[name].dims
+            np.testing.assert_allclose(found[name], whole[name], rtol=1e-6, atol=1e-9)
+    (tmp_path / "other_wrench.csv").touch()
+    with pytest.raises(InputError, match="found the results of images, other, expected one"):
+        load(tmp_path)
 
 
 def test_parquet_without_pyarrow_is_refused_before_any_work(images, tmp_path, capsys, monkeypatch):
