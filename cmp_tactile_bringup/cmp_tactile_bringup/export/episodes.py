@@ -169,10 +169,11 @@ def tactile_series(name: str, dataset: xr.Dataset) -> Iterator[tuple[str, Series
         feature = image_feature(image.shape)
         yield f"observation.images.{name}", Series(feature, image_stamps, values)
     # Not below `observation.`, which LeRobot gives to a policy as input.
-    usable = dataset["usable"].values if "usable" in dataset else np.ones(count)
-    flags = dataset["flags"].values if "flags" in dataset else np.zeros(count)
-    yield f"tactile.{name}.usable", _plain(usable.astype(np.bool_)[:, None], stamps)
-    yield f"tactile.{name}.flags", _plain(flags.astype(np.int64)[:, None], stamps)
+    if "wrench" in dataset:
+        usable = dataset["usable"].values if "usable" in dataset else np.ones(count)
+        flags = dataset["flags"].values if "flags" in dataset else np.zeros(count)
+        yield f"tactile.{name}.usable", _plain(usable.astype(np.bool_)[:, None], stamps)
+        yield f"tactile.{name}.flags", _plain(flags.astype(np.int64)[:, None], stamps)
     yield f"tactile.{name}.stamp_ns", _plain(stamps[:, None], stamps)
 
 
@@ -241,7 +242,7 @@ def episodes(
     first: Episode | None = None
     every = ((n, item) for n, source in enumerate(sources) for item in recordings(source, mapping))
     for number, recording in every:
-        rate = fps or round(recording.rate_hz) or (recording.rate_hz > 0)
+        rate = fps or (max(1, round(recording.rate_hz)) if recording.rate_hz else 0)
         if not rate:
             msg = f"{recording.label}: found a single frame, expected --fps"
             raise InputError(msg)
@@ -249,7 +250,7 @@ def episodes(
             expected = f"{first.fps} Hz as {first.label}; --fps gives all one clock"
             msg = f"{recording.label}: found {rate} Hz, expected {expected}"
             raise InputError(msg)
-        episode = on_clock(recording, int(rate), most_error_s)
+        episode = on_clock(recording, rate, most_error_s)
         first = first or episode
         _check_same(episode.features, first.features, (episode.label, first.label))
         yield episode, (number + recording.share) / len(sources)
@@ -282,11 +283,13 @@ def on_clock(recording: Recording, fps: int, most_error_s: float | None) -> Epis
     if not clock.size:
         msg = f"{recording.label}: found no frame after the first message of each mapped topic"
         raise InputError(msg + ", expected topics that were recorded together")
+    limit = DEFAULT_ERROR_PERIODS / fps if most_error_s is None else most_error_s
+    # Before ticks are made for all of a gap.
+    _check_error(recording, next(iter(series)), np.diff(clock).max(initial=0) / 2, fps, limit)
     count = int((clock[-1] - clock[0]) * fps / NS_PER_S + 0.5) + 1
     ticks = clock[0] + np.round(np.arange(count) * (NS_PER_S / fps)).astype(np.int64)
     at = clock[_nearest(clock, ticks)]
     numbers, error_s = {}, {}
-    limit = DEFAULT_ERROR_PERIODS / fps if most_error_s is None else most_error_s
     for name, item in series.items():
         if item.is_latest:
             numbers[name] = np.searchsorted(item.stamp_ns, at, "right") - 1
@@ -294,16 +297,25 @@ def on_clock(recording: Recording, fps: int, most_error_s: float | None) -> Epis
         else:
             numbers[name] = _nearest(item.stamp_ns, ticks)
             errors = np.abs(ticks - item.stamp_ns[numbers[name]])
-        error_s[name] = float(errors.max()) / NS_PER_S
-        if error_s[name] > limit:
-            what = "the latest message" if item.is_latest else "the nearest frame"
-            msg = (
-                f"{recording.label}: {name}: found {what} {error_s[name]:.3g} s from a tick of the "
-                f"clock of {fps} Hz, expected at most {limit:.3g} s; --fps sets the clock, "
-                "--max-error the limit"
-            )
-            raise InputError(msg)
-    return Episode(recording.label, series, numbers, error_s, limit, len(frames) - len(clock), fps)
+        error_s[name] = _check_error(recording, name, errors.max(), fps, limit)
+    left_out = len(frames) - len(clock)
+    return Episode(recording.label, series, numbers, error_s, limit, left_out, fps)
+
+
+def _check_error(
+    recording: Recording, name: str, error_ns: float, fps: int, limit_s: float
+) -> float:
+    """The error in s; InputError where it exceeds the limit."""
+    error_s = float(error_ns) / NS_PER_S
+    if error_s > limit_s:
+        what = "the latest message" if recording.series[name].is_latest else "the nearest frame"
+        msg = (
+            f"{recording.label}: {name}: found {what} {error_s:.3g} s from a tick of the clock of "
+            f"{fps} Hz, expected at most {limit_s:.3g} s; --fps sets the clock, "
+            "--max-error the limit"
+        )
+        raise InputError(msg)
+    return error_s
 
 
 def _nearest(stamps: Stamps, ticks: Stamps) -> NDArray[np.intp]:

@@ -272,6 +272,19 @@ def test_rates_that_do_not_fit_are_refused(tmp_path: Path, export, mapping):
     assert not output.exists()
 
 
+def test_a_jump_of_the_clock_is_refused_and_images_alone_are_exported(tmp_path: Path, export):
+    rows = [(topic, stamp, item) for topic, stamp, item in made_results.rows(2) if "image" in topic]
+    later = [row for row in made_results.rows(2, offset_ns=10**17) if "image" in row[0]]
+    bag = made_results.write(tmp_path / "jump", [*rows, *later])
+    code, said, _ = export([bag], "--fps", "20")
+    assert code == 1
+    assert "observation.images.rig: found the nearest frame 5e+07 s from a tick" in said
+    code, said, output = export([made_results.write(tmp_path / "camera", rows)])
+    assert code == 0, said
+    assert IMAGE in read(output)
+    assert "tactile.rig.usable" not in read(output)
+
+
 def test_sensors_that_differ_are_refused(bag: Path, tmp_path: Path, export):
     other = made_results.write(tmp_path / "other", made_results.rows(COUNT, "finger"))
     code, said, _ = export([bag, other])
