@@ -204,6 +204,24 @@ def test_lerobot_reads_it_back(bag: Path, export, monkeypatch: pytest.MonkeyPatc
         np.testing.assert_allclose(shown, source["image"][number].values, atol=1e-3)
 
 
+def test_a_video_shows_the_frames_of_each_episode(bag: Path, export):
+    av = pytest.importorskip("av")
+    code, said, output = export([bag, bag], "--images", "video")
+    assert code == 0, said
+    episodes = read(output, "meta/episodes")
+    assert episodes[f"videos/{IMAGE}/from_timestamp"] == pytest.approx([0, COUNT / 20])
+    assert episodes[f"videos/{IMAGE}/to_timestamp"] == pytest.approx([COUNT / 20, 2 * COUNT / 20])
+    assert info_of(output)["features"][IMAGE]["dtype"] == "video"
+    assert IMAGE not in read(output)
+    with av.open(str(output / "videos" / IMAGE / "chunk-000" / "file-000.mp4")) as file:
+        found = [(frame.time, frame.to_ndarray(format="gray")) for frame in file.decode(video=0)]
+    assert [time for time, _ in found] == pytest.approx([n / 20 for n in range(2 * COUNT)])
+    for number, (_, shown) in enumerate(found):
+        image = made_bags.frames(COUNT)[number % COUNT]
+        # Compressed noise is still far more like itself than like any other.
+        assert np.corrcoef(shown.ravel(), image.ravel())[0, 1] > 0.9
+
+
 def test_two_fingers_have_features_each(tmp_path: Path, export):
     rows = [
         *made_results.rows(COUNT, "left_finger"),
