@@ -44,7 +44,12 @@ ROSDEP_KEYS = {
 }
 # No package of its own is asked for: numba stands on one version of it.
 # Version 1 of pydantic, which some systems have, comes without pydantic_core.
-COME_WITH = {"dask": "distributed", "llvmlite": "numba", "pydantic": "pydantic_core"}
+COME_WITH = {
+    "dask": "distributed",
+    "h5py": "h5netcdf",
+    "llvmlite": "numba",
+    "pydantic": "pydantic_core",
+}
 # setup.py names these, because rosdep has no key for them.
 WITHOUT_ROSDEP_KEY = {
     "linuxpy": "linuxpy",

@@ -6,11 +6,11 @@ a function from a path and the name of a sensor to `Arrays`, or to None for what
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,7 @@ STAMP = {"units": "ns", "long_name": "stamp of the camera frame"}
 Arrays = tuple[Mapping[str, Any], NDArray[np.int64], Mapping[str, Any]]
 """Arrays by names of VARIABLES, the first axis along the frames; stamps; attributes.
 
-An image may be anything with shape, dtype, ndim and slices: it is read when it is used.
+An image may be a `Stored`, which is read when it is used.
 """
 _MARKERS, _NODES = ("row", "col"), ("node_row", "node_col")
 _GEL = "gel"
@@ -86,6 +86,16 @@ VARIABLES = {
 }
 
 
+class Stored(Protocol):
+    """An array on the disk, the first axis along the frames."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+
+    def read(self, numbers: NDArray[np.intp]) -> NDArray[Any]:
+        """The values of the frames with these numbers."""
+
+
 def load(path: str | Path, sensor: str = "") -> xr.Dataset:
     """Open any result of cmp_tactile as an xarray dataset with a dimension `frame`.
 
@@ -111,20 +121,16 @@ def load(path: str | Path, sensor: str = "") -> xr.Dataset:
 
 
 def _labelled(read: Arrays) -> xr.Dataset:
-    import dask.array
     import xarray as xr
 
-    # It states no types.
-    from_array: Any = dask.array.from_array
     arrays, stamp_ns, attrs = dict(read[0]), read[1], dict(read[2])
     if "flags" in arrays and "usable" not in arrays:
         arrays["usable"] = ((arrays["flags"] & int(UNUSABLE)) == 0).astype(np.uint8)
     if "node_position" in arrays:
         # The same in all frames.
         arrays["node_position"] = arrays["node_position"][0]
-    if (image := arrays.get("image")) is not None:
-        chunks = (FRAMES_PER_CHUNK, *image.shape[1:])
-        arrays["image"] = from_array(image, chunks, name=False, asarray=False)
+    if "image" in arrays:
+        arrays["image"] = _lazy(arrays["image"])
     data = {}
     for name, values in arrays.items():
         known, over = VARIABLES[name], () if name == "node_position" else ("frame",)
@@ -132,6 +138,31 @@ def _labelled(read: Arrays) -> xr.Dataset:
         data[name] = (dims, values, known.attrs)
     found = xr.Dataset(data, {"stamp_ns": ("frame", stamp_ns, STAMP)}, attrs)
     return _with_labels(found)
+
+
+def _lazy(stored: Stored) -> Any:
+    """A dask array."""
+    import dask.array
+
+    # It states no types.
+    from_array: Any = dask.array.from_array
+    chunks = (FRAMES_PER_CHUNK, *stored.shape[1:])
+    return from_array(_Sliced(stored), chunks, name=False, asarray=False)
+
+
+class _Sliced:
+    """Slices of what is stored, as dask takes them: reads no more frames than are asked for."""
+
+    def __init__(self, stored: Stored) -> None:
+        self._stored, self.shape, self.dtype = stored, stored.shape, stored.dtype
+        self.ndim = len(self.shape)
+
+    def __getitem__(self, key: Any) -> NDArray[Any]:
+        frames, *rest = key if isinstance(key, tuple) else (key,)
+        # dask may ask for one frame by its number.
+        numbers = np.arange(self.shape[0])[frames]
+        values = self._stored.read(numbers.reshape(-1)).reshape((*numbers.shape, *self.shape[1:]))
+        return np.asarray(values[(slice(None),) * numbers.ndim + tuple(rest)])
 
 
 def _with_labels(dataset: xr.Dataset) -> xr.Dataset:
@@ -154,22 +185,63 @@ def _dataset(place: Path) -> xr.Dataset | None:
     if not shards:
         msg = f"{place}: found {DATASET_FILE} without {SHARDS}, expected at least one shard"
         raise InputError(msg)
-    import xarray as xr
+    first = _shard(shards[0])
+    # h5netcdf takes 0.2 s to open a file with all its variables: the others are like the first.
+    frames = [0, *np.cumsum([_frames_of(path, first) for path in shards])]
+    data = {
+        name: (item.dims, _lazy(_Shards(str(name), shards, frames, item)), item.attrs)
+        for name, item in first.variables.items()
+        if item.dims[:1] == ("frame",)
+    }
+    found: xr.Dataset = first.drop_dims("frame").assign(data)
+    dataset: xr.Dataset = found.set_coords([name for name in first.coords if name in data])
+    return dataset
 
-    opened = [_shard(path) for path in shards]
+
+class _Shards:
+    """A variable of all shards; each file is open while it is read."""
+
+    def __init__(
+        self, name: str, paths: Sequence[Path], frames: Sequence[int], like: xr.Variable
+    ) -> None:
+        """frames: before each shard, and of all.  like: the variable in the first."""
+        self._name, self._paths, self._frames = name, paths, np.array(frames)
+        self.shape = (int(frames[-1]), *like.shape[1:])
+        # The texts of another shard may be longer.
+        self.dtype = np.dtype(object) if like.dtype.kind in "OSU" else like.dtype
+
+    def read(self, numbers: NDArray[np.intp]) -> NDArray[Any]:
+        import h5py
+
+        values = np.empty((len(numbers), *self.shape[1:]), self.dtype)
+        shards = np.searchsorted(self._frames, numbers, "right") - 1
+        for shard in np.unique(shards):
+            there = shards == shard
+            wanted = numbers[there] - self._frames[shard]
+            part = slice(int(wanted.min()), int(wanted.max()) + 1)
+            with h5py.File(self._paths[shard], "r") as file:
+                stored = file[self._name]
+                stored = stored.asstr() if self.dtype.kind == "O" else stored
+                values[there] = stored[part][wanted - part.start]
+        return values
+
+
+def _frames_of(path: Path, first: xr.Dataset) -> int:
+    """How many are in a shard; InputError where its variables are not those of the first."""
+    import h5py
+
     try:
-        return xr.concat(
-            opened,
-            "frame",
-            data_vars="minimal",
-            coords="minimal",
-            compat="override",
-            join="exact",
-            combine_attrs="override",
-        )
-    except ValueError as error:
-        msg = f"{place}: found shards that differ ({error}), expected those of one dataset"
-        raise InputError(msg) from None
+        with h5py.File(path, "r") as file:
+            found = {name: file[str(name)].shape for name in first.variables}
+    except (OSError, KeyError) as error:
+        raise _not_whole(path, error) from None
+    for name, item in first.variables.items():
+        own = item.dims[:1] == ("frame",)
+        if found[name][own:] != item.shape[own:]:
+            expected = f"{item.shape[own:]} as in {first.encoding['source']}"
+            msg = f"{path}: {name}: found {found[name][own:]}, expected {expected}"
+            raise InputError(msg)
+    return int(next(found[name][0] for name, v in first.variables.items() if v.dims[0] == "frame"))
 
 
 def _shard(path: Path) -> xr.Dataset:
@@ -178,13 +250,17 @@ def _shard(path: Path) -> xr.Dataset:
     try:
         found = xr.open_dataset(path, engine="h5netcdf", chunks={"frame": FRAMES_PER_CHUNK})
     except (OSError, ValueError, KeyError) as error:
-        reason = shortened(str(error).partition("\n")[0])
-        msg = f"{path}: found no whole netCDF file ({reason}), expected a shard as it was written"
-        raise InputError(msg) from None
+        raise _not_whole(path, error) from None
     if "frame" not in found.dims:
         msg = f"{path}: found the dimensions {', '.join(map(str, found.dims))}, expected frame"
         raise InputError(msg)
     return _with_labels(found)
+
+
+def _not_whole(path: Path, error: Exception) -> InputError:
+    reason = shortened(str(error).partition("\n")[0])
+    msg = f"{path}: found no whole netCDF file ({reason}), expected a shard as it was written"
+    return InputError(msg)
 
 
 def _results(place: Path) -> xr.Dataset | None:

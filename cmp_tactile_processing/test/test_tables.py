@@ -25,7 +25,8 @@ def made_shard(first_sample: int) -> xr.Dataset:
                 {"units": "m"},
             ),
             "wrench": (("frame", "wrench_component"), generator.normal(size=(FRAMES, 6))),
-            "indenter": ("frame", ["sphere", "sphere", "cube"]),
+            "indenter": ("frame", ["sphere", "cube", f"bolt_{first_sample}.stl"]),
+            "contact": ("frame", [True, False, True]),
         },
         {"sample": ("frame", np.array([0, 0, 1], np.int32) + first_sample)},
         {"title": "presses", "rate_hz": 30.0},
@@ -49,8 +50,12 @@ def test_a_dataset_is_opened_lazily_shard_after_shard(folder: Path):
     assert all(found[name].chunks for name in ("image", "displacement", "wrench"))
     assert found["displacement"].attrs["units"] == "m"
     assert found.attrs["rate_hz"] == 30.0
-    expected = np.concatenate([made_shard(first)["image"].values for first in (0, 2)])
-    np.testing.assert_array_equal(found["image"].values, expected)
+    for name in ("image", "displacement", "contact", "indenter"):
+        expected = np.concatenate([made_shard(first)[name].values for first in (0, 2)])
+        np.testing.assert_array_equal(found[name].values, expected)
+        np.testing.assert_array_equal(found[name][4].values, expected[4])
+        np.testing.assert_array_equal(found[name][1:5:2].values, expected[1:5:2])
+    assert found["contact"].dtype == bool
     table = found["wrench"].to_pandas()
     assert list(table.columns) == ["fx", "fy", "fz", "mx", "my", "mz"]
 
@@ -71,7 +76,10 @@ def test_shards_of_two_datasets_are_refused(folder: Path):
     other = made_shard(2).isel(row=slice(2))
     shard.unlink()
     other.to_netcdf(shard, engine="h5netcdf")
-    with pytest.raises(InputError, match="found shards that differ"):
+    with pytest.raises(
+        InputError,
+        match=r"samples_000002.nc: displacement: found \(2, 5, 3\), expected \(4, 5, 3\) as in",
+    ):
         load(folder)
 
 

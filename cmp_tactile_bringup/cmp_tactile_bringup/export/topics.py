@@ -104,7 +104,7 @@ def mapped_series(bag: Path, file: YamlFile, wanted: FeatureMap) -> Iterator[tup
         stamps = np.array([message.moment_ns for message in messages], np.int64)
         if topic in image_topics(storage.topics):
             images = StoredImages(bag, storage, messages)
-            yield name, Series(image_feature(images.shape), stamps, images.__getitem__, True)
+            yield name, Series(image_feature(images.shape), stamps, images.read, True)
             continue
         try:
             values, names = _read_values(bag, storage, messages, item)

@@ -166,7 +166,7 @@ class _Reading:
 
 
 class StoredImages:
-    """Images (frames, y, x) or (frames, y, x, 3) BGR uint8 that are read when a slice is taken.
+    """Images (frames, y, x) or (frames, y, x, 3) BGR uint8 that are read when they are used.
 
     Those of no message are black.
     """
@@ -181,20 +181,16 @@ class StoredImages:
         self._depth = BitDepth(str(path))
         first = next(message for message in messages if message is not None)
         self.shape = (len(messages), *next(self._read([first])).shape)
-        self.ndim = len(self.shape)
 
-    def __getitem__(self, key: Any) -> NDArray[np.uint8]:
-        frames, *rest = key if isinstance(key, tuple) else (key,)
-        # dask may ask for one frame by its number.
-        numbers = np.arange(self.shape[0])[frames]
-        wanted = [self._messages[number] for number in numbers.flat]
+    def read(self, numbers: NDArray[np.intp]) -> NDArray[np.uint8]:
+        """The images of the frames with these numbers."""
+        wanted = [self._messages[number] for number in numbers]
         images = np.zeros((len(wanted), *self.shape[1:]), np.uint8)
         places = [place for place, message in enumerate(wanted) if message is not None]
         there = [message for message in wanted if message is not None]
         for place, image in zip(places, self._read(there), strict=True):
             images[place] = image
-        shaped = images.reshape(*numbers.shape, *self.shape[1:])
-        return shaped[(slice(None),) * numbers.ndim + tuple(rest)]
+        return images
 
     def _read(self, messages: Sequence[StoredMessage]) -> Iterator[NDArray[np.uint8]]:
         for stored in self._storage.read(messages):
