@@ -46,7 +46,6 @@ ROSDEP_KEYS = {
 # Version 1 of pydantic, which some systems have, comes without pydantic_core.
 COME_WITH = {
     "dask": "distributed",
-    "h5py": "h5netcdf",
     "llvmlite": "numba",
     "pydantic": "pydantic_core",
 }

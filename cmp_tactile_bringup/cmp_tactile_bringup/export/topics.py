@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 
 from cmp_tactile_driver.bags.arrays import StoredImages
 from cmp_tactile_driver.bags.files import StoredMessage
-from cmp_tactile_driver.bags.reader import BAD_MESSAGE, image_topics
+from cmp_tactile_driver.bags.reader import image_topics
 from cmp_tactile_driver.bags.storage import BagStorage
-from cmp_tactile_processing.errors import FrameSourceError, InputError, RefusedValueError
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
+from cmp_tactile_processing.errors import (
+    FrameError,
+    FrameSourceError,
+    InputError,
+    RefusedValueError,
+)
 from cmp_tactile_processing.sensor.yaml_file import Part, YamlFile, did_you_mean, read_yaml, text
 
 Array = NDArray[Any]
@@ -133,10 +137,10 @@ def _read_values(
     for stored in storage.read(messages):
         where = f"{bag}: {stored.topic} at {stored.time_ns} ns"
         try:
-            message = simulation_typestore().deserialize_cdr(stored.data, stored.kind)
-        except BAD_MESSAGE as error:
+            message = stored.decode()
+        except FrameError as error:
             known = "expected a type of ROS 2's own packages or of cmp_tactile_msgs"
-            msg = f"{where}: {stored.kind} cannot be read ({error}), {known}"
+            msg = f"{where}: {error}, {known}"
             raise FrameSourceError(msg) from None
         found = dict(_numbers(_field_of(message, item.field), item.field.rpartition(".")[2]))
         if not found:

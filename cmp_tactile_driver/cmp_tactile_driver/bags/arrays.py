@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_driver.bags.files import StoredMessage
-from cmp_tactile_driver.bags.reader import BAD_MESSAGE, COMPRESSED_IMAGE, IMAGE
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
 from cmp_tactile_driver.bags.recording import is_bag
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_processing.errors import FrameError, FrameSourceError, InputError
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import GridShape
 from cmp_tactile_processing.ros.messages import reading
-from cmp_tactile_processing.ros.messages.definitions import simulation_typestore
 from cmp_tactile_processing.ros.messages.making import FORCE_FIELD, SLIP_FIGURES, SURFACE
 from cmp_tactile_processing.sensor.yaml_file import did_you_mean
 
@@ -142,9 +141,9 @@ class _Reading:
 
     def _row(self, stored: StoredMessage, row_of: Callable[[Any], dict[str, Any]]) -> Any:
         try:
-            row = row_of(simulation_typestore().deserialize_cdr(stored.data, stored.kind))
-        except (*BAD_MESSAGE, InputError) as error:
-            msg = f"{self._at(stored)}: not a {stored.kind} of this version: {error}"
+            row = row_of(stored.decode())
+        except (FrameError, InputError) as error:
+            msg = f"{self._at(stored)}: cannot be read by this version: {error}"
             raise FrameSourceError(msg) from None
         values = {name: np.asarray(value) for name, value in row.items()}
         return {k: v.astype(np.float32) if v.dtype.kind == "f" else v for k, v in values.items()}
@@ -196,9 +195,8 @@ class StoredImages:
         for stored in self._storage.read(messages):
             where = f"{self._path}: {stored.topic} at {stored.time_ns} ns"
             try:
-                message = simulation_typestore().deserialize_cdr(stored.data, stored.kind)
-                image = reading.image_from_msg(message, None, self._depth)
-            except (*BAD_MESSAGE, FrameError) as error:
+                image = reading.image_from_msg(stored.decode(), None, self._depth)
+            except FrameError as error:
                 msg = f"{where}: not an image that can be read: {error}"
                 raise FrameSourceError(msg) from None
             if hasattr(self, "shape") and image.shape != self.shape[1:]:
