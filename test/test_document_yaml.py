@@ -25,6 +25,7 @@ from cmp_tactile_bringup.graphs.packaged import load_graph
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml, yaml_value
+from cmp_tactile_simulation.dataset.recipe import packaged_recipes, read_recipe
 from cmp_tactile_simulation.scenes.file import read_scene
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -60,6 +61,8 @@ def kind_of(block: str) -> str:
         return "parameters"
     if "features" in keys:
         return "feature map"
+    if keys & {"indenters", "history", "variants"}:
+        return "recipe"
     if "version" in keys:
         return "scene" if "motion" in keys else "sensor"
     if "loads" in keys:
@@ -105,6 +108,13 @@ def read_map(folder: Path, block: str) -> None:
     assert read_feature_map(folder / "map.yaml")[1].features
 
 
+def read_recipe_with(folder: Path, block: str) -> None:
+    """A packaged recipe with keys of the block."""
+    whole = read_yaml(packaged_recipes()["presses"]).content
+    (folder / "recipe.yaml").write_text(dump_yaml(whole | yaml_value(block)), encoding="utf-8")
+    assert read_recipe(folder / "recipe.yaml").samples
+
+
 READERS: dict[str, Callable[[Path, str], None]] = {
     "scene": read_scene_text,
     "scene's part": read_part_of_a_scene,
@@ -112,6 +122,7 @@ READERS: dict[str, Callable[[Path, str], None]] = {
     "sensor's part": read_part_of_a_sensor,
     "loads": read_loads,
     "feature map": read_map,
+    "recipe": read_recipe_with,
 }
 BLOCKS = list(documented())
 
