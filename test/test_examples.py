@@ -227,6 +227,37 @@ def test_listening_example_reports_the_grip_that_the_tutorial_plays(ros, package
     assert_printed(shown, "".join(said.values()), absolute=0.11)
 
 
+def test_the_network_of_the_tutorial_is_trained_and_tested_beside_the_pipeline(tmp_path):
+    """On a few samples, from which it learns nothing; the pipeline needs none."""
+    pytest.importorskip("torch")
+    dataset = tmp_path / "presses"
+    main(["dataset", "presses", "--samples", "12", "--jobs", "1", "--output", str(dataset)])
+    printed = printed_by(EXAMPLES / "learn_wrench.py", dataset, "2", "1").splitlines()
+    assert printed[0].startswith("trained on ")
+    tests = [line for line in printed[2:] if not line.startswith("  ")]
+    assert [line.partition("held-out ")[2] for line in tests] == [
+        "samples",
+        "object (ring)",
+        "light",
+        "sensors",
+    ]
+    rows = {
+        name: [float(item) for item in line.removeprefix(f"  {name}").split()]
+        for line in reversed(printed)
+        for name in ("the force itself", "network", "pipeline")
+        if line.startswith(f"  {name}")
+    }
+    assert rows["network"][0] == rows["pipeline"][0] == 2
+    # Of held-out samples, for which the description of the sensor is true.
+    assert max(rows["pipeline"][1:4]) < 0.02 * max(rows["the force itself"][1:4])
+
+
+def test_the_network_says_what_it_needs(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(SystemExit, match="error: this example needs PyTorch: pip install torch"):
+        printed_by(EXAMPLES / "learn_wrench.py", "presses")
+
+
 @pytest.fixture
 def live(tmp_path):
     """`cmp_tactile live grasp` as the tutorial runs it; Ctrl-C ends it, without a traceback."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +27,7 @@ from cmp_tactile_simulation.dataset.sampling import Sampler, draw
 try:
     import torch
     from torch import nn
+    from torch.optim.lr_scheduler import OneCycleLR
 except ModuleNotFoundError:
     sys.exit("error: this example needs PyTorch: pip install torch")
 
@@ -35,15 +35,16 @@ Array = NDArray[np.float32]
 
 HELD_OUT_INDENTER = "ring"
 TEST_FRAMES, EPOCHS, BATCH = 24, 20, 32
-CHANNELS, KERNELS_PX = (16, 32, 64, 64), (5, 3, 3, 3)
+CHANNELS, KERNELS_PX = (2, 16, 32, 64, 64), (5, 3, 3, 3)
 MAX_LEARNING_RATE = 3e-3
 # The frame is made smaller by this; a checker is 3 px wide then.
 SHRINK = 4
 # Light is levelled over windows of so many small pixels; grey levels that are no pattern.
 WINDOW_PX, FAINT = 17, 5.0
-# A picture that is mirrored left to right is one of the mirrored wrench, as the rig is symmetric.
+# The rig is symmetric: a frame that is mirrored left to right shows the wrench times this.
 MIRRORED = np.array([-1, 1, 1, 1, -1, -1], np.float32)
-COLUMNS = ("Fx/mN", "Fy/mN", "Fz/mN", "Mx/mNm", "My/mNm", "Mz/mNm")
+COLUMNS = ("Fx / mN", "Fy / mN", "Fz / mN", "Mx / mN mm", "My / mN mm", "Mz / mN mm")
+UNITS = np.array([1e3, 1e3, 1e3, 1e6, 1e6, 1e6])
 OTHER_LIGHT = CameraKeys(
     light_level=Distribution("uniform", (90.0, 130.0)),
     light_ratio=Distribution("uniform", (2.0, 3.0)),
@@ -98,8 +99,8 @@ def tests_of(recipe: Recipe, first: int, count: int) -> list[Test]:
             rest, press = sampler.frames(draw(recipe, number))
         except CmpTactileError as error:
             print(f"sample {number} is left out: {error}")
-        else:
-            tests.append(Test(rest.image, press.image, press.truth.wrench))
+            continue
+        tests.append(Test(rest.image, press.image, press.truth.wrench))
     return tests
 
 
@@ -110,25 +111,16 @@ class Network:
         """Train with images (N, 2, h, w) and their wrenches (N, 6)."""
         self._scale = wrenches.std(axis=0)
         layers: list[nn.Module] = []
-        channels = (images.shape[1], *CHANNELS)
-        for (before, after), size in zip(pairwise(channels), KERNELS_PX, strict=True):
+        for (before, after), size in zip(pairwise(CHANNELS), KERNELS_PX, strict=True):
             convolution = nn.Conv2d(before, after, size, stride=2, padding=size // 2)
             layers += [convolution, nn.BatchNorm2d(after), nn.ReLU()]
         self._layers = nn.Sequential(*layers, nn.Flatten(), nn.LazyLinear(6))
-        # The views change places in a mirror.
-        mirrored = images[:, ::-1, :, ::-1]
-        x = torch.from_numpy(np.concatenate([images, mirrored]))
+        x = torch.from_numpy(np.concatenate([images, images[:, ::-1, :, ::-1]]))
         y = torch.from_numpy(np.concatenate([wrenches, wrenches * MIRRORED]) / self._scale)
-        self._layers(x[:2])
-        self._train(x, y, epochs)
-
-    def _train(self, x: torch.Tensor, y: torch.Tensor, epochs: int) -> None:
+        self._layers(x[:2])  # the last layer takes its size from it
         batches = -(-len(x) // BATCH)
         optimizer = torch.optim.AdamW(self._layers.parameters())
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimizer, MAX_LEARNING_RATE, total_steps=epochs * batches
-        )
-        self._layers.train()
+        schedule = OneCycleLR(optimizer, MAX_LEARNING_RATE, epochs * batches)
         for _ in range(epochs):
             for chosen in torch.randperm(len(x)).tensor_split(batches):
                 loss = nn.functional.mse_loss(self._layers(x[chosen]), y[chosen])
@@ -138,18 +130,17 @@ class Network:
                 schedule.step()
         self._layers.eval()
 
-    def wrench(self, frame: NDArray[np.uint8]) -> Array:
-        """The wrench (6,) of a frame, N and N m."""
+    def wrench(self, test: Test) -> Array:
+        """The wrench (6,) of a press less that at rest, N and N m."""
         with torch.inference_mode():
-            found: Array = self._layers(torch.from_numpy(features(frame)[None]))[0].numpy()
-        return np.asarray(found * self._scale)
+            images = np.stack([features(test.press), features(test.rest)])
+            press, rest = self._layers(torch.from_numpy(images)).numpy() * self._scale
+        return np.asarray(press - rest)
 
 
-def pipeline_wrenches(
-    sensor: SensorDescription, tests: Sequence[Test]
-) -> tuple[Array, NDArray[np.bool_]]:
+def measured(sensor: Path, tests: list[Test]) -> tuple[Array, NDArray[np.bool_]]:
     """Wrenches (N, 6), NaN where the pipeline gives none, and which it calls usable (N,)."""
-    pipeline = Pipeline(sensor)
+    pipeline = Pipeline(SensorDescription.load(sensor))
     found, usable = np.full((len(tests), 6), np.nan, np.float32), np.zeros(len(tests), bool)
     for number, test in enumerate(tests):
         pipeline.reset()
@@ -166,44 +157,37 @@ def pipeline_wrenches(
 def print_errors(title: str, errors: NDArray[np.floating]) -> None:
     """One row of the table: RMS of errors (N, 6) where there are numbers."""
     errors = errors[np.isfinite(errors).all(axis=1)]
-    rms = 1e3 * np.sqrt((errors**2).sum(axis=0) / max(len(errors), 1))
-    cells = "".join(f"{value:8.1f}" for value in rms[:3])
-    cells += "".join(f"{value:8.3f}" for value in rms[3:])
-    print(f"  {title:<18}{len(errors):7d}{cells}", flush=True)
+    rms = UNITS * np.sqrt((errors**2).sum(axis=0) / max(len(errors), 1))
+    values = (f"{value:{len(name)}.1f}" for name, value in zip(COLUMNS, rms, strict=True))
+    print(f"  {title:<18}{len(errors):6d}", *values, sep="  ", flush=True)
 
 
 def main(folder: Path, count: int = TEST_FRAMES, epochs: int = EPOCHS) -> None:
     """Train on the dataset in `folder`, and test with frames that are simulated here."""
+    dataset = load_recipe(str(folder / "recipe.yaml"))
     torch.manual_seed(0)
     begun = time.monotonic()
     images, wrenches, indenters = training_samples(folder)
     trained_on = indenters != HELD_OUT_INDENTER
     network = Network(images[trained_on], wrenches[trained_on], epochs)
-    minutes = (time.monotonic() - begun) / 60
-    print(f"trained on {trained_on.sum()} samples in {minutes:.1f} minutes")
-
-    dataset = load_recipe(str(folder / "recipe.yaml"))
+    print(f"trained on {trained_on.sum()} samples in {time.monotonic() - begun:.0f} s", flush=True)
     by_kind = {item.kind: item for item in dataset.indenters}
-    other = by_kind.pop(HELD_OUT_INDENTER)
+    other = replace(dataset, indenters=(by_kind.pop(HELD_OUT_INDENTER),))
     known = replace(dataset, indenters=tuple(by_kind.values()))
     tests = {
         "held-out samples": known,
-        f"held-out object ({HELD_OUT_INDENTER})": replace(known, indenters=(other,)),
+        f"held-out object ({HELD_OUT_INDENTER})": other,
         "held-out light": replace(known, camera=OTHER_LIGHT),
         "held-out sensors": replace(known, variants=4, errors=load_recipe("objects").errors),
     }
-    sensor = SensorDescription.load(folder / "sensor.yaml")
-    print(f"RMS error{'':11}{'frames':>7}" + "".join(f"{name:>8}" for name in COLUMNS))
+    print(f"{'RMS error':<20}frames", *COLUMNS, sep="  ")
     for title, recipe in tests.items():
         frames = tests_of(recipe, dataset.samples, count)
-        true = np.array([test.wrench for test in frames])
-        found, usable = pipeline_wrenches(sensor, frames)
+        true = np.array([item.wrench for item in frames])
+        found, usable = measured(folder / "sensor.yaml", frames)
         print(title)
-        learned = np.array(
-            [network.wrench(item.press) - network.wrench(item.rest) for item in frames]
-        )
         print_errors("the force itself", true)
-        print_errors("network", learned - true)
+        print_errors("network", np.array([network.wrench(item) for item in frames]) - true)
         print_errors("pipeline", found - true)
         print_errors("where usable", (found - true)[usable])
 
