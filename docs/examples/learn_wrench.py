@@ -1,7 +1,7 @@
 """Trains a small network from pictures to the wrench; prints its error beside the pipeline's.
 
 It needs PyTorch (`pip install torch`) and a dataset: `cmp_tactile dataset presses --samples 640`
-`setup/run python3 docs/examples/learn_wrench.py presses [FRAMES_OF_EACH_TEST [EPOCHS]]`
+`setup/run python3 docs/examples/learn_wrench.py [presses [FRAMES_OF_EACH_TEST [EPOCHS]]]`
 """
 
 from __future__ import annotations
@@ -194,6 +194,6 @@ def main(folder: Path, count: int = TEST_FRAMES, epochs: int = EPOCHS) -> None:
 
 if __name__ == "__main__":
     try:
-        main(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+        main(Path((sys.argv[1:] or ["presses"])[0]), *map(int, sys.argv[2:]))
     except CmpTactileError as error:
         sys.exit(f"error: {error}")
