@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 FORMAT_VERSION = 1
 DATASET_FILE, RECIPE_FILE, LEFT_OUT = "dataset.yaml", "recipe.yaml", "left_out"
-# Of a shard, which is some 40 MB then, unless one sample has more.
-SHARD_FRAMES = 64
+# Of a shard, which is some 20 MB then, unless one sample has more.
+SHARD_FRAMES = 32
 VIEWS = ("left", "right")
 COMPONENTS, WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 FRAME, GRID, NODES = ("frame",), ("frame", "row", "col"), ("frame", "node_row", "node_col")

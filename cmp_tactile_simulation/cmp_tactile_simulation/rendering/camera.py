@@ -96,10 +96,13 @@ def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Opt
     glare_rng, clutter_rng = (
         random_stream(purpose, seed) for purpose in (Purpose.GLARE, Purpose.CLUTTER)
     )
-    light *= clutter_transmission(shape, settings.clutter, clutter_rng)
-    glare = glare_light(shape, settings.glare_spots, settings.glare_size, glare_rng)
+    if settings.clutter:
+        light *= clutter_transmission(shape, settings.clutter, clutter_rng)
     contrast = (settings.light_level - settings.dark_level) / (LIGHT_GREY - DARK_GREY)
-    glow = light * (settings.dark_level - contrast * DARK_GREY) + settings.glare_strength * glare
+    glow = light * (settings.dark_level - contrast * DARK_GREY)
+    if settings.glare_spots:
+        glare = glare_light(shape, settings.glare_spots, settings.glare_size, glare_rng)
+        glow += settings.glare_strength * glare
     return _Optics((light * contrast).astype(np.float32), glow.astype(np.float32))
 
 

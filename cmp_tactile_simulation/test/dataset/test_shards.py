@@ -156,8 +156,9 @@ def test_folders_that_cannot_be_used_are_named(made, recipe, tmp_path):
 
 def test_a_full_disk_leaves_what_was_written(recipe, tmp_path, monkeypatch):
     folder = tmp_path / "full"
-    first, second = begin(recipe, folder, resume=False)
-    make_shard(recipe, second)
+    first, *others = begin(recipe, folder, resume=False)
+    for shard in others:
+        make_shard(recipe, shard)
 
     def no_room(*_: object) -> None:
         raise OSError(28, "No space left on device")
