@@ -163,14 +163,17 @@ def make_shard(recipe: Recipe, shard: Shard) -> int:
     sampler = Sampler(recipe)
     rows: list[dict[str, Any]] = []
     made: list[tuple[Sample, list[SimulatedFrame]]] = []
-    for number in range(shard.first, shard.end):
-        sample = draw(recipe, number)
+    samples = [draw(recipe, number) for number in range(shard.first, shard.end)]
+    # Each variant's simulator is made once.
+    for sample in sorted(samples, key=lambda item: item.variant):
         why = ""
         try:
             made.append((sample, sampler.frames(sample)))
         except CmpTactileError as error:
             why = str(error)
         rows.append({**described(sample), LEFT_OUT: why})
+    made.sort(key=lambda item: item[0].number)
+    rows.sort(key=lambda row: int(row["sample"]))
     try:
         if made:
             with atomic_path(shard.file) as beside:
