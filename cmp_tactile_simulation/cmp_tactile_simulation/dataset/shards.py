@@ -18,6 +18,7 @@ from cmp_tactile_processing.cache.files import atomic_path, write_whole
 from cmp_tactile_processing.errors import CmpTactileError, OutputError
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+from cmp_tactile_processing.tables import DATASET_FILE, LABELS
 from cmp_tactile_simulation.dataset.recipe import Recipe
 from cmp_tactile_simulation.dataset.sampling import Sample, Sampler, described, draw, variant_file
 from cmp_tactile_simulation.simulator import SimulatedFrame
@@ -26,11 +27,9 @@ if TYPE_CHECKING:
     import xarray
 
 FORMAT_VERSION = 1
-DATASET_FILE, RECIPE_FILE, LEFT_OUT = "dataset.yaml", "recipe.yaml", "left_out"
+RECIPE_FILE, LEFT_OUT = "recipe.yaml", "left_out"
 # Of a shard, which is some 20 MB then, unless one sample has more.
 SHARD_FRAMES = 32
-VIEWS = ("left", "right")
-COMPONENTS, WRENCH = ("x", "y", "z"), ("fx", "fy", "fz", "mx", "my", "mz")
 FRAME, GRID, NODES = ("frame",), ("frame", "row", "col"), ("frame", "node_row", "node_col")
 # Noise leaves deflate nothing to find beyond its first level.
 COMPRESSION = {"zlib": True, "complevel": 1, "shuffle": False}
@@ -231,10 +230,7 @@ def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
         "step": ("frame", np.array(steps, np.int32)),
         "phase": ("frame", [frame.phase for _, frame in frames]),
         "stamp_ns": ("frame", np.array([frame.stamp_ns for _, frame in frames], np.int64)),
-        "component": list(COMPONENTS),
-        "wrench_component": list(WRENCH),
-        "view": list(VIEWS),
-        "pixel": ["u", "v"],
+        **{dimension: list(names) for dimension, names in LABELS.items()},
     }
     facts = {"title": recipe.title or recipe.name, "rate_hz": recipe.rate, "frame": "gel"}
     return xarray.Dataset(variables, coordinates, {**facts, "sensor": recipe.sensor.name})
@@ -251,7 +247,7 @@ def _values(sample: Sample, frame: SimulatedFrame) -> dict[str, Any]:
     values: dict[str, Any] = {
         "position": surface.position,
         "displacement": truth.displacement,
-        "corners_px": np.stack([seen.get(view, unseen) for view in VIEWS]),
+        "corners_px": np.stack([seen.get(view, unseen) for view in LABELS["view"]]),
         "node_position": force.position.reshape(*nodes, 3),
         "node_force": force.force.reshape(*nodes, 3),
         "traction": truth.traction.reshape(*nodes, 3),
