@@ -25,13 +25,21 @@ Mask = NDArray[np.bool_]
 class Measurements(NamedTuple):
     """data (3 markers,) in units of the noise, known (3 markers,), valid: share of the markers.
 
+    variance (3 markers,): of the data, as the frame states it, NaN where it does not.
     contacts: whether more is asked for than the force: see ForceModel.reconstruct.
     """
 
     data: Array
     known: Mask
     valid: float
+    variance: Array
     contacts: bool = True
+
+    def stated_noise(self) -> float:
+        """Median standard deviation that the frame states for the data; NaN where it does not."""
+        stated = np.where(self.known, self.variance, np.nan).reshape(-1, 3)
+        stated = stated[np.isfinite(stated).all(axis=1)]
+        return math.sqrt(np.median(stated, axis=0).mean()) if len(stated) else math.nan
 
 
 class Whitening:
@@ -69,7 +77,8 @@ class Whitening:
         stated = variance[np.isfinite(variance)]
         most = MUCH_NOISIER**2 * float(np.median(stated)) if len(stated) else math.inf
         data, count = _in_noise(moved, variance, most, self.noise, known)
-        return Measurements(data, known.reshape(-1), count / len(known))
+        stated = np.diagonal(given, axis1=2, axis2=3).reshape(-1) / self.noise**2
+        return Measurements(data, known.reshape(-1), count / len(known), stated)
 
     def in_noise(self, moved: Array, known: Mask) -> Array:
         """Displacements of any shape, m, as data (3 markers,), 0 where they are not known."""

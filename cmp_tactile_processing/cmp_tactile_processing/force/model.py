@@ -46,7 +46,7 @@ HIDDEN_SHARE = 0.2
 # A node is seen where so large a share of the markers around it is.
 MOSTLY_SEEN = 0.5
 # The fit is poor if its residual exceeds this share of the displacement and this many times the
-# noise.
+# noise, of the description or of the frame, whichever is larger.
 MAX_RESIDUAL_SHARE = 0.2
 MAX_RESIDUAL_NOISE = 3.0
 # Of what model_error says, so much is in directions in which no force acts: near the border the
@@ -197,7 +197,8 @@ class FieldBuilder:
             flags |= ForceFlag.AT_BORDER
         misfit = (measured.data - solution.predicted.ravel())[measured.known]
         left, whole = (np.sqrt(part @ part / len(part)) for part in (misfit, measured.data))
-        if left > MAX_RESIDUAL_NOISE and left > MAX_RESIDUAL_SHARE * whole:
+        is_poor = left > MAX_RESIDUAL_NOISE and left > MAX_RESIDUAL_SHARE * whole
+        if is_poor and not left < MAX_RESIDUAL_NOISE * measured.stated_noise():
             flags |= ForceFlag.POOR_FIT
         return flags
 
