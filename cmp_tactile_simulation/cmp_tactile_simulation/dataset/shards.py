@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import csv
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmp_tactile_processing.cache.files import atomic_path, write_whole
+from cmp_tactile_processing.cache.files import atomic_path, digest, write_whole
 from cmp_tactile_processing.errors import CmpTactileError, OutputError
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
@@ -102,7 +103,7 @@ def begin(recipe: Recipe, folder: Path, *, resume: bool) -> list[Shard]:
     """Make the dataset's folder; the shards that are still to be made.
 
     resume: go on in a folder of the same recipe.
-    Raises OutputError for a folder that exists, or is of another recipe.
+    Raises OutputError for a folder that exists, or is of another recipe, sensor or mesh.
     """
     text = dump_yaml(recipe.file.content)
     if not resume:
@@ -131,7 +132,20 @@ def _facts(recipe: Recipe) -> dict[str, Any]:
         "sensor": recipe.sensor.name,
         "variants": recipe.variants,
         "rate_hz": recipe.rate,
+        "digests": _digests(recipe),
     }
+
+
+def _digests(recipe: Recipe) -> dict[str, str]:
+    """Of the sensor's content and of each mesh, by the names that the recipe has for them."""
+    folder = recipe.file.path.parent
+    meshes = sorted({path for item in recipe.indenters for path in item.meshes})
+    sensor = {str(recipe.file.content["sensor"]): digest(dump_yaml(recipe.sensor_file.content))}
+    return sensor | {relpath(path, folder): digest(path.read_bytes()) for path in meshes}
+
+
+def _changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    return sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
 
 
 def _check_same(recipe: Recipe, folder: Path) -> None:
@@ -141,12 +155,19 @@ def _check_same(recipe: Recipe, folder: Path) -> None:
         msg = f"{folder}: found no {RECIPE_FILE}, expected the folder of a dataset to resume"
         raise OutputError(msg)
     before, now = read_yaml(path).content, recipe.file.content
-    changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    changed = _changed(before, now)
     # More samples of the same recipe are the same samples and some more.
     if changed and (changed != ["samples"] or recipe.samples < before["samples"]):
         msg = (
             f"{recipe.file.path}: {', '.join(changed)}: found another value than in {path}, "
             "expected the recipe that the dataset was begun with; make a new folder"
+        )
+        raise OutputError(msg)
+    digests = read_yaml(folder / DATASET_FILE).content.get("digests", {})
+    if other := _changed(digests, _digests(recipe)):
+        msg = (
+            f"{recipe.file.path}: {', '.join(other)}: found another content than when the dataset "
+            "was begun, expected the same files; restore them, or make a new folder"
         )
         raise OutputError(msg)
     if changed:
