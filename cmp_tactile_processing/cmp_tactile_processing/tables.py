@@ -68,8 +68,12 @@ VARIABLES = {
     "has_image": Variable((), "1", "1: the frame has an image; 0: the image is lost, and black"),
     "position": Variable((*_MARKERS, "component"), "m", "measured markers", _GEL),
     "displacement": Variable((*_MARKERS, "component"), "m", "displacement of the markers", _GEL),
+    "corners_px": Variable(
+        ("view", *_MARKERS, "pixel"), "px", "measured markers in the whole camera frame"
+    ),
     "node_position": Variable((*_NODES, "component"), "m", "force nodes, gel at rest", _GEL),
     "node_force": Variable((*_NODES, "component"), "N", "force on the gel at each node", _GEL),
+    "traction": Variable((*_NODES, "component"), "Pa", "node_force over the node's area", _GEL),
     "contact": Variable(_NODES, "1", "1: the node is in contact"),
     "wrench": Variable(("wrench_component",), "N, N m", "force and moment on the gel", _GEL),
     "wrench_std": Variable(("wrench_component",), "N, N m", "standard deviation of wrench", _GEL),
@@ -83,6 +87,9 @@ VARIABLES = {
     "usable": Variable((), "1", "1: no flag forbids the use of the force"),
     "stamp_fault": Variable((), "", "what is wrong with stamp and picture"),
     "pose": Variable(("pose_row", "pose_col"), "1, m", "T_gel_indenter", _GEL),
+    "friction": Variable((), "1", "true coefficient of Coulomb"),
+    "indenter": Variable((), "", "shape, or file of the mesh"),
+    "sensor": Variable((), "", "file of the sensor description that made the frame"),
 }
 
 

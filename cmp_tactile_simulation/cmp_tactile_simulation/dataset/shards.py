@@ -19,7 +19,7 @@ from cmp_tactile_processing.cache.files import atomic_path, digest, write_whole
 from cmp_tactile_processing.errors import CmpTactileError, OutputError
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
-from cmp_tactile_processing.tables import DATASET_FILE, LABELS
+from cmp_tactile_processing.tables import DATASET_FILE, LABELS, VARIABLES
 from cmp_tactile_simulation.dataset.recipe import Recipe
 from cmp_tactile_simulation.dataset.sampling import Sample, Sampler, described, draw, variant_file
 from cmp_tactile_simulation.simulator import SimulatedFrame
@@ -31,33 +31,8 @@ FORMAT_VERSION = 1
 RECIPE_FILE, LEFT_OUT = "recipe.yaml", "left_out"
 # Of a shard, which is some 20 MB then, unless one sample has more.
 SHARD_FRAMES = 32
-FRAME, GRID, NODES = ("frame",), ("frame", "row", "col"), ("frame", "node_row", "node_col")
 # Noise leaves deflate nothing to find beyond its first level.
 COMPRESSION = {"zlib": True, "complevel": 1, "shuffle": False}
-# Variable: dimensions, unit, what it is.
-IMAGE = ("frame", "y", "x"), "1", "camera frame, grey levels"
-VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "position": ((*GRID, "component"), "m", "measured markers, gel frame"),
-    "displacement": ((*GRID, "component"), "m", "of the measured markers from rest, gel frame"),
-    "corners_px": (
-        ("frame", "view", "row", "col", "pixel"),
-        "px",
-        "measured markers in the whole camera frame; NaN where a view does not see them",
-    ),
-    "node_position": ((*NODES, "component"), "m", "contact nodes at rest, gel frame"),
-    "node_force": ((*NODES, "component"), "N", "force on the gel at each contact node, gel frame"),
-    "traction": ((*NODES, "component"), "Pa", "node_force over the node's undeformed area"),
-    "contact": (NODES, "1", "whether the node touches the indenter"),
-    "wrench": (("frame", "wrench_component"), "N, N m", "on the gel, about the gel frame's origin"),
-    "contact_area": (FRAME, "m2", "undeformed area of the nodes that touch"),
-    "slip_state": (FRAME, "1", "1 no contact, 2 stick, 3 incipient, 4 full slip"),
-    "slip_ratio": (FRAME, "1", "share of the normal force on nodes that slide"),
-    "traction_ratio": (FRAME, "1", "tangential over normal force; NaN without contact"),
-    "pose": (("frame", "pose_row", "pose_col"), "m", "T_gel_indenter"),
-    "friction": (FRAME, "1", "Coulomb's coefficient"),
-    "indenter": (FRAME, "", "shape, or file of the mesh"),
-    "sensor": (FRAME, "", "file of the sensor description that made the frame"),
-}
 
 
 @dataclass(frozen=True)
@@ -221,13 +196,12 @@ def write_samples(
     }
     dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
     height, width = images[0].shape
-    dims, unit, text = IMAGE
     with h5netcdf.File(path, "a") as file:
         file.dimensions["y"], file.dimensions["x"] = height, width
         image = file.create_variable(
-            "image", dims, np.uint8, chunks=(1, height, width), compression="gzip"
+            "image", ("frame", "y", "x"), np.uint8, chunks=(1, height, width), compression="gzip"
         )
-        image.attrs["units"], image.attrs["long_name"] = unit, text
+        image.attrs.update(VARIABLES["image"].attrs)
     # Camera noise leaves no words to find: entropy coding alone is as small, and much quicker.
     with h5py.File(path, "a") as file:
         for number, picture in enumerate(images):
@@ -242,8 +216,12 @@ def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
     frames = [(sample, frame) for sample, found in made for frame in found]
     rows = [_values(sample, frame) for sample, frame in frames]
     variables = {
-        name: (dims, np.stack([row[name] for row in rows]), {"units": unit, "long_name": text})
-        for name, (dims, unit, text) in VARIABLES.items()
+        name: (
+            ("frame", *VARIABLES[name].dims),
+            np.stack([row[name] for row in rows]),
+            VARIABLES[name].attrs,
+        )
+        for name in rows[0]
     }
     steps = [step for _, found in made for step in range(len(found))]
     coordinates = {
@@ -258,7 +236,7 @@ def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
 
 
 def _values(sample: Sample, frame: SimulatedFrame) -> dict[str, Any]:
-    """The values of VARIABLES for a frame."""
+    """Of a frame, by names of VARIABLES."""
     surface, force, truth = frame.surface, frame.force, frame.truth
     nodes = force.rows, force.cols
     unseen = np.full((*surface.shape.corners, 2), np.nan)
