@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import count
 
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parts import Camera
+from cmp_tactile_processing.sensor.parts import Camera, Roi
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.live.mechanics import (
     Command,
@@ -118,31 +118,23 @@ def live_scene(scene: Scene, settings: LiveSettings) -> Scene:
 
 def with_half_the_pixels(sensor: SensorDescription) -> SensorDescription | None:
     """The same sensor with pixels of twice the size; None where a side of a view is odd."""
-    image, views = sensor.image, sensor.views
-    sides = [image.width, image.height]
-    for view in views.values():
-        sides += [view.roi.x, view.roi.y, view.roi.width, view.roi.height]
-    if any(side % 2 for side in sides):
+    image = sensor.image
+    rois = {name: astuple(view.roi) for name, view in sensor.views.items()}
+    if any(side % 2 for roi in (*rois.values(), (image.width, image.height)) for side in roi):
         return None
-    halves = {
+    views = {
         name: replace(
             view,
-            roi=replace(
-                view.roi,
-                x=view.roi.x // 2,
-                y=view.roi.y // 2,
-                width=view.roi.width // 2,
-                height=view.roi.height // 2,
-            ),
+            roi=Roi(*(side // 2 for side in rois[name])),
             camera=_with_half_the_pixels(view.camera),
         )
-        for name, view in views.items()
+        for name, view in sensor.views.items()
     }
     return replace(
         sensor,
         image=replace(image, width=image.width // 2, height=image.height // 2),
         camera=_with_half_the_pixels(sensor.camera),
-        views=halves,
+        views=views,
     )
 
 
