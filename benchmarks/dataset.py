@@ -27,7 +27,7 @@ from cmp_tactile_processing.geometry.split import split_frame
 from cmp_tactile_simulation.dataset.recipe import load_recipe
 from cmp_tactile_simulation.dataset.sampling import Sampler, draw
 from cmp_tactile_simulation.dataset.shards import write_samples
-from cmp_tactile_simulation.simulator import SensorCamera
+from cmp_tactile_simulation.simulator import Simulator
 
 CONTACT, RENDERING, WRITING = "contact", "rendering and truth", "writing"
 WARM_UP = 3
@@ -63,7 +63,7 @@ def one_process(name: str, count: int) -> None:
     sampler, opencv = Sampler(recipe), peers()[0]
     for number in range(WARM_UP):
         sampler.frames(draw(recipe, number))
-    parts.wrap(SensorCamera, "observe", RENDERING)
+    parts.wrap(Simulator, "observe", RENDERING)
     made = []
     begin = time.process_time()
     for number in range(WARM_UP, WARM_UP + count):

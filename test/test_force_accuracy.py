@@ -15,6 +15,7 @@ from cmp_tactile_processing.force.model import ForceModel
 from cmp_tactile_processing.measured import Status
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_simulation.gel import observers
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.simulator import SensorCamera
 
@@ -122,11 +123,14 @@ def test_large_press_of_a_neo_hookean_gel(sensor, data):
 
 def test_force_from_rendered_images(sensor, data):
     """A sphere at 2 N, through tracking, triangulation and force; images with a camera's noise."""
-    camera = SensorCamera(sensor, observers(sensor), load_scene("contact_sphere").look)
+    camera = SensorCamera(sensor, load_scene("contact_sphere").look)
     pressed, true = data["rendered_displacement"].astype(np.float64), data["rendered_wrench"]
-    rest = np.zeros_like(pressed)
+    rest, surface = (
+        DeformedSurface(sensor.pattern, observers(sensor), moved)
+        for moved in (np.zeros_like(pressed), pressed)
+    )
     pipeline = Pipeline(sensor)
-    pipeline.set_reference(camera.observe(index, rest).image for index in range(4))
-    field = pipeline.process(camera.observe(4, pressed).image).force
+    pipeline.set_reference(camera.picture(index, rest) for index in range(4))
+    field = pipeline.process(camera.picture(4, surface)).force
     assert abs(field.wrench[2] - true[2]) <= RENDERED_SHARE * abs(true[2]) + RENDERED_N
     assert np.linalg.norm(field.wrench[:2] - true[:2]) <= RENDERED_N

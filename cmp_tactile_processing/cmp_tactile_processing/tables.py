@@ -68,8 +68,12 @@ VARIABLES = {
     "has_image": Variable((), "1", "1: the frame has an image; 0: the image is lost, and black"),
     "position": Variable((*_MARKERS, "component"), "m", "measured markers", _GEL),
     "displacement": Variable((*_MARKERS, "component"), "m", "displacement of the markers", _GEL),
+    "corners_px": Variable(
+        ("view", *_MARKERS, "pixel"), "px", "measured markers in the whole camera frame"
+    ),
     "node_position": Variable((*_NODES, "component"), "m", "force nodes, gel at rest", _GEL),
     "node_force": Variable((*_NODES, "component"), "N", "force on the gel at each node", _GEL),
+    "traction": Variable((*_NODES, "component"), "Pa", "node_force over the node's area", _GEL),
     "contact": Variable(_NODES, "1", "1: the node is in contact"),
     "wrench": Variable(("wrench_component",), "N, N m", "force and moment on the gel", _GEL),
     "wrench_std": Variable(("wrench_component",), "N, N m", "standard deviation of wrench", _GEL),
@@ -83,6 +87,9 @@ VARIABLES = {
     "usable": Variable((), "1", "1: no flag forbids the use of the force"),
     "stamp_fault": Variable((), "", "what is wrong with stamp and picture"),
     "pose": Variable(("pose_row", "pose_col"), "1, m", "T_gel_indenter", _GEL),
+    "friction": Variable((), "1", "true coefficient of Coulomb"),
+    "indenter": Variable((), "", "shape, or file of the mesh"),
+    "sensor": Variable((), "", "file of the sensor description that made the frame"),
 }
 
 
@@ -96,12 +103,13 @@ class Stored(Protocol):
         """The values of the frames with these numbers."""
 
 
-def load(path: str | Path, sensor: str = "") -> xr.Dataset:
+def load(path: str | Path, sensor: str = "", images: str | Path = "") -> xr.Dataset:
     """Open any result of cmp_tactile as an xarray dataset with a dimension `frame`.
 
     path: a folder of `cmp_tactile dataset`, results of `cmp_tactile process` (their folder,
     NAME.mcap, NAME_wrench.csv, NAME_wrench.parquet or NAME.npz), or any bag with our topics.
     sensor: namespace of its topics, if a bag has those of several sensors.
+    images: the bag that results were computed from; its images join the frames of their stamps.
     Images, and all of a dataset, are read when they are used.  Names, dimensions and units are
     those of docs/datasets.md.  Raises CmpTactileError where there is nothing of ours.
     """
@@ -117,7 +125,28 @@ def load(path: str | Path, sensor: str = "") -> xr.Dataset:
     if found is None:
         msg = f"{path}: found {_found_there(place)}, expected {EXPECTED}"
         raise InputError(msg)
-    return found
+    return _with_images(found, load(images, sensor), f"{images}") if images else found
+
+
+def _with_images(dataset: xr.Dataset, recording: xr.Dataset, label: str) -> xr.Dataset:
+    """The images of a recording at the stamps of the dataset; where there is none, see has_image.
+
+    Raises InputError for the recording of something else.
+    """
+    stamps = recording["stamp_ns"].values
+    order = np.argsort(stamps, kind="stable")
+    at = np.searchsorted(stamps, dataset["stamp_ns"].values, sorter=order)
+    at = order[np.minimum(at, len(stamps) - 1)]
+    there = stamps[at] == dataset["stamp_ns"].values
+    if "image" not in recording or not there.any():
+        msg = f"{label}: found no image at any stamp of the results, expected their recording"
+        raise InputError(msg)
+    image, known = recording["image"][at], VARIABLES["has_image"]
+    if "has_image" in recording:
+        there &= recording["has_image"].values[at].astype(bool)
+    has_image = ("frame", there.astype(np.uint8), known.attrs)
+    joined: xr.Dataset = dataset.assign(image=image.variable, has_image=has_image)
+    return joined
 
 
 def _labelled(read: Arrays) -> xr.Dataset:

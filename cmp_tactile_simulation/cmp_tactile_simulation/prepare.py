@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from cmp_tactile_simulation.gel import observers
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.simulator import SensorCamera
 
@@ -12,9 +10,13 @@ from cmp_tactile_simulation.simulator import SensorCamera
 def main() -> None:
     """Have numba's cache hold all that renders frames."""
     scene = load_scene("grasp")
-    grid = observers(scene.sensor)
-    at_rest = np.zeros((grid.rows, grid.cols, 3))
-    SensorCamera(scene.sensor, grid, scene.look).observe(0, at_rest)
+    camera, at_rest = (
+        SensorCamera(scene.sensor, scene.look),
+        DeformedSurface.rest(scene.sensor.pattern),
+    )
+    camera.picture(0, at_rest)
+    camera.truth.grids(at_rest)
+    camera.truth.surface(at_rest)
 
 
 if __name__ == "__main__":

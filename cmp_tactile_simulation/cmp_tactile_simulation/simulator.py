@@ -24,7 +24,6 @@ from cmp_tactile_processing.measured import (
     SlipEstimate,
     SlipState,
     Surface,
-    SurfaceGrid,
 )
 from cmp_tactile_processing.processes import OnProgress
 from cmp_tactile_processing.sensor.description import (
@@ -40,7 +39,7 @@ from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import Checkerboard, Dots, PrintDefects, ink_of
-from cmp_tactile_simulation.rendering.renderer import OpticalTruth, Renderer
+from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 
 Array = NDArray[np.float64]
@@ -141,25 +140,20 @@ class Look:
     seed: int = 0
 
 
-@dataclass(frozen=True)
-class CameraView:
-    """A frame (H, W) uint8 and its truth: grids by view, px of the view; surface, gel frame."""
-
-    image: NDArray[np.uint8]
-    grids: Mapping[str, Grid]
-    surface: Surface
-
-
 class SensorCamera:
     """What the camera of a sensor sees of its gel.
 
-    observers: the grid that displacements are given on.
+    truth: what is true of a picture.
     """
 
-    def __init__(self, sensor: SensorDescription, observers: SurfaceGrid, look: Look) -> None:
-        self._sensor, self._observers, self._look = sensor, observers, look
-        self._renderer = Renderer(sensor, self._ink(look), samples=look.samples)
-        self._truth = OpticalTruth(sensor)
+    def __init__(
+        self, sensor: SensorDescription, look: Look, halved: SensorDescription | None = None
+    ) -> None:
+        """halved: the same sensor with half the pixels, to find one ray for 2 x 2 pixels."""
+        self._sensor, self._look, self._is_halved = sensor, look, halved is not None
+        samples = look.samples * (2 if halved else 1)
+        self._renderer = Renderer(halved or sensor, self._ink(look), samples=samples)
+        self.truth = OpticalTruth(sensor)
 
     def use(self, look: Look) -> None:
         """Take the next pictures so; InputError for other samples of a pixel."""
@@ -172,19 +166,15 @@ class SensorCamera:
     def _ink(self, look: Look) -> Checkerboard | Dots:
         return ink_of(self._sensor.sheet, look.pattern_type, look.defects, look.seed)
 
-    def observe(self, frame: int, moved: Array) -> CameraView:
-        """Frame number `frame` and its truth.
-
-        moved (rows, cols, 3) m: displacement of the observers.
-        """
-        look, surface = self._look, DeformedSurface(self._sensor.pattern, self._observers, moved)
+    def picture(self, frame: int, surface: DeformedSurface) -> NDArray[np.uint8]:
+        """Frame number `frame`, (H, W), of the gel with this surface."""
+        rendered = self._renderer.render(surface)
+        if self._is_halved:
+            # Rendered finer than its pixels by 2, it has the whole frame's.
+            rendered = RenderedFrame(rendered.grey, fineness=1)
         # Noise of a frame must not depend on the frames that were rendered before it.
-        rng = random_stream(Purpose.FRAME_NOISE, look.seed, frame)
-        return CameraView(
-            image=expose(self._renderer.render(surface), look.camera, rng, look.seed),
-            grids=self._truth.grids(surface),
-            surface=self._truth.surface(surface),
-        )
+        rng = random_stream(Purpose.FRAME_NOISE, self._look.seed, frame)
+        return expose(rendered, self._look.camera, rng, self._look.seed)
 
 
 @dataclass(frozen=True)
@@ -299,7 +289,7 @@ class Simulator:
     @cached_property
     def camera(self) -> SensorCamera:
         """Made when the first frame is rendered: the mechanics alone do without."""
-        return SensorCamera(self.sensor, self.elastomer.observers, self._look)
+        return SensorCamera(self.sensor, self._look)
 
     @property
     def state(self) -> ContactState:
@@ -380,14 +370,14 @@ class Simulator:
 
         moved (rows, cols, 3) m: displacement of the elastomer's observers.
         """
-        view = self.camera.observe(index, moved)
+        surface = DeformedSurface(self.sensor.pattern, self.elastomer.observers, moved)
         return SimulatedFrame(
             index=index,
             stamp_ns=stamp_ns,
             phase=phase,
-            image=view.image,
-            grids=view.grids,
-            surface=view.surface,
+            image=self.camera.picture(index, surface),
+            grids=self.camera.truth.grids(surface),
+            surface=self.camera.truth.surface(surface),
             force=force_field(self.contact, state, self.sensor),
             node_area=self.elastomer.node_area,
             pose=state.pose,

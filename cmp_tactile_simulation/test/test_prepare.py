@@ -9,6 +9,7 @@ RENDER = """
 import numpy as np
 from cmp_tactile_processing.cache.compiled import when_compiling
 from cmp_tactile_simulation.gel import observers
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.simulator import SensorCamera
 
@@ -17,7 +18,10 @@ grid = observers(scene.sensor)
 rest = np.zeros((grid.rows, grid.cols, 3))
 pressed = rest + 1e-4 * np.exp(-(grid.points**2).sum(axis=1) / 1e-5).reshape(grid.rows, -1, 1)
 with when_compiling(lambda _, share: share or print("compiled")):
-    print(SensorCamera(scene.sensor, grid, scene.look).observe(3, -pressed).image.std() > 10)
+    camera = SensorCamera(scene.sensor, scene.look)
+    surface = DeformedSurface(scene.sensor.pattern, grid, -pressed)
+    camera.truth.grids(surface)
+    print(camera.picture(3, surface).std() > 10)
 """
 
 

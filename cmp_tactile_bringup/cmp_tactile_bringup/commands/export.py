@@ -24,6 +24,7 @@ class Export(Command):
     examples:
       cmp_tactile export presses --to lerobot --output presses_lerobot
       cmp_tactile export grasp1 grasp2 --to lerobot --map robot.yaml --output grasps
+      cmp_tactile export results --to lerobot --recordings bags --output grasps
     """
 
     sources: Annotated[
@@ -34,6 +35,14 @@ class Export(Command):
     map_: Annotated[
         Path | None,
         option("YAML file that names further topics of the bags", metavar="FILE"),
+    ] = None
+    recordings: Annotated[
+        Path | None,
+        option(
+            "bag that results of process were computed from, or folder of such bags: its images "
+            "and topics of --map are exported as well",
+            metavar="PATH",
+        ),
     ] = None
     fps: Annotated[
         int | None,
@@ -66,7 +75,8 @@ class Export(Command):
         mapping = topics.read_feature_map(expanded_path(self.map_)) if self.map_ else None
         output, writer = expanded_path(self.output).absolute(), None
         sources = [expanded_path(source) for source in self.sources]
-        found = episodes.episodes(sources, mapping, self.fps, self.max_error)
+        recorded = expanded_path(self.recordings) if self.recordings else None
+        found = episodes.episodes(sources, mapping, self.fps, self.max_error, recorded)
         with lerobot.new_folder(output) as folder, shown_stages() as on_stage:
             for episode, share in found:
                 if writer is None:

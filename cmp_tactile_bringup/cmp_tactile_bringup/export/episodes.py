@@ -25,7 +25,7 @@ from cmp_tactile_bringup.export.topics import (
 )
 from cmp_tactile_driver.bags.arrays import topics_of_sensors
 from cmp_tactile_driver.bags.recording import is_bag
-from cmp_tactile_driver.bags.storage import BagStorage
+from cmp_tactile_driver.bags.storage import STORAGE_SUFFIXES, BagStorage
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.yaml_file import YamlFile
@@ -93,22 +93,32 @@ class Episode:
         return {name: item.values(self.numbers[name][part]) for name, item in self.series.items()}
 
 
-def recordings(source: Path, mapping: tuple[YamlFile, FeatureMap] | None) -> Iterator[Recording]:
+def recordings(
+    source: Path, mapping: tuple[YamlFile, FeatureMap] | None, recorded: Path | None = None
+) -> Iterator[Recording]:
     """The samples of a dataset, a bag, or those in a folder of results; mapping: further topics.
 
+    recorded: the bag that results were computed from, or a folder of such bags: it has their
+    images and the further topics.
     Raises CmpTactileError for a source that cannot be exported.
     """
     if results := sorted(source.glob(f"*{TABLE}")) if source.is_dir() else ():
         for table in results:
-            yield from recordings(source / f"{table.name.removesuffix(TABLE)}.mcap", mapping)
+            bag = source / f"{table.name.removesuffix(TABLE)}.mcap"
+            yield from recordings(bag, mapping, recorded)
         return
     if is_bag(source):
+        origin = None if recorded is None else _recorded_bag(source, recorded)
         names = list(topics_of_sensors(BagStorage(source).topics))
-        # Without any, `load` says what is there.
-        datasets = {name: load(source, name) for name in names or [""]}
+        # Without any, `load` says what is there.  A recording may have another name for one.
+        asked = names if len(names) > 1 else [""]
+        datasets = {
+            name: load(source, sensor, origin or "")
+            for name, sensor in zip(names or [""], asked, strict=True)
+        }
         series = {k: v for name, item in datasets.items() for k, v in tactile_series(name, item)}
         if mapping is not None:
-            series |= dict(mapped_series(source, *mapping))
+            series |= dict(mapped_series(origin or source, *mapping))
         yield Recording(str(source), series, _rate(next(iter(datasets.values()))))
         return
     dataset = load(source)
@@ -119,6 +129,16 @@ def recordings(source: Path, mapping: tuple[YamlFile, FeatureMap] | None) -> Ite
     if mapping is not None:
         raise mapping[0].error("features", str(source), "a bag: a dataset has no further topics")
     yield from _samples(source, dataset)
+
+
+def _recorded_bag(result: Path, recorded: Path) -> Path:
+    """The bag itself, or that with the name of the result in a folder of bags."""
+    places = (recorded, *(recorded / f"{result.stem}{end}" for end in ("", *STORAGE_SUFFIXES)))
+    found = next((place for place in reversed(places) if is_bag(place)), None)
+    if found is None:
+        msg = f"{recorded}: found no bag {result.stem}, expected the recording of {result}"
+        raise InputError(msg)
+    return found
 
 
 def _samples(source: Path, dataset: xr.Dataset) -> Iterator[Recording]:
@@ -233,14 +253,20 @@ def episodes(
     mapping: tuple[YamlFile, FeatureMap] | None,
     fps: int | None,
     most_error_s: float | None,
+    recorded: Path | None = None,
 ) -> Iterator[tuple[Episode, float]]:
     """All samples and bags on clocks of one rate, with the same features, and the share until then.
 
     fps: of the clock, Hz; None for the rate of the first.  most_error_s: see `on_clock`.
+    recorded: see `recordings`.
     Raises CmpTactileError for a source that cannot be exported, or not with the first one.
     """
     first: Episode | None = None
-    every = ((n, item) for n, source in enumerate(sources) for item in recordings(source, mapping))
+    every = (
+        (number, item)
+        for number, source in enumerate(sources)
+        for item in recordings(source, mapping, recorded)
+    )
     for number, recording in every:
         rate = fps or (max(1, round(recording.rate_hz)) if recording.rate_hz else 0)
         if not rate:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_bringup.export.episodes import RULE, Episode
 from cmp_tactile_bringup.export.topics import INDEX_FEATURES, Feature
+from cmp_tactile_processing.cache.files import partial_folder
 from cmp_tactile_processing.errors import CmpTactileError, OutputError
 
 Array = NDArray[Any]
@@ -30,7 +29,6 @@ VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 FILES_PER_CHUNK, DATA_FILE_MB, VIDEO_FILE_MB = 1000, 100, 200
 FRAMES_PER_GROUP = 64
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 # Statistics of images are those of every n-th pixel, so that so many of a side are left.
 PIXELS_OF_A_SIDE = 128
@@ -44,23 +42,14 @@ VIDEO_CODEC, VIDEO_OPTIONS = "libx264", {"crf": "18", "g": "2", "preset": "fast"
 def new_folder(output: Path) -> Iterator[Path]:
     """A folder that takes its place as `output` when it is whole; after an error nothing is left.
 
-    Raises OutputError where output exists, and where it cannot be written.
+    Raises OutputError where output exists, and as `partial_folder` does.
     """
-    if output.exists():
-        msg = f"{output}: exists already, expected a new folder"
-        raise OutputError(msg)
-    beside = output.with_name(f".{output.name}.partial")
-    shutil.rmtree(beside, ignore_errors=True)
-    try:
-        beside.mkdir(parents=True)
+    with partial_folder(output) as beside:
+        if output.exists():
+            msg = f"{output}: exists already, expected a new folder"
+            raise OutputError(msg)
         yield beside
         beside.replace(output)
-    except OSError as error:
-        where = f"{output}: its disk" if error.errno in NO_ROOM else str(output)
-        msg = f"{where}: {error.strerror or error}; nothing was written"
-        raise OutputError(msg) from error
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
 
 
 def require_video() -> None:

@@ -31,7 +31,7 @@ from cmp_tactile_bringup.terminal import installed_version
 from cmp_tactile_driver.bags.reader import RecordedFrame
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
-from cmp_tactile_processing.cache.files import check_free, locked
+from cmp_tactile_processing.cache.files import check_free, partial_folder
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.rectification import Rectification
 from cmp_tactile_processing.measured import NS_PER_S
@@ -82,34 +82,20 @@ def check_results_free(job: Job) -> None:
     check_free(map(job.path, job.options.suffixes), overwrite=job.overwrite)
 
 
-def partial_folder(job: Job) -> Path:
-    """The hidden folder in which the files of a job are written."""
-    return Path(job.folder) / f".{job.name}.partial"
-
-
 @contextmanager
 def whole_results(job: Job) -> Iterator[Path]:
     """A folder for the files of a job: they move to their places when all are written.
 
-    What an interrupted run left there is removed; another run that writes them is waited for.
-    Raises OutputError as `check_results_free` does.
+    Raises OutputError as `check_results_free` and `partial_folder` do.
     """
-    partial = partial_folder(job)
-    partial.parent.mkdir(parents=True, exist_ok=True)
-    with locked(partial.with_suffix(".lock")):
+    with partial_folder(job.path("")) as partial:
         check_results_free(job)
-        if partial.exists():
-            shutil.rmtree(partial)
-        partial.mkdir()
-        try:
-            yield partial
-            for suffix in OPTIONAL_SUFFIXES:
-                job.path(suffix).unlink(missing_ok=True)
-            # The bag last: where it is, the tables are.
-            for made in sorted(partial.iterdir(), key=lambda path: path.suffix == ".mcap"):
-                made.replace(Path(job.folder) / made.name)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+        yield partial
+        for suffix in OPTIONAL_SUFFIXES:
+            job.path(suffix).unlink(missing_ok=True)
+        # The bag last: where it is, the tables are.
+        for made in sorted(partial.iterdir(), key=lambda path: path.suffix == ".mcap"):
+            made.replace(Path(job.folder) / made.name)
 
 
 class ResultBag:

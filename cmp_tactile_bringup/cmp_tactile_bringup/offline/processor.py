@@ -8,7 +8,6 @@ come after it.  So compiling is left to a process of its own.
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import subprocess
@@ -26,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_bringup.offline.jobs import Job, Outcome
-from cmp_tactile_bringup.offline.outputs import partial_folder, result_files, whole_results
+from cmp_tactile_bringup.offline.outputs import result_files, whole_results
 from cmp_tactile_bringup.offline.pools import connected, in_processes, on_cluster
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.library import recorded_source
@@ -36,7 +35,7 @@ from cmp_tactile_driver.bags.recording import Recording, frames_within, open_rec
 from cmp_tactile_driver.bags.timeline import TimeSpan
 from cmp_tactile_driver.sources.frames import RepeatedPictures
 from cmp_tactile_processing.cache.compiled import COMPILING, compiled_digest
-from cmp_tactile_processing.cache.files import digest, locked
+from cmp_tactile_processing.cache.files import NO_ROOM, digest, locked, partial_folder
 from cmp_tactile_processing.errors import (
     CmpTactileError,
     Finding,
@@ -59,7 +58,6 @@ MISSING_SHARE = 0.1
 TOO_FEW = "too few frames to say whether the gel is still"
 Result = tuple[Job, Outcome]
 LOCK_WAIT_S = 1.0
-NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FRAMES_BETWEEN_REPORTS = 10
 SHORTEST_S = 1e-3
 """Length of a recording of one image."""
@@ -265,12 +263,10 @@ def run_job(job: Job, on_stage: OnProgress) -> Outcome:
         try:
             return processor.run(folder, partial(on_stage, job.label))
         except OSError as error:
-            full = error.errno in NO_ROOM
-            # A copy to a full disk names what it reads; an open file does not say which it is.
-            if error.filename is not None and not full:
+            # An open file does not say which it is.
+            if error.filename is not None or error.errno in NO_ROOM:
                 raise
-            where = f"{job.folder}: its disk" if full else f"{job.label} or {job.folder}"
-            msg = f"{where}: {error.strerror or error}"
+            msg = f"{job.label} or {job.folder}: {error.strerror or error}"
             raise OutputError(msg) from error
 
 
@@ -326,9 +322,8 @@ def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[Result, N
     finally:
         # A process that is killed leaves its own; what another run writes stays.
         for job in left:
-            folder = partial_folder(job)
-            with suppress(OSError), locked(folder.with_suffix(".lock"), LOCK_WAIT_S):
-                shutil.rmtree(folder, ignore_errors=True)
+            with suppress(OSError), partial_folder(job.path(""), LOCK_WAIT_S):
+                pass
 
 
 def _outcome(result: Outcome | CmpTactileError) -> Outcome:

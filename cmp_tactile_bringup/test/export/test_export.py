@@ -3,6 +3,7 @@
 import errno
 import json
 import re
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,6 +20,7 @@ import xarray as xr
 from cmp_tactile_bringup.command import main
 from cmp_tactile_bringup.export import lerobot
 from cmp_tactile_processing import load
+from cmp_tactile_processing.errors import InputError
 
 COUNT = 6
 POINTS, WRENCH = "observation.tactile.rig.points", "observation.tactile.rig.wrench"
@@ -303,6 +305,30 @@ def test_a_jump_of_the_clock_is_refused_and_images_alone_are_exported(tmp_path: 
     assert "tactile.rig.usable" not in read(output)
 
 
+def test_results_have_images_and_topics_of_their_recording(tmp_path: Path, export, mapping):
+    rows = [row for row in made_results.rows(COUNT, "finger") if "image" in row[0]]
+    # One image was lost.
+    camera = made_results.write(
+        tmp_path / "bags" / "grasp", [*rows[:2], *rows[3:], *joint_rows(COUNT)]
+    )
+    result = made_results.write(tmp_path / "grasp", made_results.rows(COUNT, images=False))
+    found = load(result, images=camera)
+    assert found["image"].chunks
+    assert found["has_image"].values.tolist() == [1, 1, 0, 1, 1, 1]
+    shown = np.array(made_bags.frames(COUNT))[[1, 3]]
+    np.testing.assert_array_equal(found["image"][[1, 3]].values, shown)
+    words = ["--map", mapping("{topic: joint_states, field: position}")]
+    code, said, output = export([result], "--recordings", str(camera.parent), *words)
+    assert code == 0, said
+    assert {IMAGE, STATE, WRENCH} <= read(output).keys()
+    with pytest.raises(InputError, match="found no image at any stamp of the results"):
+        load(result, images=result)
+    shutil.rmtree(output)
+    code, said, _ = export([result], "--recordings", str(tmp_path / "bags" / "absent"))
+    assert code == 1
+    assert "found no bag grasp, expected the recording of" in said
+
+
 def test_sensors_that_differ_are_refused(bag: Path, tmp_path: Path, export):
     other = made_results.write(tmp_path / "other", made_results.rows(COUNT, "finger"))
     code, said, _ = export([bag, other])
@@ -320,7 +346,7 @@ def test_an_output_that_exists_and_a_full_disk_leave_nothing_new(
         context.setattr(lerobot.LeRobotWriter, "close", full)
         code, said, output = export([bag])
     assert code == 1
-    assert f"{output}: its disk: No space left on device; nothing was written" in said
+    assert f"{output.parent}: its disk: No space left on device; nothing was written" in said
     assert list(tmp_path.iterdir()) == [bag]
     output.mkdir()
     code, said, _ = export([bag])

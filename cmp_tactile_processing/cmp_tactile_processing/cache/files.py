@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import functools
 import hashlib
 import math
@@ -20,6 +21,7 @@ from filelock import FileLock
 from cmp_tactile_processing.errors import InputError, OutputError
 
 READ_BYTES = 1 << 20
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def default_cache_dir() -> Path:
@@ -140,7 +142,7 @@ def atomic_path(path: Path, mode: int | None = None) -> Iterator[Path]:
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file as `atomic_path` does; text is UTF-8.
 
-    Raises InputError, and leaves what was there, where the file cannot be written.
+    Raises OutputError, and leaves what was there, where the file cannot be written.
     """
     try:
         with atomic_path(path) as beside:
@@ -149,7 +151,32 @@ def write_whole(path: Path, content: str | bytes) -> None:
         # Without the name of the file beside it.
         reason = (isinstance(error, OSError) and error.strerror) or error
         msg = f"{path}: cannot be written: {reason}"
-        raise InputError(msg) from None
+        raise OutputError(msg) from None
+
+
+@contextlib.contextmanager
+def partial_folder(path: Path, wait_s: float = math.inf) -> Iterator[Path]:
+    """A new folder beside `path` for what is to be there whole or not at all: move it when it is.
+
+    At the end the folder and what is left in it are removed, and at the beginning what a killed
+    process left.  Another process that has the folder is waited for, wait_s at most.
+    Raises OutputError where the disk is full, other OSErrors as they are.
+    """
+    beside = path.with_name(f".{path.name}.partial")
+    beside.parent.mkdir(parents=True, exist_ok=True)
+    with locked(beside.with_suffix(".lock"), wait_s):
+        shutil.rmtree(beside, ignore_errors=True)
+        try:
+            beside.mkdir()
+            yield beside
+        except OSError as error:
+            # A copy to a full disk names what it reads.
+            if error.errno not in NO_ROOM:
+                raise
+            msg = f"{path.parent}: its disk: {error.strerror or error}; nothing was written"
+            raise OutputError(msg) from error
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
 
 
 @contextlib.contextmanager

@@ -365,8 +365,8 @@ def _stock_lens(
 def write_camera_info(path: str | Path, name: str, info: ViewCameraInfo) -> None:
     """Write the camera model of the camera of that name; the file is there whole or not at all.
 
-    Raises InputError, and leaves what was there, for a model that `read_camera_info` would
-    refuse and where the file cannot be written.
+    Raises InputError for a model that `read_camera_info` would refuse, and OutputError where the
+    file cannot be written; then what was there stays.
     """
     text = camera_info_text(name, info)
     _camera_info_of(parse_yaml(Path(path), text))

@@ -216,8 +216,8 @@ def _check_focal(camera: parts.Camera, image: parts.ImageSize, *key: str) -> Non
 def write_sensor_description(path: str | Path, sensor: SensorDescription) -> None:
     """Write the file; it is there whole or not at all.
 
-    Raises InputError, and leaves what was there, for a description that its reader would
-    refuse and where the file cannot be written.
+    Raises InputError for a description that its reader would refuse, and OutputError where the
+    file cannot be written; then what was there stays.
     """
     text = sensor_description_text(sensor)
     sensor_description_of(parse_yaml(Path(path), text))

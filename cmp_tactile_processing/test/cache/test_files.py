@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -19,9 +20,11 @@ from cmp_tactile_processing.cache.files import (
     folder_without_home,
     locked,
     own_folder,
+    partial_folder,
     split_paths,
+    write_whole,
 )
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import InputError, OutputError
 
 
 def test_a_file_is_replaced_whole_and_keeps_its_permissions(tmp_path):
@@ -49,6 +52,28 @@ def test_after_an_error_the_old_file_stays_and_nothing_else(tmp_path, error):
     with pytest.raises(error):
         write_half()
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(OutputError, match="absent/file: cannot be written: No such file"):
+        write_whole(tmp_path / "absent" / "file", "text")
+
+
+def test_a_partial_folder_is_new_and_leaves_nothing(tmp_path):
+    path = tmp_path / "new" / "results"
+    killed = path.with_name(".results.partial")
+    killed.mkdir(parents=True)
+    (killed / "half").touch()
+    with partial_folder(path) as beside:
+        assert not list(beside.iterdir())
+        (beside / "whole").touch()
+        with pytest.raises(TimeoutError), partial_folder(path, wait_s=0.0):
+            pass
+        beside.replace(path)
+    with pytest.raises(OutputError, match="new: its disk: No space left"), partial_folder(path):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "source")
+    assert [item.name for item in path.parent.iterdir()] == ["results"]
+    assert [item.name for item in path.iterdir()] == ["whole"]
 
 
 def test_a_lock_is_held_by_one_waited_for_and_removed(tmp_path):

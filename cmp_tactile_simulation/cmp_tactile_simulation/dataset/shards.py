@@ -7,18 +7,19 @@ from __future__ import annotations
 
 import csv
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmp_tactile_processing.cache.files import atomic_path, write_whole
+from cmp_tactile_processing.cache.files import atomic_path, digest, write_whole
 from cmp_tactile_processing.errors import CmpTactileError, OutputError
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
-from cmp_tactile_processing.tables import DATASET_FILE, LABELS
+from cmp_tactile_processing.tables import DATASET_FILE, LABELS, VARIABLES
 from cmp_tactile_simulation.dataset.recipe import Recipe
 from cmp_tactile_simulation.dataset.sampling import Sample, Sampler, described, draw, variant_file
 from cmp_tactile_simulation.simulator import SimulatedFrame
@@ -30,33 +31,8 @@ FORMAT_VERSION = 1
 RECIPE_FILE, LEFT_OUT = "recipe.yaml", "left_out"
 # Of a shard, which is some 20 MB then, unless one sample has more.
 SHARD_FRAMES = 32
-FRAME, GRID, NODES = ("frame",), ("frame", "row", "col"), ("frame", "node_row", "node_col")
 # Noise leaves deflate nothing to find beyond its first level.
 COMPRESSION = {"zlib": True, "complevel": 1, "shuffle": False}
-# Variable: dimensions, unit, what it is.
-IMAGE = ("frame", "y", "x"), "1", "camera frame, grey levels"
-VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "position": ((*GRID, "component"), "m", "measured markers, gel frame"),
-    "displacement": ((*GRID, "component"), "m", "of the measured markers from rest, gel frame"),
-    "corners_px": (
-        ("frame", "view", "row", "col", "pixel"),
-        "px",
-        "measured markers in the whole camera frame; NaN where a view does not see them",
-    ),
-    "node_position": ((*NODES, "component"), "m", "contact nodes at rest, gel frame"),
-    "node_force": ((*NODES, "component"), "N", "force on the gel at each contact node, gel frame"),
-    "traction": ((*NODES, "component"), "Pa", "node_force over the node's undeformed area"),
-    "contact": (NODES, "1", "whether the node touches the indenter"),
-    "wrench": (("frame", "wrench_component"), "N, N m", "on the gel, about the gel frame's origin"),
-    "contact_area": (FRAME, "m2", "undeformed area of the nodes that touch"),
-    "slip_state": (FRAME, "1", "1 no contact, 2 stick, 3 incipient, 4 full slip"),
-    "slip_ratio": (FRAME, "1", "share of the normal force on nodes that slide"),
-    "traction_ratio": (FRAME, "1", "tangential over normal force; NaN without contact"),
-    "pose": (("frame", "pose_row", "pose_col"), "m", "T_gel_indenter"),
-    "friction": (FRAME, "1", "Coulomb's coefficient"),
-    "indenter": (FRAME, "", "shape, or file of the mesh"),
-    "sensor": (FRAME, "", "file of the sensor description that made the frame"),
-}
 
 
 @dataclass(frozen=True)
@@ -102,7 +78,7 @@ def begin(recipe: Recipe, folder: Path, *, resume: bool) -> list[Shard]:
     """Make the dataset's folder; the shards that are still to be made.
 
     resume: go on in a folder of the same recipe.
-    Raises OutputError for a folder that exists, or is of another recipe.
+    Raises OutputError for a folder that exists, or is of another recipe, sensor or mesh.
     """
     text = dump_yaml(recipe.file.content)
     if not resume:
@@ -131,7 +107,20 @@ def _facts(recipe: Recipe) -> dict[str, Any]:
         "sensor": recipe.sensor.name,
         "variants": recipe.variants,
         "rate_hz": recipe.rate,
+        "digests": _digests(recipe),
     }
+
+
+def _digests(recipe: Recipe) -> dict[str, str]:
+    """Of the sensor's content and of each mesh, by the names that the recipe has for them."""
+    folder = recipe.file.path.parent
+    meshes = sorted({path for item in recipe.indenters for path in item.meshes})
+    sensor = {str(recipe.file.content["sensor"]): digest(dump_yaml(recipe.sensor_file.content))}
+    return sensor | {relpath(path, folder): digest(path.read_bytes()) for path in meshes}
+
+
+def _changed(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    return sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
 
 
 def _check_same(recipe: Recipe, folder: Path) -> None:
@@ -141,12 +130,19 @@ def _check_same(recipe: Recipe, folder: Path) -> None:
         msg = f"{folder}: found no {RECIPE_FILE}, expected the folder of a dataset to resume"
         raise OutputError(msg)
     before, now = read_yaml(path).content, recipe.file.content
-    changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    changed = _changed(before, now)
     # More samples of the same recipe are the same samples and some more.
     if changed and (changed != ["samples"] or recipe.samples < before["samples"]):
         msg = (
             f"{recipe.file.path}: {', '.join(changed)}: found another value than in {path}, "
             "expected the recipe that the dataset was begun with; make a new folder"
+        )
+        raise OutputError(msg)
+    digests = read_yaml(folder / DATASET_FILE).content.get("digests", {})
+    if other := _changed(digests, _digests(recipe)):
+        msg = (
+            f"{recipe.file.path}: {', '.join(other)}: found another content than when the dataset "
+            "was begun, expected the same files; restore them, or make a new folder"
         )
         raise OutputError(msg)
     if changed:
@@ -200,13 +196,12 @@ def write_samples(
     }
     dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
     height, width = images[0].shape
-    dims, unit, text = IMAGE
     with h5netcdf.File(path, "a") as file:
         file.dimensions["y"], file.dimensions["x"] = height, width
         image = file.create_variable(
-            "image", dims, np.uint8, chunks=(1, height, width), compression="gzip"
+            "image", ("frame", "y", "x"), np.uint8, chunks=(1, height, width), compression="gzip"
         )
-        image.attrs["units"], image.attrs["long_name"] = unit, text
+        image.attrs.update(VARIABLES["image"].attrs)
     # Camera noise leaves no words to find: entropy coding alone is as small, and much quicker.
     with h5py.File(path, "a") as file:
         for number, picture in enumerate(images):
@@ -221,8 +216,12 @@ def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
     frames = [(sample, frame) for sample, found in made for frame in found]
     rows = [_values(sample, frame) for sample, frame in frames]
     variables = {
-        name: (dims, np.stack([row[name] for row in rows]), {"units": unit, "long_name": text})
-        for name, (dims, unit, text) in VARIABLES.items()
+        name: (
+            ("frame", *VARIABLES[name].dims),
+            np.stack([row[name] for row in rows]),
+            VARIABLES[name].attrs,
+        )
+        for name in rows[0]
     }
     steps = [step for _, found in made for step in range(len(found))]
     coordinates = {
@@ -237,7 +236,7 @@ def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
 
 
 def _values(sample: Sample, frame: SimulatedFrame) -> dict[str, Any]:
-    """The values of VARIABLES for a frame."""
+    """Of a frame, by names of VARIABLES."""
     surface, force, truth = frame.surface, frame.force, frame.truth
     nodes = force.rows, force.cols
     unseen = np.full((*surface.shape.corners, 2), np.nan)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import astuple, dataclass, replace
+from itertools import count
 
 from cmp_tactile_driver.sources.frames import Frame
 from cmp_tactile_processing.errors import FrameSourceError
 from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parts import Camera
+from cmp_tactile_processing.sensor.parts import Camera, Roi
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.live.mechanics import (
     Command,
@@ -23,14 +20,9 @@ from cmp_tactile_simulation.live.mechanics import (
     LiveStatus,
     check_command,
 )
-from cmp_tactile_simulation.rendering.camera import expose
-from cmp_tactile_simulation.rendering.ink import ink_of
-from cmp_tactile_simulation.rendering.renderer import OpticalTruth, RenderedFrame, Renderer
 from cmp_tactile_simulation.rendering.surface import DeformedSurface
 from cmp_tactile_simulation.scenes.description import Scene
-
-# Noise is drawn from so many images, at places by chance.
-NOISE_IMAGES = 8
+from cmp_tactile_simulation.simulator import SensorCamera
 
 
 @dataclass(frozen=True)
@@ -62,16 +54,19 @@ class LiveFrame(Frame):
 class LiveSensor:
     """A live sensor in this process.
 
-    The elastic model is linear, whatever the sensor's is: another would take longer than there is
-    time.  Until the model is built (the first time for a sensor), the frames show the gel at rest.
+    Its frames are those of `Simulator`, with what there is time for: the rays of 2 x 2 pixels are
+    found together where the frame can be halved, and the elastic model is linear, whatever the
+    sensor's is.  Until the model is built (the first time for a sensor), the frames show the gel
+    at rest.
     """
 
     def __init__(self, scene: Scene, settings: LiveSettings, rate: float) -> None:
         """rate: contact steps per second that are aimed at, Hz."""
         self._scene = live_scene(scene, settings)
         self._contact = LiveContact(self._scene, settings, rate)
-        self._camera = LiveCamera(self._scene)
-        self._truth = OpticalTruth(self._scene.sensor)
+        sensor = self._scene.sensor
+        self._camera = SensorCamera(sensor, self._scene.look, with_half_the_pixels(sensor))
+        self._numbers = count()
         self._contact.start()
 
     def picture(self, wanted: TruthWanted = TruthWanted()) -> LiveFrame:
@@ -82,7 +77,7 @@ class LiveSensor:
         # In this order: the state is as new as the status or newer.
         status, state = self._contact.status, self._contact.latest
         surface = self._surface(state)
-        image = self._camera.picture(surface)
+        image = self._camera.picture(next(self._numbers), surface)
         self._contact.pictured(state)
         return LiveFrame(
             image=image,
@@ -90,8 +85,8 @@ class LiveSensor:
             status=status,
             pose=state.contact.pose if state else None,
             force=self._contact.force_field(state.contact) if state and wanted.force else None,
-            grids=self._truth.grids(surface) if wanted.optics else None,
-            surface=self._truth.surface(surface) if wanted.optics else None,
+            grids=self._camera.truth.grids(surface) if wanted.optics else None,
+            surface=self._camera.truth.surface(surface) if wanted.optics else None,
         )
 
     def command(self, command: Command) -> None:
@@ -121,79 +116,25 @@ def live_scene(scene: Scene, settings: LiveSettings) -> Scene:
     )
 
 
-class LiveCamera:
-    """Takes pictures of a scene's sensor.
-
-    The rays of 2 x 2 pixels are found together where the frame can be halved, and the noise of a
-    frame is one of a few images, moved about: both cost most of the time offline.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        """scene: as it is to be rendered live."""
-        self._scene = scene
-        ink = ink_of(scene.sensor.sheet, scene.pattern_type, scene.defects, scene.seed)
-        half = with_half_the_pixels(scene.sensor)
-        self._is_half = half is not None
-        samples = scene.samples * (2 if half else 1)
-        self._renderer = Renderer(half or scene.sensor, ink, samples=samples)
-        self._rng = np.random.default_rng(scene.seed)
-        self._noise = self._noise_images()
-
-    def picture(self, surface: DeformedSurface) -> NDArray[np.uint8]:
-        """The frame (height, width) of the gel."""
-        rendered = self._renderer.render(surface)
-        if self._is_half:
-            # Rendered finer than its pixels by 2, it has the full frame's.
-            rendered = RenderedFrame(rendered.grey, fineness=1)
-        camera = self._scene.camera
-        if self._noise is not None:
-            camera = replace(camera, read_noise=0.0)
-        image = expose(rendered, camera, self._rng, self._scene.seed)
-        return image if self._noise is None else self._with_noise(image, self._noise)
-
-    def _noise_images(self) -> NDArray[np.int16] | None:
-        """Images of the read noise, grey levels; None without noise."""
-        camera, size = self._scene.camera, self._scene.sensor.image
-        if camera.read_noise == 0:
-            return None
-        shape = NOISE_IMAGES, size.height, size.width
-        noise = self._rng.standard_normal(shape, dtype=np.float32) * camera.read_noise
-        return np.asarray(np.rint(noise), np.int16)
-
-    def _with_noise(self, image: NDArray[np.uint8], noise: NDArray[np.int16]) -> NDArray[np.uint8]:
-        chosen = noise[self._rng.integers(len(noise))]
-        down, right = self._rng.integers(image.shape)
-        moved = np.roll(chosen, (down, right), axis=(0, 1))
-        return np.asarray(cv2.add(image, moved, dtype=cv2.CV_8U), np.uint8)
-
-
 def with_half_the_pixels(sensor: SensorDescription) -> SensorDescription | None:
     """The same sensor with pixels of twice the size; None where a side of a view is odd."""
-    image, views = sensor.image, sensor.views
-    sides = [image.width, image.height]
-    for view in views.values():
-        sides += [view.roi.x, view.roi.y, view.roi.width, view.roi.height]
-    if any(side % 2 for side in sides):
+    image = sensor.image
+    rois = {name: astuple(view.roi) for name, view in sensor.views.items()}
+    if any(side % 2 for roi in (*rois.values(), (image.width, image.height)) for side in roi):
         return None
-    halves = {
+    views = {
         name: replace(
             view,
-            roi=replace(
-                view.roi,
-                x=view.roi.x // 2,
-                y=view.roi.y // 2,
-                width=view.roi.width // 2,
-                height=view.roi.height // 2,
-            ),
+            roi=Roi(*(side // 2 for side in rois[name])),
             camera=_with_half_the_pixels(view.camera),
         )
-        for name, view in views.items()
+        for name, view in sensor.views.items()
     }
     return replace(
         sensor,
         image=replace(image, width=image.width // 2, height=image.height // 2),
         camera=_with_half_the_pixels(sensor.camera),
-        views=halves,
+        views=views,
     )
 
 

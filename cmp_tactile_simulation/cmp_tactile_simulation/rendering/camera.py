@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering import Purpose, random_stream
@@ -21,8 +22,9 @@ WHITE = 255.0
 # Of a blur from the first of these on, px, the second is done before pixels integrate the light.
 # The rest is quicker after it, where whole pixels would alias and move corners by 0.01 px alone.
 WIDE_BLUR, BLUR_BEFORE = 1.5, 1.0
-# Fixed, so that the noise is the same on every machine.
-NOISE_STREAMS = 4
+# Normal noise is drawn from so many numbers, all equally likely, from -4.3 to 4.3 standard
+# deviations: that takes a fifth of the time.
+NOISE_LEVELS = 1 << 16
 
 # Dust grains: radius, px.  Hairs: length and width, px.
 GRAIN_RADIUS = (1.5, 6.0)
@@ -110,30 +112,42 @@ def _digitised(
     image: NDArray[np.float32], settings: CameraSettings, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
     if settings.read_noise > 0:
-        image = image + _normal(image.shape, rng) * np.float32(settings.read_noise)
-    frame = np.rint(image).clip(0, WHITE).astype(np.uint8)
+        frame = _noisy(image, settings.read_noise, rng)
+    else:
+        frame = np.rint(image).clip(0, WHITE).astype(np.uint8)
     if settings.salt_and_pepper > 0:
         struck = rng.random(frame.shape, dtype=np.float32) < settings.salt_and_pepper
         frame[struck] = rng.integers(0, 2, int(np.count_nonzero(struck))).astype(np.uint8) * 255
     return frame
 
 
-def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float32]:
-    """Standard normal numbers, drawn by several threads from streams of their own."""
-    noise = np.empty(shape, dtype=np.float32)
-    streams = [np.random.default_rng(seed) for seed in rng.integers(0, 2**63, NOISE_STREAMS)]
-    parts = np.array_split(noise, NOISE_STREAMS)
-    list(_noise_pool().map(_fill, streams, parts))
-    return noise
-
-
-def _fill(stream: np.random.Generator, part: NDArray[np.float32]) -> None:
-    stream.standard_normal(dtype=np.float32, out=part)
+def _noisy(image: NDArray[np.float32], sigma: float, rng: np.random.Generator) -> NDArray[np.uint8]:
+    """The image with normal noise, rounded and saturated."""
+    # Each number that is drawn has the places of four pixels.
+    drawn = rng.integers(1 << 64, size=-(-image.size // 4), dtype=np.uint64).view(np.uint16)
+    frame = np.empty(image.shape, np.uint8)
+    _add(image, np.float32(sigma) * _normal_levels(), drawn, frame)
+    return frame
 
 
 @lru_cache(maxsize=1)
-def _noise_pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(NOISE_STREAMS, thread_name_prefix="camera noise")
+def _normal_levels() -> NDArray[np.float32]:
+    levels = ndtri((np.arange(NOISE_LEVELS) + 0.5) / NOISE_LEVELS)
+    return np.asarray(levels / levels.std(), np.float32)
+
+
+@kernel
+def _add(
+    image: NDArray[np.float32],
+    levels: NDArray[np.float32],
+    drawn: NDArray[np.uint16],
+    frame: NDArray[np.uint8],
+) -> None:
+    width = image.shape[1]
+    for i in range(image.shape[0]):
+        for j in range(width):
+            value = image[i, j] + levels[drawn[i * width + j]]
+            frame[i, j] = int(min(max(value, 0.0), WHITE) + 0.5)
 
 
 # What the camera makes of the light: a field for each way in which a real frame falls short.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import xarray
 import yaml
 
@@ -152,6 +154,26 @@ def test_folders_that_cannot_be_used_are_named(made, recipe, tmp_path):
     other = replace(recipe, file=replace(recipe.file, content={**recipe.file.content, "seed": 9}))
     with pytest.raises(OutputError, match="seed"):
         begin(other, made, resume=True)
+
+
+def test_a_changed_mesh_or_sensor_is_refused(recipe, tmp_path):
+    def read_again() -> Recipe:
+        return read_recipe(tmp_path / "meshes.yaml")
+
+    shutil.copy(recipe.sensor_file.path, tmp_path / "small.yaml")
+    trimesh.creation.box((4e-3, 4e-3, 2e-3)).export(tmp_path / "box.stl")
+    content = {**recipe.file.content, "indenters": [{"meshes": "box.stl"}]}
+    (tmp_path / "meshes.yaml").write_text(yaml.safe_dump(content))
+    folder = tmp_path / "data"
+    shards_before = begin(read_again(), folder, resume=False)
+    assert begin(read_again(), folder, resume=True) == shards_before
+    trimesh.creation.box((4e-3, 5e-3, 2e-3)).export(tmp_path / "box.stl")
+    with pytest.raises(OutputError, match=r"meshes\.yaml: box\.stl: found another content"):
+        begin(read_again(), folder, resume=True)
+    sensor = (tmp_path / "small.yaml").read_text()
+    (tmp_path / "small.yaml").write_text(sensor.replace("young: ", "young: 1"))
+    with pytest.raises(OutputError, match=r"meshes\.yaml: box\.stl, small\.yaml: found another"):
+        begin(read_again(), folder, resume=True)
 
 
 def test_a_full_disk_leaves_what_was_written(recipe, tmp_path, monkeypatch):
