@@ -6,18 +6,19 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
-WHITE = 255.0
 # Of a blur from the first of these on, px, the second is done before pixels integrate the light.
 # The rest is quicker after it, where whole pixels would alias and move corners by 0.01 px alone.
 WIDE_BLUR, BLUR_BEFORE = 1.5, 1.0
@@ -47,9 +48,7 @@ def expose(
     rng: noise of this frame.  seed: places of glare and clutter, the same in all frames.
     """
     image = _blurred(frame.grey, frame.fineness, settings.blur)
-    optics = _optics(settings, image.shape, seed)
-    image *= optics.gain
-    image += optics.glow
+    _light(image, settings, _dirt(settings, image.shape, seed))
     return _digitised(image, settings, rng)
 
 
@@ -68,50 +67,77 @@ def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[
     return np.array(grey, dtype=np.float32)
 
 
-def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
-    """Way across the frame along a direction, from 0 at its first corner to 1 at its last."""
-    x, y = np.arange(shape[1]) * math.cos(direction), np.arange(shape[0]) * math.sin(direction)
-    least = x.min() + y.min()
-    most = x.max() + y.max()
-    return np.asarray((x + y[:, None] - least) / max(most - least, 1e-9))
+class _Dirt(NamedTuple):
+    """Share of the light that clutter lets through, and light of glare; (height, width) or None."""
+
+    kept: NDArray[np.float32] | None
+    glare: NDArray[np.float32] | None
 
 
-@dataclass(frozen=True)
-class _Optics:
-    """What light and dirt make of a rendered grey: grey * gain + glow, (height, width)."""
+def _dirt(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Dirt:
+    clutter = _clutter(shape, settings.clutter, seed) if settings.clutter else None
+    if not settings.glare_spots:
+        return _Dirt(clutter, None)
+    glare = _glare(shape, settings.glare_spots, settings.glare_size, seed)
+    return _Dirt(clutter, settings.glare_strength * glare)
 
-    gain: NDArray[np.float32]
-    glow: NDArray[np.float32]
 
-
-@lru_cache(maxsize=4)
-def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Optics:
-    height, width = shape
+def _light(image: NDArray[np.float32], settings: CameraSettings, dirt: _Dirt) -> None:
+    """Turn rendered greys into those of the settings' light, in place."""
+    height, width = image.shape
+    x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
     centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-    x2, y2 = (np.arange(width) - centre_x) ** 2, (np.arange(height) - centre_y) ** 2
-    radius2 = (x2 + y2[:, None]) / (centre_x**2 + centre_y**2)
-    light = 1 - (1 - 1 / settings.light_ratio) * _along(shape, settings.light_direction)
-    light *= 1 - settings.vignette * radius2
-    # Apart, so that more glare leaves the clutter where it is.
-    glare_rng, clutter_rng = (
-        random_stream(purpose, seed) for purpose in (Purpose.GLARE, Purpose.CLUTTER)
-    )
-    if settings.clutter:
-        light *= clutter_transmission(shape, settings.clutter, clutter_rng)
+    radius2 = centre_x**2 + centre_y**2
+    # Way across the frame along the light's direction, from 0 at its first corner to 1 at its last.
+    along_x = x * math.cos(settings.light_direction)
+    along_y = y * math.sin(settings.light_direction)
+    least, most = along_x.min() + along_y.min(), along_x.max() + along_y.max()
+    loss = (1 - 1 / settings.light_ratio) / max(most - least, 1e-9)
     contrast = (settings.light_level - settings.dark_level) / (LIGHT_GREY - DARK_GREY)
-    glow = light * (settings.dark_level - contrast * DARK_GREY)
-    if settings.glare_spots:
-        glare = glare_light(shape, settings.glare_spots, settings.glare_size, glare_rng)
-        glow += settings.glare_strength * glare
-    return _Optics((light * contrast).astype(np.float32), glow.astype(np.float32))
+    _illuminate(
+        image,
+        (loss * along_x, 1 + loss * least - loss * along_y),
+        tuple(settings.vignette * part**2 / radius2 for part in (x - centre_x, y - centre_y)),
+        (contrast, settings.dark_level - contrast * DARK_GREY),
+        *dirt,
+    )
+
+
+@kernel
+def _illuminate(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    image: NDArray[np.float32],
+    light: tuple[NDArray[np.float64], NDArray[np.float64]],
+    vignette: tuple[NDArray[np.float64], NDArray[np.float64]],
+    line: tuple[float, float],
+    kept: NDArray[np.float32] | None,
+    glare: NDArray[np.float32] | None,
+) -> None:
+    """Make of each grey, in place: light kept (contrast grey + offset) + glare.
+
+    light, vignette: what columns (width,) take off of what rows (height,) have, and what both lose.
+    """
+    (by_x, by_y), (lost_x, lost_y), (contrast, offset) = light, vignette, line
+    for i in range(image.shape[0]):
+        row, even, lost = image[i], by_y[i], 1 - lost_y[i]
+        for j in range(len(row)):
+            here = (even - by_x[j]) * (lost - lost_x[j])
+            if kept is not None:
+                here *= kept[i, j]
+            value = here * (contrast * row[j] + offset)
+            if glare is not None:
+                value += glare[i, j]
+            row[j] = value
 
 
 def _digitised(
     image: NDArray[np.float32], settings: CameraSettings, rng: np.random.Generator
 ) -> NDArray[np.uint8]:
+    noise: Any = 0.0
     if settings.read_noise > 0:
-        image = image + _normal(image.shape, rng) * np.float32(settings.read_noise)
-    frame = np.rint(image).clip(0, WHITE).astype(np.uint8)
+        noise = _normal(image.shape, rng)
+        noise *= np.float32(settings.read_noise)
+    # Rounded and saturated.
+    frame = np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8)
     if settings.salt_and_pepper > 0:
         struck = rng.random(frame.shape, dtype=np.float32) < settings.salt_and_pepper
         frame[struck] = rng.integers(0, 2, int(np.count_nonzero(struck))).astype(np.uint8) * 255
@@ -214,11 +240,10 @@ class CameraSettings(Parameters, section="camera"):
 # What stays between the gel and the camera: glare, dust and hairs.
 
 
-def glare_light(
-    shape: tuple[int, int], count: int, size: float, rng: np.random.Generator
-) -> NDArray[np.float32]:
+@lru_cache(maxsize=4)
+def _glare(shape: tuple[int, int], count: int, size: float, seed: int) -> NDArray[np.float32]:
     """Light of round spots anywhere in a frame of that shape; 1 at a spot's centre."""
-    height, width = shape
+    (height, width), rng = shape, random_stream(Purpose.GLARE, seed)
     light = np.zeros(shape, dtype=np.float32)
     x, y = np.arange(width), np.arange(height)
     for _ in range(count):
@@ -229,11 +254,10 @@ def glare_light(
     return light
 
 
-def clutter_transmission(
-    shape: tuple[int, int], count: int, rng: np.random.Generator
-) -> NDArray[np.float32]:
+@lru_cache(maxsize=4)
+def _clutter(shape: tuple[int, int], count: int, seed: int) -> NDArray[np.float32]:
     """Share of the light that grains and hairs anywhere on the optics let through."""
-    kept = np.ones(shape, dtype=np.float32)
+    kept, rng = np.ones(shape, dtype=np.float32), random_stream(Purpose.CLUTTER, seed)
     for _ in range(count):
         mask = np.zeros(shape, dtype=np.uint8)
         centre = rng.uniform(0, 1, 2) * shape[::-1]
@@ -246,9 +270,7 @@ def clutter_transmission(
             width = int(rng.integers(HAIR_WIDTH[0], HAIR_WIDTH[1] + 1))
             cv2.polylines(mask, [points], False, 255, width, cv2.LINE_AA, SHIFT)
         kept *= 1 - (1 - rng.uniform(*KEPT_LIGHT)) * (mask.astype(np.float32) / 255)
-    if count:
-        kept = np.asarray(cv2.GaussianBlur(kept, (0, 0), CLUTTER_BLUR), dtype=np.float32)
-    return kept
+    return np.asarray(cv2.GaussianBlur(kept, (0, 0), CLUTTER_BLUR), dtype=np.float32)
 
 
 def _hair(middle: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
