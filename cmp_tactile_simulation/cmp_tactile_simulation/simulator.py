@@ -159,7 +159,7 @@ class SensorCamera:
     def __init__(self, sensor: SensorDescription, observers: SurfaceGrid, look: Look) -> None:
         self._sensor, self._observers, self._look = sensor, observers, look
         self._renderer = Renderer(sensor, self._ink(look), samples=look.samples)
-        self._truth = OpticalTruth(sensor)
+        self._truth = OpticalTruth(sensor, self._renderer.views)
 
     def use(self, look: Look) -> None:
         """Take the next pictures so; InputError for other samples of a pixel."""
