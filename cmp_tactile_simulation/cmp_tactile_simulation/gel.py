@@ -19,13 +19,12 @@ from scipy import sparse
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,
     BlockMesh,
     MeshDensity,
 )
-from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
+from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Fold, MirroredProduct
 from cmp_tactile_processing.elastic.model import ElasticProblem, quarter_count
 from cmp_tactile_processing.elastic.relaxation import step_weights
 from cmp_tactile_processing.errors import ContactError
@@ -293,9 +292,12 @@ class ParityResponse:
         of_nodes: Array,
         of_markers: Array,
     ) -> None:
-        self._of_nodes, self._of_markers = of_nodes, of_markers
-        self._nodes, self._markers = nodes, markers
-        self._image, self._sign = _images(_extensions(nodes))
+        self._of_nodes = of_nodes
+        extensions = _extensions(nodes)
+        self._image, self._sign = _images(extensions)
+        source, target = Fold.into(extensions), Fold.into(_extensions(markers))
+        self._node_product = MirroredProduct(of_nodes, source, source)
+        self._marker_product = MirroredProduct(of_markers.transpose(0, 2, 1), source, target)
 
     def compliance(self, active: Index) -> Array:
         """Displacement of the nodes `active` (k,) for unit forces on them, (3 k, 3 k) m/N."""
@@ -305,17 +307,11 @@ class ParityResponse:
 
     def of_nodes(self, force: Array) -> Array:
         """Displacement of the nodes (N, 3) m under forces (N, 3) N on them."""
-        return self._apply(self._of_nodes, self._nodes, force)
+        return self._node_product.of_vector(force.ravel()).reshape(-1, 3)
 
     def of_markers(self, force: Array) -> Array:
         """Displacement of the markers (M, 3) m under forces (N, 3) N on the nodes."""
-        return self._apply(self._of_markers, self._markers, force)
-
-    def _apply(self, responses: Array, target: SurfaceGrid, force: Array) -> Array:
-        # Reading memory is what takes the time; threads only wait for one another on loaded cores.
-        with one_thread():
-            moved = mirrored_response(responses, self._nodes, target, force.ravel())
-        return moved.reshape(-1, 3)
+        return self._marker_product.of_vector(force.ravel()).reshape(-1, 3)
 
 
 def _extensions(grid: SurfaceGrid) -> list[sparse.csr_array]:

@@ -333,7 +333,7 @@ def solve(
             raise NotConvergedError
         if iteration >= ITERATIONS // 2:
             force = (view.force + force) / 2
-        view = laws.look(problem, rest, force, pose)
+        view = laws.look(problem, rest, force, pose, view)
         found = _residual(problem, view, flips)
         if found < residual and missed_load(problem, view, load) < LOAD_TOLERANCE:
             best, residual = view, found
@@ -369,7 +369,7 @@ def _polished(problem: laws.Problem, rest: Array, view: laws.View) -> laws.View:
         # On an edge without a stable place the passes would lead away from the solution.
         if change > before:
             break
-        view = laws.look(problem, rest, force, view.pose)
+        view = laws.look(problem, rest, force, view.pose, view)
         if change <= CONE_TOLERANCE * np.abs(force).max():
             break
     return view
