@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -211,23 +212,23 @@ class LinearElastomer:
         """The grid on which the marker surface is observed; spans the whole top of the block."""
         return self._problem.markers
 
-    @property
+    @cached_property
     def node_position(self) -> Array:
         """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
         return self._problem.geometry.contact_points(self.nodes.points)
 
-    @property
+    @cached_property
     def node_area(self) -> Array:
         """Undeformed area of the contact surface that belongs to each node, (N,) m^2."""
         x, y = self.nodes.spacing
         return x * y * self._problem.geometry.surface_stretch(self.nodes.points)
 
-    @property
+    @cached_property
     def on_rim(self) -> NDArray[np.bool_]:
         """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
         return on_rim(self.nodes)
 
-    @property
+    @cached_property
     def beyond(self) -> Array:
         """Points of the contact surface at rest outside the patch, where nothing may touch.
 

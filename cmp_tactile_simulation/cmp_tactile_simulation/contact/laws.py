@@ -175,7 +175,7 @@ def _split(vectors: Array, normal: Array) -> tuple[Array, Array]:
     """The parts of vectors (k, 3) along unit normals, (k,), and across them, (k, 3)."""
     part, across = np.empty(len(vectors)), np.empty(vectors.shape)
     for k in range(len(vectors)):
-        part[k] = dot(vectors[k], normal[k])
+        part[k] = _dot(vectors[k], normal[k])
         for c in range(3):
             across[k, c] = vectors[k, c] - part[k] * normal[k, c]
     return part, across
@@ -222,7 +222,7 @@ def _residual(
             for c in range(3):
                 trial[c] = own[k] * along[k, c] - slip[k, c]
             limit = friction * own[k] * pressing[k]
-            kept = min(1.0, limit / max(np.sqrt(dot(trial, trial)), TINY))
+            kept = min(1.0, limit / max(np.sqrt(_dot(trial, trial)), TINY))
             for c in range(3):
                 coulomb[k] = max(coulomb[k], abs(own[k] * along[k, c] - kept * trial[c]))
     return signorini, coulomb
@@ -247,22 +247,31 @@ def tangents(normal: Array) -> Array:
         side[0] = abs(normal[k, 0]) < 0.6
         side[1] = 1 - side[0]
         first, second = across[0, k], across[1, k]
-        cross(normal[k], side, first)
-        length = np.sqrt(dot(first, first))
+        _cross(normal[k], side, first)
+        length = np.sqrt(_dot(first, first))
         for c in range(3):
             first[c] /= length
-        cross(normal[k], first, second)
+        _cross(normal[k], first, second)
     return across
 
 
+@kernel
+def crossed(a: Array, b: Array) -> Array:
+    """The cross products (k, 3) of vectors (k, 3)."""
+    product = np.empty(a.shape)
+    for k in range(len(a)):
+        _cross(a[k], b[k], product[k])
+    return product
+
+
 @kernel_part(forceinline=True)
-def dot(a: Array, b: Array) -> Any:
+def _dot(a: Array, b: Array) -> Any:
     """The product of two vectors (3,)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel_part(forceinline=True)
-def cross(a: Array, b: Array, out: Array) -> None:
+def _cross(a: Array, b: Array, out: Array) -> None:
     """The cross product of two vectors (3,)."""
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
@@ -291,7 +300,7 @@ def _symmetric(rate: Array, normal: Array, across: Array) -> Array:
     turning = np.zeros((len(normal), 3, 3))
     for k in range(len(normal)):
         for n in range(2):
-            along = dot(rate[n, k], normal[k])
+            along = _dot(rate[n, k], normal[k])
             for i in range(3):
                 change = rate[n, k, i] - along * normal[k, i]
                 for j in range(3):
