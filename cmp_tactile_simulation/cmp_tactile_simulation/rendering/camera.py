@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering import Purpose, random_stream
@@ -56,15 +56,57 @@ def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[
     """Blurred by a lens, then integrated over the pixels: (height, width)."""
     before = sigma if sigma < WIDE_BLUR else BLUR_BEFORE
     after = math.sqrt(sigma**2 - before**2)
+    weights = np.full(fineness, 1 / fineness)
     if before > 0:
-        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), before * fineness), dtype=np.float32)
-    if fineness > 1:
-        size = grey.shape[1] // fineness, grey.shape[0] // fineness
-        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        grey = np.asarray(small, dtype=np.float32)
+        # As wide as OpenCV makes the kernel of such an image.
+        size = round(8 * before * fineness + 1) | 1
+        blur = cv2.getGaussianKernel(size, before * fineness)
+        weights = np.convolve(np.asarray(blur)[:, 0], weights)
+    image = _integrated(np.ascontiguousarray(grey), fineness, weights.astype(np.float32))
     if after > 0:
-        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), after), dtype=np.float32)
-    return np.array(grey, dtype=np.float32)
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), after), dtype=np.float32)
+    return image
+
+
+@kernel
+def _integrated(
+    grey: NDArray[np.float32], fineness: int, weights: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The weighted means (height, width) about each pixel, of the same weights down and across.
+
+    Entries beyond the frame's border are those as far on its other side.
+    """
+    height, width = grey.shape[0] // fineness, grey.shape[1] // fineness
+    reach = (len(weights) - fineness) // 2
+    image = np.zeros((height, width), np.float32)
+    line = np.empty(grey.shape[1] + 2 * reach + fineness, np.float32)
+    inner = line[reach : reach + grey.shape[1]]
+    # Every entry of a pixel apart, so that the compiler does several pixels at once.
+    apart = np.empty((fineness, len(line) // fineness), np.float32)
+    for i in range(height):
+        inner[:] = 0.0
+        for k in range(len(weights)):
+            row, weight = grey[_mirrored(fineness * i + k - reach, grey.shape[0])], weights[k]
+            for j in range(len(inner)):
+                inner[j] += weight * row[j]
+        for k in range(reach):
+            line[k] = inner[_mirrored(k - reach, len(inner))]
+            line[reach + len(inner) + k] = inner[_mirrored(len(inner) + k, len(inner))]
+        for n in range(fineness):
+            for j in range(apart.shape[1]):
+                apart[n, j] = line[fineness * j + n]
+        out = image[i]
+        for k in range(len(weights)):
+            part, weight = apart[k % fineness, k // fineness :], weights[k]
+            for j in range(width):
+                out[j] += weight * part[j]
+    return image
+
+
+@kernel_part(forceinline=True)
+def _mirrored(place: int, size: int) -> int:
+    place = abs(place)
+    return min(place, max(2 * size - 2 - place, 0))
 
 
 class _Dirt(NamedTuple):

@@ -110,7 +110,7 @@ class ViewNodes:
         on_nodes = mesh * (1 / NODE_PX, 1 / NODE_PX, 1) + (0.5 / NODE_PX + 1, 0.5 / NODE_PX + 1, 0)
         rasterize(on_nodes, self.x, self.y, nodes)
         _mark_folds(on_nodes, self.front, folded)
-        _meet_nodes(surface, self.origins, self.directions, nodes)
+        _meet_nodes(surface, (self.origins, self.directions), self.pixel_m, nodes)
         return Sight(self, surface, mesh, nodes, folded)
 
 
@@ -239,17 +239,27 @@ def _shown_at(
 @kernel
 def _meet_nodes(
     surface: SplineSurface,
-    origins: NDArray[np.float64],
-    directions: NDArray[np.float64],
+    rays: tuple[NDArray[np.float64], NDArray[np.float64]],
+    pixel_m: float,
     nodes: NDArray[np.float64],
 ) -> None:
     """Make the nodes' material points exact, in place; NaN where a ray does not meet one."""
+    origins, directions = rays
     for v in range(nodes.shape[0]):
-        for u in range(nodes.shape[1]):
-            if not np.isnan(nodes[v, u, 0]):
-                origin = origins[min(v, origins.shape[0] - 1), min(u, origins.shape[1] - 1)]
-                found = meet(surface, origin, directions[v, u], nodes[v, u, 0], nodes[v, u, 1])
-                nodes[v, u, 0], nodes[v, u, 1] = found[1:3] if found[0] else (np.nan, np.nan)
+        row = nodes[v]
+        for u in range(len(row)):
+            x, y = row[u, 0], row[u, 1]
+            if np.isnan(x):
+                continue
+            if u > 2:
+                # What goes on from the nodes before is nearer still, unless it is another sheet.
+                next_x = 3 * (row[u - 1, 0] - row[u - 2, 0]) + row[u - 3, 0]
+                next_y = 3 * (row[u - 1, 1] - row[u - 2, 1]) + row[u - 3, 1]
+                if abs(next_x - x) + abs(next_y - y) < pixel_m:
+                    x, y = next_x, next_y
+            origin = origins[min(v, origins.shape[0] - 1), min(u, origins.shape[1] - 1)]
+            good, x, y, _ = meet(surface, origin, directions[v, u], x, y)
+            row[u, 0], row[u, 1] = (x, y) if good else (np.nan, np.nan)
 
 
 # Draws a mesh of material points into the picture, the nearest in front.
