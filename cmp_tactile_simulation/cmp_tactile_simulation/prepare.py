@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cmp_tactile_simulation.gel import observers
+from cmp_tactile_simulation.rendering.ink import PrintDefects
 from cmp_tactile_simulation.scenes.file import load_scene
 from cmp_tactile_simulation.simulator import SensorCamera
+
+SPIKE_M = 3e-3
 
 
 def main() -> None:
     """Have numba's cache hold all that renders frames."""
     scene = load_scene("grasp")
     grid = observers(scene.sensor)
-    at_rest = np.zeros((grid.rows, grid.cols, 3))
-    SensorCamera(scene.sensor, grid, scene.look).observe(0, at_rest)
+    # A spike hides what lies behind it.
+    moved = np.zeros((grid.rows, grid.cols, 3))
+    moved[grid.rows // 2, grid.cols // 2, 2] = -SPIKE_M
+    camera = SensorCamera(scene.sensor, grid, scene.look)
+    for defects in PrintDefects(), PrintDefects(missing_ink=1):
+        camera.use(replace(scene.look, defects=defects))
+        camera.observe(0, moved)
 
 
 if __name__ == "__main__":
