@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -19,13 +20,12 @@ from scipy import sparse
 
 from cmp_tactile_processing.cache.arrays import cached_arrays
 from cmp_tactile_processing.cache.kernels import kernel
-from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.elastic.mesh import (
     BlockGeometry,
     BlockMesh,
     MeshDensity,
 )
-from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, mirrored_response
+from cmp_tactile_processing.elastic.mirror_symmetry import PARITIES, Fold, MirroredProduct
 from cmp_tactile_processing.elastic.model import ElasticProblem, quarter_count
 from cmp_tactile_processing.elastic.relaxation import step_weights
 from cmp_tactile_processing.errors import ContactError
@@ -212,23 +212,23 @@ class LinearElastomer:
         """The grid on which the marker surface is observed; spans the whole top of the block."""
         return self._problem.markers
 
-    @property
+    @cached_property
     def node_position(self) -> Array:
         """Contact nodes at rest, (N, 3) m, gel frame: on the contact surface, above the skin."""
         return self._problem.geometry.contact_points(self.nodes.points)
 
-    @property
+    @cached_property
     def node_area(self) -> Array:
         """Undeformed area of the contact surface that belongs to each node, (N,) m^2."""
         x, y = self.nodes.spacing
         return x * y * self._problem.geometry.surface_stretch(self.nodes.points)
 
-    @property
+    @cached_property
     def on_rim(self) -> NDArray[np.bool_]:
         """Nodes on the patch's outer ring, (N,): contact there may go on outside the patch."""
         return on_rim(self.nodes)
 
-    @property
+    @cached_property
     def beyond(self) -> Array:
         """Points of the contact surface at rest outside the patch, where nothing may touch.
 
@@ -293,9 +293,12 @@ class ParityResponse:
         of_nodes: Array,
         of_markers: Array,
     ) -> None:
-        self._of_nodes, self._of_markers = of_nodes, of_markers
-        self._nodes, self._markers = nodes, markers
-        self._image, self._sign = _images(_extensions(nodes))
+        self._of_nodes = of_nodes
+        extensions = _extensions(nodes)
+        self._image, self._sign = _images(extensions)
+        source, target = Fold.into(extensions), Fold.into(_extensions(markers))
+        self._node_product = MirroredProduct(of_nodes, source, source)
+        self._marker_product = MirroredProduct(of_markers.transpose(0, 2, 1), source, target)
 
     def compliance(self, active: Index) -> Array:
         """Displacement of the nodes `active` (k,) for unit forces on them, (3 k, 3 k) m/N."""
@@ -305,17 +308,11 @@ class ParityResponse:
 
     def of_nodes(self, force: Array) -> Array:
         """Displacement of the nodes (N, 3) m under forces (N, 3) N on them."""
-        return self._apply(self._of_nodes, self._nodes, force)
+        return self._node_product.of_vector(force.ravel()).reshape(-1, 3)
 
     def of_markers(self, force: Array) -> Array:
         """Displacement of the markers (M, 3) m under forces (N, 3) N on the nodes."""
-        return self._apply(self._of_markers, self._markers, force)
-
-    def _apply(self, responses: Array, target: SurfaceGrid, force: Array) -> Array:
-        # Reading memory is what takes the time; threads only wait for one another on loaded cores.
-        with one_thread():
-            moved = mirrored_response(responses, self._nodes, target, force.ravel())
-        return moved.reshape(-1, 3)
+        return self._marker_product.of_vector(force.ravel()).reshape(-1, 3)
 
 
 def _extensions(grid: SurfaceGrid) -> list[sparse.csr_array]:

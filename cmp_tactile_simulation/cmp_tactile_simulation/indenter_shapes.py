@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.cache.kernels import kernel
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_simulation.indenters import check_radius
 
@@ -73,10 +74,10 @@ class Cylinder:
         """See Indenter.distance."""
         radial, outward = _polar(p_indenter * (0.0, 1.0, 1.0))
         return _grown(
-            [
+            (
                 (radial - (self.radius - self.edge_radius), outward),
                 _slab(p_indenter, 0, self.length / 2 - self.edge_radius),
-            ],
+            ),
             self.edge_radius,
         )
 
@@ -112,10 +113,10 @@ class FlatProbe:
         radial, outward = _polar(p_indenter * (1.0, 1.0, 0.0), otherwise=0)
         middle = p_indenter - (0.0, 0.0, self.length / 2)
         return _grown(
-            [
+            (
                 (radial - (self.diameter / 2 - self.edge_radius), outward),
                 _slab(middle, 2, self.length / 2 - self.edge_radius),
-            ],
+            ),
             self.edge_radius,
         )
 
@@ -146,10 +147,10 @@ class Cuboid:
 
     def distance(self, p_indenter: Array) -> tuple[Array, Array]:
         """See Indenter.distance."""
-        slabs = [
+        slabs = tuple(
             _slab(p_indenter, axis, side / 2 - self.edge_radius)
             for axis, side in enumerate(self.size)
-        ]
+        )
         return _grown(slabs, self.edge_radius)
 
 
@@ -214,10 +215,10 @@ class HexagonalBar:
         """See Indenter.distance."""
         profile, outward = _hexagon(p_indenter[:, 1:], self.across_flats / 2 - self.edge_radius)
         return _grown(
-            [
+            (
                 (profile, np.concatenate([np.zeros((len(outward), 1)), outward], axis=1)),
                 _slab(p_indenter, 0, self.length / 2 - self.edge_radius),
-            ],
+            ),
             self.edge_radius,
         )
 
@@ -260,35 +261,51 @@ class SphereGroup:
         return length - self.radius, direction
 
 
+@kernel
 def _polar(vectors: Array, otherwise: int = -1) -> tuple[Array, Array]:
     """Lengths and unit vectors; one of length 0 is taken to point along the axis `otherwise`."""
-    length = np.linalg.norm(vectors, axis=1)
-    zero = length == 0
-    direction = vectors / np.where(zero, 1.0, length)[:, None]
-    direction[zero, otherwise] = 1.0
+    length, direction = np.empty(len(vectors)), np.zeros(vectors.shape)
+    for k in range(len(vectors)):
+        length2 = 0.0
+        for c in range(vectors.shape[1]):
+            length2 += vectors[k, c] * vectors[k, c]
+        length[k] = np.sqrt(length2)
+        if length[k] == 0:
+            direction[k, otherwise] = 1.0
+            continue
+        for c in range(vectors.shape[1]):
+            direction[k, c] = vectors[k, c] / length[k]
     return length, direction
 
 
+@kernel
 def _slab(points: Array, axis: int, half: float) -> tuple[Array, Array]:
     """Signed distance from |points[axis]| <= half, and its normal."""
-    normal = np.zeros_like(points)
-    normal[:, axis] = np.where(points[:, axis] < 0, -1.0, 1.0)
-    return np.abs(points[:, axis]) - half, normal
+    distance, normal = np.empty(len(points)), np.zeros(points.shape)
+    for k in range(len(points)):
+        distance[k] = abs(points[k, axis]) - half
+        normal[k, axis] = -1.0 if points[k, axis] < 0 else 1.0
+    return distance, normal
 
 
-def _grown(parts: list[tuple[Array, Array]], radius: float) -> tuple[Array, Array]:
+@kernel
+def _grown(parts: tuple[tuple[Array, Array], ...], radius: float) -> tuple[Array, Array]:
     """Intersection of solids with normals at right angles to each other, grown by a radius."""
-    distances = np.stack([distance for distance, _ in parts])
-    normals = np.stack([normal for _, normal in parts])
-    beyond = np.maximum(distances, 0.0)
-    outside = np.sqrt((beyond**2).sum(axis=0))
-    nearest = distances.argmax(axis=0)
-    points = np.arange(distances.shape[1])
-    inner = normals[nearest, points]
-    is_out = outside > 0
-    outer = (beyond[..., None] * normals).sum(axis=0) / np.where(is_out, outside, 1.0)[:, None]
-    gap = outside + np.minimum(distances[nearest, points], 0.0) - radius
-    return gap, np.where(is_out[:, None], outer, inner)
+    gap, normal = np.empty(len(parts[0][0])), np.zeros(parts[0][1].shape)
+    for k in range(len(gap)):
+        outside2, nearest = 0.0, 0
+        for n in range(len(parts)):
+            beyond = max(parts[n][0][k], 0.0)
+            outside2 += beyond * beyond
+            for c in range(3):
+                normal[k, c] += beyond * parts[n][1][k, c]
+            nearest = n if parts[n][0][k] > parts[nearest][0][k] else nearest
+        outside = np.sqrt(outside2)
+        gap[k] = outside + min(parts[nearest][0][k], 0.0) - radius
+        for c in range(3):
+            inner = parts[nearest][1][k, c]
+            normal[k, c] = normal[k, c] / outside if outside > 0 else inner
+    return gap, normal
 
 
 def _hexagon(points: Array, inner_radius: float) -> tuple[Array, Array]:

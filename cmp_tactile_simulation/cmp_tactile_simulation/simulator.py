@@ -153,7 +153,7 @@ class SensorCamera:
         self._sensor, self._look, self._is_halved = sensor, look, halved is not None
         samples = look.samples * (2 if halved else 1)
         self._renderer = Renderer(halved or sensor, self._ink(look), samples=samples)
-        self.truth = OpticalTruth(sensor)
+        self.truth = OpticalTruth(sensor, None if halved else self._renderer.views)
 
     def use(self, look: Look) -> None:
         """Take the next pictures so; InputError for other samples of a pixel."""

@@ -13,7 +13,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.camera import CameraSettings, expose
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, HOUSING_GREY, LIGHT_GREY
-from cmp_tactile_simulation.rendering.renderer import RenderedFrame, pixel_rays
+from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
 # Samples along each side of a pixel, and greys that are kept of them for the blur.
 SAMPLES, FINENESS = 4, 2
@@ -62,7 +62,9 @@ def _seen(
     T_gel_board: NDArray[np.float64],
 ) -> NDArray[np.float32]:
     """Greys of a view, FINENESS x FINENESS for each pixel."""
-    origins, directions = pixel_rays(view)
+    # With a border of a pixel, see _sampled.
+    v, u = np.mgrid[-1 : view.placement.height + 1, -1 : view.placement.width + 1]
+    origins, directions = view.rays(np.stack([u, v], axis=-1))
     inwards = T_gel_board[:3, 2]
     towards = directions @ inwards
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +59,12 @@ class ContactSimulation:
     ) -> None:
         self.elastomer, self.indenter, self.friction = elastomer, indenter, float(friction)
         self._step = ContactStep(elastomer, indenter, self.friction)
-        self._lenient_steps = [
-            ContactStep(elastomer, indenter, self.friction, accepted) for accepted in LAST_RESORTS
+
+    @cached_property
+    def _lenient_steps(self) -> list[ContactStep]:
+        return [
+            ContactStep(self.elastomer, self.indenter, self.friction, accepted)
+            for accepted in LAST_RESORTS
         ]
 
     def rest(self, pose: Pose) -> ContactState:

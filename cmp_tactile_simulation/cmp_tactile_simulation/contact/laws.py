@@ -14,12 +14,14 @@ that lie h apart.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_simulation.indenters import Indenter, MeshIndenter
 
 Array = NDArray[np.float64]
@@ -110,7 +112,7 @@ class Problem:
     indenter: Indenter
     friction: float
 
-    @property
+    @cached_property
     def own(self) -> Array:
         """Mean compliance of each node under its own force, (k,) m/N."""
         diagonal = self.compliance.diagonal().reshape(-1, 3)[self.nodes]
@@ -127,7 +129,8 @@ class View:
     """The k nodes as the indenter meets them, for some forces and some pose; gel frame.
 
     force (k, 3) N, of which pressing (k,) along the normal and along (k, 3) across it.
-    place (k, 3) m deformed.  gap (k,) m.  normal (k, 3).  slip (k, 3) m, along the surface.
+    place (k, 3) m deformed.  gap (k,) m.  normal (k, 3).  slip (k, 3) m, along the surface, from
+    anchors (k, 3).
     """
 
     force: Array
@@ -136,27 +139,46 @@ class View:
     gap: Array
     normal: Array
     slip: Array
+    anchors: Array
     pressing: Array
     along: Array
 
 
-def look(problem: Problem, rest: Array, force: Array, pose: Pose) -> View:
-    """What the laws see.  rest: (k, 3) m, where the linear model puts the nodes without force."""
+def look(
+    problem: Problem, rest: Array, force: Array, pose: Pose, before: View | None = None
+) -> View:
+    """What the laws see.  rest: (k, 3) m, where the linear model puts the nodes without force.
+
+    before: an earlier view of the problem, whose anchors hold for the same pose.
+    """
     place = rest + problem.moved(force)
     gap, normal = problem.indenter.distance(pose.to_indenter(place))
     normal = normal @ pose.rotation.T
-    pressing = (force * normal).sum(axis=1)
-    slip = place - _anchors(problem, pose)
+    held = before is not None and before.pose is pose
+    anchors = before.anchors if before is not None and held else _anchors(problem, pose)
+    pressing, along = _split(force, normal)
     return View(
         force=force,
         pose=pose,
         place=place,
         gap=gap + problem.bulge,
         normal=normal,
-        slip=slip - (slip * normal).sum(axis=1)[:, None] * normal,
+        slip=_split(place - anchors, normal)[1],
+        anchors=anchors,
         pressing=pressing,
-        along=force - pressing[:, None] * normal,
+        along=along,
     )
+
+
+@kernel
+def _split(vectors: Array, normal: Array) -> tuple[Array, Array]:
+    """The parts of vectors (k, 3) along unit normals, (k,), and across them, (k, 3)."""
+    part, across = np.empty(len(vectors)), np.empty(vectors.shape)
+    for k in range(len(vectors)):
+        part[k] = _dot(vectors[k], normal[k])
+        for c in range(3):
+            across[k, c] = vectors[k, c] - part[k] * normal[k, c]
+    return part, across
 
 
 def bulge(indenter: Indenter, pose: Pose, place: Array, spacing: tuple[float, float]) -> Array:
@@ -184,14 +206,26 @@ def law_residual(problem: Problem, view: View) -> tuple[Array, Array]:
 
     Forces count by what they move their own node.
     """
-    own = problem.own
-    gap = np.minimum(view.gap, own * view.pressing)
-    trial = own[:, None] * view.along - view.slip
-    limit = problem.friction * own * np.maximum(view.pressing, 0.0)
-    kept = np.minimum(1.0, limit / np.maximum(np.linalg.norm(trial, axis=1), TINY))
-    along = own[:, None] * view.along - kept[:, None] * trial
-    along[view.pressing <= 0] = 0.0
-    return np.asarray(np.abs(gap)), np.asarray(np.abs(along).max(axis=1))
+    forces = view.pressing, view.along
+    return _residual(problem.own, problem.friction, view.gap, view.slip, forces)
+
+
+@kernel
+def _residual(
+    own: Array, friction: float, gap: Array, slip: Array, forces: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    signorini, coulomb = np.empty(len(gap)), np.zeros(len(gap))
+    (pressing, along), trial = forces, np.empty(3)
+    for k in range(len(gap)):
+        signorini[k] = abs(min(gap[k], own[k] * pressing[k]))
+        if pressing[k] > 0:
+            for c in range(3):
+                trial[c] = own[k] * along[k, c] - slip[k, c]
+            limit = friction * own[k] * pressing[k]
+            kept = min(1.0, limit / max(np.sqrt(_dot(trial, trial)), TINY))
+            for c in range(3):
+                coulomb[k] = max(coulomb[k], abs(own[k] * along[k, c] - kept * trial[c]))
+    return signorini, coulomb
 
 
 def on_cone(problem: Problem, view: View) -> Array:
@@ -204,12 +238,44 @@ def on_cone(problem: Problem, view: View) -> Array:
     return np.asarray(pressing[:, None] * view.normal + kept[:, None] * view.along)
 
 
-def tangents(normal: Array) -> tuple[Array, Array]:
-    """Two unit vectors (k, 3) across each normal and each other."""
-    side = np.where(np.abs(normal[:, :1]) < 0.6, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(normal, side)
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    return first, np.cross(normal, first)
+@kernel
+def tangents(normal: Array) -> Array:
+    """Two unit vectors across each normal and each other, (2, k, 3)."""
+    across = np.empty((2, *normal.shape))
+    side = np.zeros(3)
+    for k in range(len(normal)):
+        side[0] = abs(normal[k, 0]) < 0.6
+        side[1] = 1 - side[0]
+        first, second = across[0, k], across[1, k]
+        _cross(normal[k], side, first)
+        length = np.sqrt(_dot(first, first))
+        for c in range(3):
+            first[c] /= length
+        _cross(normal[k], first, second)
+    return across
+
+
+@kernel
+def crossed(a: Array, b: Array) -> Array:
+    """The cross products (k, 3) of vectors (k, 3)."""
+    product = np.empty(a.shape)
+    for k in range(len(a)):
+        _cross(a[k], b[k], product[k])
+    return product
+
+
+@kernel_part(forceinline=True)
+def _dot(a: Array, b: Array) -> Any:
+    """The product of two vectors (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel_part(forceinline=True)
+def _cross(a: Array, b: Array, out: Array) -> None:
+    """The cross product of two vectors (3,)."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 def curvature(problem: Problem, view: View, nodes: Index) -> Array:
@@ -220,19 +286,35 @@ def curvature(problem: Problem, view: View, nodes: Index) -> Array:
 def _turning(
     indenter: Indenter, pose: Pose, place: Array, normal: Array, step: float = CURVATURE_STEP
 ) -> Array:
-    turning = np.zeros((len(place), 3, 3))
-    for tangent in tangents(normal):
-        rate = (_normal(indenter, pose, place + step * tangent) - normal) / step
-        if step > CURVATURE_STEP:
-            before = (normal - _normal(indenter, pose, place - step * tangent)) / step
-            rate = (rate + before) / 2
-        rate -= (rate * normal).sum(axis=1)[:, None] * normal
-        turning += rate[:, :, None] * tangent[:, None, :]
-    return np.asarray((turning + turning.transpose(0, 2, 1)) / 2)
+    across = tangents(normal)
+    rate = (_normal(indenter, pose, place + step * across) - normal) / step
+    if step > CURVATURE_STEP:
+        before = (normal - _normal(indenter, pose, place - step * across)) / step
+        rate = (rate + before) / 2
+    return _symmetric(rate, normal, across)
+
+
+@kernel
+def _symmetric(rate: Array, normal: Array, across: Array) -> Array:
+    """The turning (k, 3, 3) of normals (k, 3) by their rates along two directions (2, k, 3)."""
+    turning = np.zeros((len(normal), 3, 3))
+    for k in range(len(normal)):
+        for n in range(2):
+            along = _dot(rate[n, k], normal[k])
+            for i in range(3):
+                change = rate[n, k, i] - along * normal[k, i]
+                for j in range(3):
+                    turning[k, i, j] += change * across[n, k, j]
+        for i in range(3):
+            for j in range(i):
+                mean = (turning[k, i, j] + turning[k, j, i]) / 2
+                turning[k, i, j] = turning[k, j, i] = mean
+    return turning
 
 
 def _normal(indenter: Indenter, pose: Pose, place: Array) -> Array:
-    return np.asarray(indenter.distance(pose.to_indenter(place))[1] @ pose.rotation.T)
+    _, normal = indenter.distance(pose.to_indenter(place).reshape(-1, 3))
+    return np.asarray((normal @ pose.rotation.T).reshape(place.shape))
 
 
 def _anchors(problem: Problem, pose: Pose) -> Array:

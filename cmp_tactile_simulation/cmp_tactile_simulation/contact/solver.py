@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, lu_factor, lu_solve
+from scipy.linalg.lapack import sgesv
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_processing.errors import NotConvergedError
@@ -198,13 +198,9 @@ def _system(problem: laws.Problem, view: laws.View, status: Status) -> _System:
     touching, slides = status.touching, status.sliding
     own, force = problem.own[touching], view.force[touching]
     normal, along = view.normal[touching], status.direction
-    across = np.cross(normal, along)
+    across = laws.crossed(normal, along)
     pressing = np.maximum(view.pressing[touching], 0.0)
-    bend = pressing[:, None, None] * laws.curvature(problem, view, touching)
-    turn = own * np.linalg.eigvalsh(bend)[:, [0, -1]].T
-    curved = slides & (np.abs(turn).max(axis=0) > SLIGHT_TURN)
-    most = MOST_TURN / (1 + problem.friction**2)
-    bend *= np.minimum(1.0, most / np.maximum(turn[1], most))[:, None, None]
+    bend, curved = _bend(problem, view, status)
     flat = slides & ~curved
     mu = problem.friction
 
@@ -248,18 +244,30 @@ def _system(problem: laws.Problem, view: laws.View, status: Status) -> _System:
     )
 
 
+def _bend(problem: laws.Problem, view: laws.View, status: Status) -> tuple[Array, Mask]:
+    """How much the normal forces of sliding nodes (k, 3, 3) turn with their places, N/m; and which
+    nodes turn more than slightly.
+    """
+    bend = np.zeros((len(status.touching), 3, 3))
+    slides = np.flatnonzero(status.sliding)
+    nodes, most = status.touching[slides], MOST_TURN / (1 + problem.friction**2)
+    pressing = np.maximum(view.pressing[nodes], 0.0)
+    bend[slides] = pressing[:, None, None] * laws.curvature(problem, view, nodes)
+    turn = problem.own[nodes] * np.linalg.eigvalsh(bend[slides])[:, [0, -1]].T
+    bend[slides] *= np.minimum(1.0, most / np.maximum(turn[1], most))[:, None, None]
+    curved = np.zeros_like(status.sliding)
+    curved[slides] = np.abs(turn).max(axis=0) > SLIGHT_TURN
+    return bend, curved
+
+
 def _solved(problem: laws.Problem, touching: Index, system: _System, columns: Array) -> Array:
     """The system's answer (m, c) to the columns, as displacements, in single precision."""
     first, nodes = system.first, problem.nodes[touching]
     matrix = laws.condensed_system(
         problem.compliance, nodes, first, system.test, system.trial, system.local
     )
-    try:
-        factors = lu_factor(matrix, overwrite_a=True, check_finite=False)
-    except LinAlgError:
-        raise NotConvergedError from None
-    solved = lu_solve(factors, columns.astype(np.float32), check_finite=False)
-    if not np.isfinite(solved).all():
+    _, _, solved, singular = sgesv(matrix, columns.astype(np.float32), overwrite_a=True)
+    if singular or not np.isfinite(solved).all():
         raise NotConvergedError
     return np.asarray(solved, dtype=np.float64)
 
@@ -333,7 +341,7 @@ def solve(
             raise NotConvergedError
         if iteration >= ITERATIONS // 2:
             force = (view.force + force) / 2
-        view = laws.look(problem, rest, force, pose)
+        view = laws.look(problem, rest, force, pose, view)
         found = _residual(problem, view, flips)
         if found < residual and missed_load(problem, view, load) < LOAD_TOLERANCE:
             best, residual = view, found
@@ -369,7 +377,7 @@ def _polished(problem: laws.Problem, rest: Array, view: laws.View) -> laws.View:
         # On an edge without a stable place the passes would lead away from the solution.
         if change > before:
             break
-        view = laws.look(problem, rest, force, view.pose)
+        view = laws.look(problem, rest, force, view.pose, view)
         if change <= CONE_TOLERANCE * np.abs(force).max():
             break
     return view

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os.path import relpath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,15 +24,13 @@ from cmp_tactile_simulation.dataset.recipe import Recipe
 from cmp_tactile_simulation.dataset.sampling import Sample, Sampler, described, draw, variant_file
 from cmp_tactile_simulation.simulator import SimulatedFrame
 
-if TYPE_CHECKING:
-    import xarray
-
 FORMAT_VERSION = 1
 RECIPE_FILE, LEFT_OUT = "recipe.yaml", "left_out"
 # Of a shard, which is some 20 MB then, unless one sample has more.
 SHARD_FRAMES = 32
 # Noise leaves deflate nothing to find beyond its first level.
-COMPRESSION = {"zlib": True, "complevel": 1, "shuffle": False}
+COMPRESSION = {"compression": "gzip", "compression_opts": 1, "shuffle": False}
+COORDINATES = ("sample", "step", "phase", "stamp_ns")
 
 
 @dataclass(frozen=True)
@@ -185,37 +183,42 @@ def write_samples(
     path: Path, recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
 ) -> None:
     """Write the frames of some samples as one netCDF file."""
+    # Without xarray, which takes as long to be imported as 20 samples take to be made.
     import h5netcdf
     import h5py
 
-    dataset, images = _dataset(recipe, made), [frame.image for _, found in made for frame in found]
-    encoding = {
-        name: {**COMPRESSION, "chunksizes": (1, *array.shape[1:])}
-        for name, array in dataset.data_vars.items()
-        if array.ndim > 1
-    }
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
-    height, width = images[0].shape
-    with h5netcdf.File(path, "a") as file:
-        file.dimensions["y"], file.dimensions["x"] = height, width
+    images = [frame.image for _, found in made for frame in found]
+    with h5netcdf.File(path, "w") as file:
+        for name, (dims, array, attributes) in _arrays(made).items():
+            for dimension, size in zip(dims, array.shape, strict=True):
+                file.dimensions.setdefault(dimension, size)
+            packed = {**COMPRESSION, "chunks": (1, *array.shape[1:])} if array.ndim > 1 else {}
+            values = array.astype(h5py.string_dtype()) if array.dtype.kind == "U" else array
+            variable = file.create_variable(name, dims, values.dtype, data=values, **packed)
+            variable.attrs.update(attributes)
+        height, width = images[0].shape
+        file.dimensions.update(y=height, x=width)
         image = file.create_variable(
             "image", ("frame", "y", "x"), np.uint8, chunks=(1, height, width), compression="gzip"
         )
         image.attrs.update(VARIABLES["image"].attrs)
+        facts = {"title": recipe.title or recipe.name, "rate_hz": recipe.rate, "frame": "gel"}
+        coordinates = " ".join(COORDINATES)
+        file.attrs.update({**facts, "sensor": recipe.sensor.name, "coordinates": coordinates})
     # Camera noise leaves no words to find: entropy coding alone is as small, and much quicker.
     with h5py.File(path, "a") as file:
+        chunks = file["image"].id
         for number, picture in enumerate(images):
             deflate = zlib.compressobj(strategy=zlib.Z_HUFFMAN_ONLY)
             chunk = deflate.compress(np.ascontiguousarray(picture).data) + deflate.flush()
-            file["image"].id.write_direct_chunk((number, 0, 0), chunk)
+            chunks.write_direct_chunk((number, 0, 0), chunk)
 
 
-def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]) -> xarray.Dataset:
-    import xarray
-
+def _arrays(made: Sequence[tuple[Sample, list[SimulatedFrame]]]) -> dict[str, Any]:
+    """Of each variable but the image: dimensions, values and attributes."""
     frames = [(sample, frame) for sample, found in made for frame in found]
     rows = [_values(sample, frame) for sample, frame in frames]
-    variables = {
+    arrays: dict[str, Any] = {
         name: (
             ("frame", *VARIABLES[name].dims),
             np.stack([row[name] for row in rows]),
@@ -223,16 +226,15 @@ def _dataset(recipe: Recipe, made: Sequence[tuple[Sample, list[SimulatedFrame]]]
         )
         for name in rows[0]
     }
+    # As xarray knows flags.
+    arrays["contact"][2]["dtype"] = "bool"
     steps = [step for _, found in made for step in range(len(found))]
-    coordinates = {
-        "sample": ("frame", np.array([sample.number for sample, _ in frames], np.int32)),
-        "step": ("frame", np.array(steps, np.int32)),
-        "phase": ("frame", [frame.phase for _, frame in frames]),
-        "stamp_ns": ("frame", np.array([frame.stamp_ns for _, frame in frames], np.int64)),
-        **{dimension: list(names) for dimension, names in LABELS.items()},
-    }
-    facts = {"title": recipe.title or recipe.name, "rate_hz": recipe.rate, "frame": "gel"}
-    return xarray.Dataset(variables, coordinates, {**facts, "sensor": recipe.sensor.name})
+    arrays["sample"] = ("frame",), np.array([sample.number for sample, _ in frames], np.int32), {}
+    arrays["step"] = ("frame",), np.array(steps, np.int32), {}
+    arrays["phase"] = ("frame",), np.array([frame.phase for _, frame in frames]), {}
+    arrays["stamp_ns"] = ("frame",), np.array([frame.stamp_ns for _, frame in frames], np.int64), {}
+    arrays |= {name: ((name,), np.array(labels), {}) for name, labels in LABELS.items()}
+    return arrays
 
 
 def _values(sample: Sample, frame: SimulatedFrame) -> dict[str, Any]:
@@ -259,7 +261,7 @@ def _values(sample: Sample, frame: SimulatedFrame) -> dict[str, Any]:
     }
     return {
         **{name: np.asarray(value, np.float32) for name, value in values.items()},
-        "contact": truth.contact.reshape(nodes),
+        "contact": truth.contact.reshape(nodes).astype(np.int8),
         "slip_state": np.int8(force.slip_state),
         "indenter": sample.indenter,
         "sensor": sensor_file(sample.variant),

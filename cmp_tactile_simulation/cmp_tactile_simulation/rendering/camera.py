@@ -5,26 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from cmp_tactile_processing.cache.kernels import kernel
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import InputError
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 from cmp_tactile_simulation.rendering import Purpose, random_stream
 from cmp_tactile_simulation.rendering.ink import DARK_GREY, LIGHT_GREY
 from cmp_tactile_simulation.rendering.renderer import RenderedFrame
 
-WHITE = 255.0
 # Of a blur from the first of these on, px, the second is done before pixels integrate the light.
 # The rest is quicker after it, where whole pixels would alias and move corners by 0.01 px alone.
 WIDE_BLUR, BLUR_BEFORE = 1.5, 1.0
 # Normal noise is drawn from so many numbers, all equally likely, from -4.3 to 4.3 standard
 # deviations: that takes a fifth of the time.
 NOISE_LEVELS = 1 << 16
+WHITE = 255.0
 
 # Dust grains: radius, px.  Hairs: length and width, px.
 GRAIN_RADIUS = (1.5, 6.0)
@@ -49,9 +50,7 @@ def expose(
     rng: noise of this frame.  seed: places of glare and clutter, the same in all frames.
     """
     image = _blurred(frame.grey, frame.fineness, settings.blur)
-    optics = _optics(settings, image.shape, seed)
-    image *= optics.gain
-    image += optics.glow
+    _light(image, settings, _dirt(settings, image.shape, seed))
     return _digitised(image, settings, rng)
 
 
@@ -59,53 +58,119 @@ def _blurred(grey: NDArray[np.float32], fineness: int, sigma: float) -> NDArray[
     """Blurred by a lens, then integrated over the pixels: (height, width)."""
     before = sigma if sigma < WIDE_BLUR else BLUR_BEFORE
     after = math.sqrt(sigma**2 - before**2)
+    weights = np.full(fineness, 1 / fineness)
     if before > 0:
-        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), before * fineness), dtype=np.float32)
-    if fineness > 1:
-        size = grey.shape[1] // fineness, grey.shape[0] // fineness
-        small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        grey = np.asarray(small, dtype=np.float32)
+        # As wide as OpenCV makes the kernel of such an image.
+        size = round(8 * before * fineness + 1) | 1
+        blur = cv2.getGaussianKernel(size, before * fineness)
+        weights = np.convolve(np.asarray(blur)[:, 0], weights)
+    image = _integrated(np.ascontiguousarray(grey), fineness, weights.astype(np.float32))
     if after > 0:
-        grey = np.asarray(cv2.GaussianBlur(grey, (0, 0), after), dtype=np.float32)
-    return np.array(grey, dtype=np.float32)
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), after), dtype=np.float32)
+    return image
 
 
-def _along(shape: tuple[int, ...], direction: float) -> NDArray[np.float64]:
-    """Way across the frame along a direction, from 0 at its first corner to 1 at its last."""
-    x, y = np.arange(shape[1]) * math.cos(direction), np.arange(shape[0]) * math.sin(direction)
-    least = x.min() + y.min()
-    most = x.max() + y.max()
-    return np.asarray((x + y[:, None] - least) / max(most - least, 1e-9))
+@kernel
+def _integrated(
+    grey: NDArray[np.float32], fineness: int, weights: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The weighted means (height, width) about each pixel, of the same weights down and across.
+
+    Entries beyond the frame's border are those as far on its other side.
+    """
+    height, width = grey.shape[0] // fineness, grey.shape[1] // fineness
+    reach = (len(weights) - fineness) // 2
+    image = np.zeros((height, width), np.float32)
+    line = np.empty(grey.shape[1] + 2 * reach + fineness, np.float32)
+    inner = line[reach : reach + grey.shape[1]]
+    # Every entry of a pixel apart, so that the compiler does several pixels at once.
+    apart = np.empty((fineness, len(line) // fineness), np.float32)
+    for i in range(height):
+        inner[:] = 0.0
+        for k in range(len(weights)):
+            row, weight = grey[_mirrored(fineness * i + k - reach, grey.shape[0])], weights[k]
+            for j in range(len(inner)):
+                inner[j] += weight * row[j]
+        for k in range(reach):
+            line[k] = inner[_mirrored(k - reach, len(inner))]
+            line[reach + len(inner) + k] = inner[_mirrored(len(inner) + k, len(inner))]
+        for n in range(fineness):
+            for j in range(apart.shape[1]):
+                apart[n, j] = line[fineness * j + n]
+        out = image[i]
+        for k in range(len(weights)):
+            part, weight = apart[k % fineness, k // fineness :], weights[k]
+            for j in range(width):
+                out[j] += weight * part[j]
+    return image
 
 
-@dataclass(frozen=True)
-class _Optics:
-    """What light and dirt make of a rendered grey: grey * gain + glow, (height, width)."""
-
-    gain: NDArray[np.float32]
-    glow: NDArray[np.float32]
+@kernel_part(forceinline=True)
+def _mirrored(place: int, size: int) -> int:
+    place = abs(place)
+    return min(place, max(2 * size - 2 - place, 0))
 
 
-@lru_cache(maxsize=4)
-def _optics(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Optics:
-    height, width = shape
+class _Dirt(NamedTuple):
+    """Share of the light that clutter lets through, and light of glare; (height, width) or None."""
+
+    kept: NDArray[np.float32] | None
+    glare: NDArray[np.float32] | None
+
+
+def _dirt(settings: CameraSettings, shape: tuple[int, int], seed: int) -> _Dirt:
+    clutter = _clutter(shape, settings.clutter, seed) if settings.clutter else None
+    if not settings.glare_spots:
+        return _Dirt(clutter, None)
+    glare = _glare(shape, settings.glare_spots, settings.glare_size, seed)
+    return _Dirt(clutter, settings.glare_strength * glare)
+
+
+def _light(image: NDArray[np.float32], settings: CameraSettings, dirt: _Dirt) -> None:
+    """Turn rendered greys into those of the settings' light, in place."""
+    height, width = image.shape
+    x, y = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
     centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-    x2, y2 = (np.arange(width) - centre_x) ** 2, (np.arange(height) - centre_y) ** 2
-    radius2 = (x2 + y2[:, None]) / (centre_x**2 + centre_y**2)
-    light = 1 - (1 - 1 / settings.light_ratio) * _along(shape, settings.light_direction)
-    light *= 1 - settings.vignette * radius2
-    # Apart, so that more glare leaves the clutter where it is.
-    glare_rng, clutter_rng = (
-        random_stream(purpose, seed) for purpose in (Purpose.GLARE, Purpose.CLUTTER)
-    )
-    if settings.clutter:
-        light *= clutter_transmission(shape, settings.clutter, clutter_rng)
+    radius2 = centre_x**2 + centre_y**2
+    # Way across the frame along the light's direction, from 0 at its first corner to 1 at its last.
+    along_x = x * math.cos(settings.light_direction)
+    along_y = y * math.sin(settings.light_direction)
+    least, most = along_x.min() + along_y.min(), along_x.max() + along_y.max()
+    loss = (1 - 1 / settings.light_ratio) / max(most - least, 1e-9)
     contrast = (settings.light_level - settings.dark_level) / (LIGHT_GREY - DARK_GREY)
-    glow = light * (settings.dark_level - contrast * DARK_GREY)
-    if settings.glare_spots:
-        glare = glare_light(shape, settings.glare_spots, settings.glare_size, glare_rng)
-        glow += settings.glare_strength * glare
-    return _Optics((light * contrast).astype(np.float32), glow.astype(np.float32))
+    _illuminate(
+        image,
+        (loss * along_x, 1 + loss * least - loss * along_y),
+        tuple(settings.vignette * part**2 / radius2 for part in (x - centre_x, y - centre_y)),
+        (contrast, settings.dark_level - contrast * DARK_GREY),
+        *dirt,
+    )
+
+
+@kernel
+def _illuminate(  # noqa: PLR0913, PLR0917 - flat arrays, as the compiler wants them
+    image: NDArray[np.float32],
+    light: tuple[NDArray[np.float64], NDArray[np.float64]],
+    vignette: tuple[NDArray[np.float64], NDArray[np.float64]],
+    line: tuple[float, float],
+    kept: NDArray[np.float32] | None,
+    glare: NDArray[np.float32] | None,
+) -> None:
+    """Make of each grey, in place: light kept (contrast grey + offset) + glare.
+
+    light, vignette: what columns (width,) take off of what rows (height,) have, and what both lose.
+    """
+    (by_x, by_y), (lost_x, lost_y), (contrast, offset) = light, vignette, line
+    for i in range(image.shape[0]):
+        row, even, lost = image[i], by_y[i], 1 - lost_y[i]
+        for j in range(len(row)):
+            here = (even - by_x[j]) * (lost - lost_x[j])
+            if kept is not None:
+                here *= kept[i, j]
+            value = here * (contrast * row[j] + offset)
+            if glare is not None:
+                value += glare[i, j]
+            row[j] = value
 
 
 def _digitised(
@@ -114,7 +179,8 @@ def _digitised(
     if settings.read_noise > 0:
         frame = _noisy(image, settings.read_noise, rng)
     else:
-        frame = np.rint(image).clip(0, WHITE).astype(np.uint8)
+        # Rounded and saturated.
+        frame = np.asarray(cv2.convertScaleAbs(image), np.uint8)
     if settings.salt_and_pepper > 0:
         struck = rng.random(frame.shape, dtype=np.float32) < settings.salt_and_pepper
         frame[struck] = rng.integers(0, 2, int(np.count_nonzero(struck))).astype(np.uint8) * 255
@@ -228,11 +294,10 @@ class CameraSettings(Parameters, section="camera"):
 # What stays between the gel and the camera: glare, dust and hairs.
 
 
-def glare_light(
-    shape: tuple[int, int], count: int, size: float, rng: np.random.Generator
-) -> NDArray[np.float32]:
+@lru_cache(maxsize=4)
+def _glare(shape: tuple[int, int], count: int, size: float, seed: int) -> NDArray[np.float32]:
     """Light of round spots anywhere in a frame of that shape; 1 at a spot's centre."""
-    height, width = shape
+    (height, width), rng = shape, random_stream(Purpose.GLARE, seed)
     light = np.zeros(shape, dtype=np.float32)
     x, y = np.arange(width), np.arange(height)
     for _ in range(count):
@@ -243,11 +308,10 @@ def glare_light(
     return light
 
 
-def clutter_transmission(
-    shape: tuple[int, int], count: int, rng: np.random.Generator
-) -> NDArray[np.float32]:
+@lru_cache(maxsize=4)
+def _clutter(shape: tuple[int, int], count: int, seed: int) -> NDArray[np.float32]:
     """Share of the light that grains and hairs anywhere on the optics let through."""
-    kept = np.ones(shape, dtype=np.float32)
+    kept, rng = np.ones(shape, dtype=np.float32), random_stream(Purpose.CLUTTER, seed)
     for _ in range(count):
         mask = np.zeros(shape, dtype=np.uint8)
         centre = rng.uniform(0, 1, 2) * shape[::-1]
@@ -260,9 +324,7 @@ def clutter_transmission(
             width = int(rng.integers(HAIR_WIDTH[0], HAIR_WIDTH[1] + 1))
             cv2.polylines(mask, [points], False, 255, width, cv2.LINE_AA, SHIFT)
         kept *= 1 - (1 - rng.uniform(*KEPT_LIGHT)) * (mask.astype(np.float32) / 255)
-    if count:
-        kept = np.asarray(cv2.GaussianBlur(kept, (0, 0), CLUTTER_BLUR), dtype=np.float32)
-    return kept
+    return np.asarray(cv2.GaussianBlur(kept, (0, 0), CLUTTER_BLUR), dtype=np.float32)
 
 
 def _hair(middle: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:

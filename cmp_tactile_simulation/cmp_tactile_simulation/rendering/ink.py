@@ -69,7 +69,7 @@ class Strays:
     slope: its largest change over a distance, per that distance.  most: twice its largest amount.
     """
 
-    values: NDArray[np.float32]
+    values: NDArray[np.float32] | None = None
     x: float = 0.0
     y: float = 0.0
     per: float = 0.0
@@ -99,7 +99,7 @@ def stray_lattice(
     Raises InputError where the print is too large for so small a length.
     """
     if defects.ragged_edge == 0:
-        return Strays(np.zeros((2, 2, 2), np.float32))
+        return Strays()
     length = defects.ragged_length
     reach = LARGEST_DEVIATION * defects.ragged_edge
     cols, rows = (math.ceil((side + 2 * reach) / length) + 1 for side in size)
@@ -329,7 +329,7 @@ class InkArrays(NamedTuple):
 
     strays (h, w, 2) float32 m: by how much the print strays, on a lattice.  blobs (h, w, k, 8):
     those of each bin: centre x, y; matrix that maps the blob to the unit circle, row by row;
-    shorter half-axis; grey, which is NaN where no more follow.  Both are None without flaws.
+    shorter half-axis; grey, which is NaN where no more follow.  None where there are none.
     """
 
     plain: Print
@@ -394,13 +394,19 @@ def _flawless(ink: Print, x: float, y: float) -> Any:
 
 
 @kernel_part(forceinline=True)
+def _bin(ink: Print, blobs: NDArray[np.float64], x: float, y: float) -> tuple[int, int]:
+    """Row and column of a point's bin, or of the nearest."""
+    col = int(min(max((x - ink.bin_x) * ink.bin_per, 0.0), blobs.shape[1] - 1.0))
+    row = int(min(max((y - ink.bin_y) * ink.bin_per, 0.0), blobs.shape[0] - 1.0))
+    return row, col
+
+
+@kernel_part(forceinline=True)
 def _blotted(ink: Print, blobs: NDArray[np.float64], xy: tuple[float, float], flawless: Any) -> Any:
     """What blobs make of grey, clear distance, other grey and its distance at a point."""
     grey, clear, other, near = flawless
     clear = min(clear, ink.bin_margin)
-    x, y = xy
-    col = int(min(max((x - ink.bin_x) * ink.bin_per, 0.0), blobs.shape[1] - 1.0))
-    row = int(min(max((y - ink.bin_y) * ink.bin_per, 0.0), blobs.shape[0] - 1.0))
+    (x, y), (row, col) = xy, _bin(ink, blobs, xy[0], xy[1])
     for k in range(blobs.shape[2]):
         own = blobs[row, col, k, 7]
         if np.isnan(own):
@@ -419,6 +425,17 @@ def _blotted(ink: Print, blobs: NDArray[np.float64], xy: tuple[float, float], fl
 
 
 @kernel_part(forceinline=True)
+def is_blotted(
+    ink: Print, blobs: NDArray[np.float64] | None, circle: tuple[float, float, float]
+) -> bool:
+    """Whether blobs may reach into a circle (x, y, radius) on the skin."""
+    if blobs is None:
+        return False
+    row, col = _bin(ink, blobs, circle[0], circle[1])
+    return not (np.isnan(blobs[row, col, 0, 7]) and circle[2] < ink.bin_margin)
+
+
+@kernel_part(forceinline=True)
 def ink_at(
     ink: Print,
     strays: NDArray[np.float32] | None,
@@ -429,13 +446,10 @@ def ink_at(
     """Grey at material point (x, y); a distance (m) within which it does not change for sure; the
     grey beyond the nearest change, and about how far (m) that is.
     """
-    if strays is None or blobs is None:
-        grey, clear, other = _flawless(ink, x, y)
-        near = clear
-    else:
-        px, py = _stray(ink, strays, x, y)
-        grey, near, other = _flawless(ink, px, py)
-        clear = max(near / (1 + ink.stray_slope), near - ink.stray_most)
+    px, py = (x, y) if strays is None else _stray(ink, strays, x, y)
+    grey, near, other = _flawless(ink, px, py)
+    clear = max(near / (1 + ink.stray_slope), near - ink.stray_most)
+    if blobs is not None:
         grey, clear, other, near = _blotted(ink, blobs, (x, y), (grey, clear, other, near))
     beyond = max(abs(x) - ink.half_x, abs(y) - ink.half_y)
     if beyond > 0:

@@ -1,9 +1,9 @@
-"""From guesses of the material point behind each pixel to the pixel's grey.
+"""From what a view sees of a surface to the greys of its pixels.
 
-First the pixels near a change of grey get their material point exactly; then each pixel is the
-mean of its samples; their material points come from the quadratic through the pixel and its eight
-neighbours, or, where the surface folds or bends sharply, from a ray of their own.  A sample is a
-small square: what lies beyond the nearest change of grey counts in proportion.
+A cell of pixels far from any change of grey is filled.  In the others a pixel that a change may
+cross is the mean of its samples.  Their material points come from the nodes' cubic, or, where that
+is not exact enough or the surface folds, from a ray of their own.  A sample is a small square: what
+lies beyond the nearest change of grey counts in proportion.
 """
 
 from __future__ import annotations
@@ -14,43 +14,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
-from cmp_tactile_simulation.rendering.ink import InkArrays, Print, ink_at
+from cmp_tactile_simulation.rendering.ink import InkArrays, Print, ink_at, is_blotted
+from cmp_tactile_simulation.rendering.sight import ALIKE_PX, NODE_PX, between, cubic_weights
 from cmp_tactile_simulation.rendering.surface import SplineSurface, first_meeting, meet
 
-# What is known of a pixel's material point.
-EMPTY, ROUGH, EXACT = 0, 1, 2
-# A pixel this many of its sizes from a change of grey needs no exact point: a pixel that the
-# change crosses uses those one diagonal around it.
-CLEAR_SIZES = 2.8
-# Second differences of material points over the first, above which a quadratic will not do ...
-BENT = 0.05
-# ... and above which neighbours lie on different parts of the surface.
-TORN = 0.5
-# Mesh pixels this far beyond the block, in pixels, touch no pixel of it.
-WELL_BEYOND = 1.6
-# Guesses this near to each other, in pixels, lead to the same meeting.
-ALIKE_PIXELS = 2.0
-# Pixels of one grey, of a smooth part of the surface, and of a folded or sharply bent one.
-ONE_GREY, SMOOTH, BROKEN = 0, 1, 2
+# Pixels and cells reach farther than half the diagonals of a cell of even pixels, by this factor.
+UNEVEN = 1.2
+# Where third differences of the nodes are below this, px, the cubic misses by a tenth of that.
+EVEN_PX = 0.05
+# How far the cubic may miss the surface amid a cell, px, for its samples, and for it to be of use.
+MAX_MISS_PX, LOST_PX = 0.01, 1.0
+# Nodes this far beyond the block, in pixels, belong to cells beyond it: the mesh ends there.
+WELL_BEYOND_PX = 1.6
+# Cells of one grey, of the cubic, of the cubic as a guess, and of a folded surface.
+ONE_GREY, SMOOTH, SHARP, BROKEN = range(4)
 
 
 class Picture(NamedTuple):
-    """One view in the making; arrays are one pixel larger all around than the view.
+    """One view in the making.
 
-    Pixel (v, u) of the view has entry [v + 1, u + 1], in the middle of [v : v + 3, u : u + 3].
-
-    points (h + 2, w + 2, 4): as `rasterize` gives them.  state (h + 2, w + 2): EMPTY, ROUGH
-    (a guess) or EXACT.  origins, directions: of `pixel_rays`.  pixel_m: a pixel's size on the
-    surface, m.  samples: along each side of a pixel.  fineness: greys wanted along it.
+    nodes, folded: of a `Sight`.  origins, directions, pixel_m: of its `ViewNodes`.
+    samples: along each side of a pixel.  fineness: entries of the frame along it.
+    height, width: px.  top, left: the view's first entry in the frame.  step: to the next on the
+    right, -1 where the frame has the view mirrored.
     """
 
-    points: NDArray[np.float64]
-    state: NDArray[np.uint8]
+    nodes: NDArray[np.float64]
+    folded: NDArray[np.bool_]
     origins: NDArray[np.float64]
     directions: NDArray[np.float64]
     pixel_m: float
     samples: int
     fineness: int
+    height: int
+    width: int
+    top: int
+    left: int
+    step: int
 
 
 @kernel_part(forceinline=True)
@@ -68,201 +68,111 @@ def _mixed(
 
 
 @kernel_part(forceinline=True)
-def _spread(p: NDArray[np.float64], v: int, u: int) -> Any:
-    """First differences of material points across a pixel, and the largest second difference."""
-    ux, uy = (p[v + 1, u + 2, 0] - p[v + 1, u, 0]) / 2, (p[v + 1, u + 2, 1] - p[v + 1, u, 1]) / 2
-    vx, vy = (p[v + 2, u + 1, 0] - p[v, u + 1, 0]) / 2, (p[v + 2, u + 1, 1] - p[v, u + 1, 1]) / 2
-    bend = 0.0
-    for c in range(2):
-        uu = p[v + 1, u + 2, c] + p[v + 1, u, c] - 2 * p[v + 1, u + 1, c]
-        vv = p[v + 2, u + 1, c] + p[v, u + 1, c] - 2 * p[v + 1, u + 1, c]
-        falling = p[v + 2, u + 2, c] + p[v, u, c] - 2 * p[v + 1, u + 1, c]
-        rising = p[v + 2, u, c] + p[v, u + 2, c] - 2 * p[v + 1, u + 1, c]
-        bend = max(bend, abs(uu), abs(vv), abs(falling), abs(rising))
-    return ux, uy, vx, vy, bend
-
-
-@kernel_part(forceinline=True)
-def _ray(field: NDArray[np.float64], v: int, u: int) -> Any:
-    """Entry of a field of rays that may be the same for all pixels."""
-    return field[min(v, field.shape[0] - 1), min(u, field.shape[1] - 1)]
-
-
-@kernel
-def solve(surface: SplineSurface, ink: InkArrays, picture: Picture, rows: tuple[int, int]) -> None:
-    """Make the material points of these rows exact where the greys depend on them.
-
-    rows: first and last + 1 of the arrays.  Reads the guesses of its own pixels alone.
-    """
-    p, state, (plain, strays, blobs) = picture.points, picture.state, ink
-    for v in range(rows[0], rows[1]):
-        for u in range(p.shape[1]):
-            x, y = p[v, u, 0], p[v, u, 1]
-            if np.isnan(x):
-                state[v, u] = EMPTY
-                continue
-            state[v, u] = ROUGH
-            _, clear, _, _ = ink_at(plain, strays, blobs, x, y)
-            if clear > CLEAR_SIZES * p[v, u, 3]:
-                continue
-            origin, direction = _ray(picture.origins, v, u), picture.directions[v, u]
-            good, x, y, _ = meet(surface, origin, direction, x, y)
-            if good:
-                p[v, u, 0], p[v, u, 1], state[v, u] = x, y, EXACT
-
-
-@kernel(forceinline=True)
-def _quadratic(
-    p: NDArray[np.float64], pixel: tuple[int, int], c: int, right: float, down: float
-) -> Any:
-    """Component c of a field, (right, down) px from the centre of a pixel."""
-    v, u = pixel
-    if p.shape[0] == 1:
-        # All rays have the same origin.
-        return p[0, 0, c]
-    east, west, south, north = (
-        p[v + 1, u + 2, c],
-        p[v + 1, u, c],
-        p[v + 2, u + 1, c],
-        p[v, u + 1, c],
-    )
-    twist = p[v + 2, u + 2, c] - p[v + 2, u, c] - p[v, u + 2, c] + p[v, u, c]
-    return (
-        p[v + 1, u + 1, c]
-        + right * ((east - west) / 2 + right * ((east + west) / 2 - p[v + 1, u + 1, c]))
-        + down * ((south - north) / 2 + down * ((south + north) / 2 - p[v + 1, u + 1, c]))
-        + right * down * twist / 4
-    )
-
-
-@kernel_part(forceinline=True)
-def _smooth(
-    ink: InkArrays, p: NDArray[np.float64], count: int, pixel: tuple[int, int], out: Any
+def _interpolate_ray(
+    picture: Picture, cell: tuple[int, int], place: tuple[float, float], ray: NDArray[np.float64]
 ) -> None:
-    """Greys within a pixel on an unbroken part of the surface."""
-    v, u = pixel
-    plain, strays, blobs = ink
-    per_part = count // out.shape[0]
-    # The quadratics' coefficients, once for all samples.
-    x0, y0 = p[v + 1, u + 1, 0], p[v + 1, u + 1, 1]
-    xr, yr, xd, yd, _ = _spread(p, v, u)
-    side = np.sqrt((xr * xr + yr * yr + xd * xd + yd * yd) / 2) / count
-    xrr = (p[v + 1, u + 2, 0] + p[v + 1, u, 0]) / 2 - x0
-    yrr = (p[v + 1, u + 2, 1] + p[v + 1, u, 1]) / 2 - y0
-    xdd = (p[v + 2, u + 1, 0] + p[v, u + 1, 0]) / 2 - x0
-    ydd = (p[v + 2, u + 1, 1] + p[v, u + 1, 1]) / 2 - y0
-    xrd = (p[v + 2, u + 2, 0] - p[v + 2, u, 0] - p[v, u + 2, 0] + p[v, u, 0]) / 4
-    yrd = (p[v + 2, u + 2, 1] - p[v + 2, u, 1] - p[v, u + 2, 1] + p[v, u, 1]) / 4
-    for k in range(count):
-        down = (k + 0.5) / count - 0.5
-        for j in range(count):
-            right = (j + 0.5) / count - 0.5
-            x = x0 + right * (xr + right * xrr + down * xrd) + down * (xd + down * xdd)
-            y = y0 + right * (yr + right * yrr + down * yrd) + down * (yd + down * ydd)
-            out[k // per_part, j // per_part] += _mixed(plain, strays, blobs, (x, y), side) / (
-                per_part * per_part
-            )
+    """Origin ray[0] and direction ray[1] at a place (down, right) in a cell, px."""
+    down, right = cubic_weights(place[0] / NODE_PX), cubic_weights(place[1] / NODE_PX)
+    for c in range(3):
+        ray[0, c] = picture.origins[0, 0, c]
+        if picture.origins.shape[0] > 1:
+            ray[0, c] = between(picture.origins, cell, down, right, c)
+        ray[1, c] = between(picture.directions, cell, down, right, c)
 
 
-@kernel_part
-def _cast(
+@kernel_part(forceinline=True)
+def _meet_from(  # noqa: PLR0913, PLR0917 - flat, as the compiler wants it
     surface: SplineSurface,
-    ink: InkArrays,
     picture: Picture,
-    pixel: tuple[int, int],
-    out: Any,
-) -> None:
-    """Greys within a pixel by a ray for each sample, where the surface folds or bends sharply."""
-    v, u = pixel
-    plain, strays, blobs = ink
-    count = picture.samples
-    per_part = count // picture.fineness
-    starts, alike = _starts(picture, v, u), ALIKE_PIXELS * picture.pixel_m
-    side = picture.pixel_m / count
-    origin, direction = np.empty(3), np.empty(3)
-    for k in range(count * count):
-        right = (k % count + 0.5) / count - 0.5
-        down = (k // count + 0.5) / count - 0.5
-        for c in range(3):
-            origin[c] = _quadratic(picture.origins, pixel, c, right, down)
-            direction[c] = _quadratic(picture.directions, pixel, c, right, down)
-        found, x, y, _ = first_meeting(surface, origin, direction, starts, alike)
-        grey = plain.housing
-        if found:
-            grey = _mixed(plain, strays, blobs, (x, y), side)
-        out[k // count // per_part, k % count // per_part] += grey / (per_part * per_part)
+    cell: tuple[int, int],
+    place: tuple[float, float],
+    xy: tuple[float, float],
+    ray: NDArray[np.float64],
+) -> Any:
+    """The material point at a place of a cell, or else the guess, and how far that was off, m."""
+    _interpolate_ray(picture, cell, place, ray)
+    good, x, y, _ = meet(surface, ray[0], ray[1], xy[0], xy[1])
+    if not good:
+        return xy[0], xy[1], np.inf
+    return x, y, np.sqrt((x - xy[0]) ** 2 + (y - xy[1]) ** 2)
 
 
 @kernel_part
-def _starts(picture: Picture, v: int, u: int) -> NDArray[np.float64]:
-    """Guesses (9, 2) m for a pixel: the material points in and around it."""
-    starts = np.empty((9, 2))
-    for k in range(9):
-        # The pixel itself first.
-        row, col = v + (k // 3 + 1) % 3, u + (k + 1) % 3
-        starts[k, 0], starts[k, 1] = picture.points[row, col, 0], picture.points[row, col, 1]
-    return starts
-
-
-@kernel_part
-def _amid(p: NDArray[np.float64], state: NDArray[np.uint8], amid: NDArray[np.bool_]) -> None:
-    """Mark those pixels of a row that `solve` found far from any change and that are about as
-    large as was taken there; p (3, w + 2, 4), state (3, w + 2), amid (w,).
-
-    A loop without branches, so that the compiler does several pixels at once.
-    """
-    for u in range(len(amid)):
-        x, y = p[1, u + 1, 0], p[1, u + 1, 1]
-        # A quarter of these differences is more than from the pixel's centre to its corner; NaN
-        # beside an empty pixel.
-        sides = abs(p[1, u + 2, 0] - x) + abs(p[1, u + 2, 1] - y)
-        sides += abs(p[1, u, 0] - x) + abs(p[1, u, 1] - y)
-        sides += abs(p[2, u + 1, 0] - x) + abs(p[2, u + 1, 1] - y)
-        sides += abs(p[0, u + 1, 0] - x) + abs(p[0, u + 1, 1] - y)
-        amid[u] = (state[1, u + 1] == ROUGH) & (sides / 4 < (CLEAR_SIZES - 0.5) * p[1, u + 1, 3])
-
-
-@kernel_part(forceinline=True)
-def _kind(
-    p: NDArray[np.float64],
-    state: NDArray[np.uint8],
-    pixel_m: float,
-    pixel: tuple[int, int],
-    clear: float,
-) -> int:
-    """What is to be done about a pixel if the grey stays the same so far around its centre, m."""
-    v, u = pixel
-    known, exact = 0, True
-    for row in range(v, v + 3):
-        for col in range(u, u + 3):
-            known += state[row, col] != EMPTY
-            exact &= state[row, col] == EXACT
-    if known < 9:
-        return BROKEN if known else ONE_GREY
-    xr, yr, xd, yd, bend = _spread(p, v, u)
-    across, down = np.sqrt(xr * xr + yr * yr), np.sqrt(xd * xd + yd * yd)
-    side = max(across, down)
-    if bend > TORN * side:
-        return BROKEN
-    # A guess may be off by a part of a pixel.
-    reach = (across + down + bend) / 2 + (0.0 if exact else pixel_m / 2)
-    if clear > reach:
-        return ONE_GREY
-    return SMOOTH if exact and bend <= BENT * side else BROKEN
-
-
-@kernel_part
-def _beside(ink: Print, picture: Picture, pixel: tuple[int, int]) -> bool:
-    """Whether all that is known around a pixel is housing: the mesh ends beyond the block."""
-    v, u = pixel
-    for row in range(v, v + 3):
-        for col in range(u, u + 3):
-            x, y = picture.points[row, col, 0], picture.points[row, col, 1]
-            beyond = max(abs(x) - ink.half_x, abs(y) - ink.half_y)
-            # False where nothing is known, and beyond is NaN.
-            if beyond < WELL_BEYOND * picture.pixel_m:
+def _is_beside(ink: Print, picture: Picture, cell: tuple[int, int]) -> bool:
+    """Whether all nodes of a cell are well beyond the block, or not known: the mesh ends there."""
+    for i in range(cell[0], cell[0] + 4):
+        for j in range(cell[1], cell[1] + 4):
+            x, y = picture.nodes[i, j, 0], picture.nodes[i, j, 1]
+            # False where nothing is known.
+            if max(abs(x) - ink.half_x, abs(y) - ink.half_y) < WELL_BEYOND_PX * picture.pixel_m:
                 return False
     return True
+
+
+@kernel_part
+def _kind(
+    surface: SplineSurface,
+    ink: Print,
+    picture: Picture,
+    cell: tuple[int, int],
+    ray: NDArray[np.float64],
+) -> int:
+    """What is to be done about a cell that a change of grey may cross."""
+    nodes, half, pixel_m = picture.nodes, cubic_weights(0.5), picture.pixel_m
+    x, y = between(nodes, cell, half, half, 0), between(nodes, cell, half, half, 1)
+    if np.isnan(x):
+        return ONE_GREY if _is_beside(ink, picture, cell) else BROKEN
+    if picture.folded[cell]:
+        return BROKEN
+    if _third_difference(nodes, cell) < EVEN_PX * pixel_m:
+        return SMOOTH
+    _, _, miss = _meet_from(surface, picture, cell, (NODE_PX / 2, NODE_PX / 2), (x, y), ray)
+    if miss < MAX_MISS_PX * pixel_m:
+        return SMOOTH
+    return SHARP if miss < LOST_PX * pixel_m else BROKEN
+
+
+@kernel_part(forceinline=True)
+def _third_difference(nodes: NDArray[np.float64], cell: tuple[int, int]) -> float:
+    """The largest of the material points across a cell, along its sides, m."""
+    (i, j), most = cell, 0.0
+    for c in range(2):
+        for k in range(1, 3):
+            a = nodes[i + k, j + 3, c] - nodes[i + k, j, c]
+            b = nodes[i + 3, j + k, c] - nodes[i, j + k, c]
+            a -= 3 * (nodes[i + k, j + 2, c] - nodes[i + k, j + 1, c])
+            b -= 3 * (nodes[i + 2, j + k, c] - nodes[i + 1, j + k, c])
+            most = max(most, abs(a), abs(b))
+    return most
+
+
+@kernel_part(forceinline=True)
+def _amid(nodes: NDArray[np.float64], cell: tuple[int, int]) -> Any:
+    """The middle of a cell's corners, material x and y, and how far its points are from there, m.
+
+    NaN where a corner is not known.
+    """
+    i, j = cell[0] + 1, cell[1] + 1
+    x = (nodes[i, j, 0] + nodes[i, j + 1, 0] + nodes[i + 1, j, 0] + nodes[i + 1, j + 1, 0]) / 4
+    y = (nodes[i, j, 1] + nodes[i, j + 1, 1] + nodes[i + 1, j, 1] + nodes[i + 1, j + 1, 1]) / 4
+    far2 = 0.0
+    for k in range(4):
+        dx, dy = nodes[i + k // 2, j + k % 2, 0] - x, nodes[i + k // 2, j + k % 2, 1] - y
+        far2 = max(far2, dx * dx + dy * dy)
+    return x, y, UNEVEN * np.sqrt(far2)
+
+
+@kernel_part(forceinline=True)
+def _side(nodes: NDArray[np.float64], cell: tuple[int, int]) -> float:
+    """Side of a pixel in a cell, m: the root mean square of width and height."""
+    i, j = cell
+    total = 0.0
+    for c in range(2):
+        rising = nodes[i + 1, j + 2, c] - nodes[i + 2, j + 1, c]
+        falling = nodes[i + 2, j + 2, c] - nodes[i + 1, j + 1, c]
+        # Diagonals of a parallelogram: their squares are together those of all four sides.
+        total += rising * rising + falling * falling
+    return float(np.sqrt(total) / (2 * NODE_PX))
 
 
 @kernel
@@ -271,38 +181,176 @@ def shade(
     ink: InkArrays,
     picture: Picture,
     rows: tuple[int, int],
-    out: NDArray[np.float32],
-) -> None:
-    """Greys of these rows (first, last + 1) of the view; a pixel is fineness^2 entries of `out`.
+    frame: NDArray[np.float32],
+) -> NDArray[np.intp]:
+    """Greys of these rows of cells (first, last + 1) in the frame.
 
-    Pixels of one grey take nothing out of tuples: that would cost more than all the rest.
+    Returns the cells (k, 2) that are left for `cast`.
     """
     plain, strays, blobs = ink
-    first, fine = rows[0], picture.fineness
-    # Counted from the band's first row: numbers that cannot be negative are looked up faster.
-    points, state = picture.points[first:], picture.state[first:]
-    pixel_m, samples = picture.pixel_m, picture.samples
-    amid = np.empty(points.shape[1] - 2, np.bool_)
-    for v in range(rows[1] - first):
-        _amid(points[v : v + 3], state[v : v + 3], amid)
-        for u in range(len(amid)):
+    clean = InkArrays(plain, strays, None)
+    nodes, folded = picture.nodes, picture.folded
+    left, lost = np.empty(((rows[1] - rows[0]) * folded.shape[1], 2), np.intp), 0
+    room = _Room(_weights(1), _weights(picture.samples), np.empty((2, 4)), np.empty((2, 3)))
+    for i in range(rows[0], rows[1]):
+        for j in range(folded.shape[1]):
+            x, y, far = _amid(nodes, (i, j))
             grey, clear = plain.housing, 0.0
-            if state[v + 1, u + 1] != EMPTY:
-                grey, clear, _, _ = ink_at(
-                    plain, strays, blobs, points[v + 1, u + 1, 0], points[v + 1, u + 1, 1]
-                )
-            kind = ONE_GREY if amid[u] else _kind(points, state, pixel_m, (v, u), clear)
-            top, left = (first + v) * fine, u * fine
+            if not np.isnan(x):
+                grey, clear, _, _ = ink_at(plain, strays, blobs, x, y)
+            kind = ONE_GREY
+            if folded[i, j] or not clear > far:
+                kind = _kind(surface, plain, picture, (i, j), room.ray)
             if kind == ONE_GREY:
-                for row in range(top, top + fine):
-                    for col in range(left, left + fine):
-                        out[row, col] = grey
-                continue
-            part = out[top : top + fine, left : left + fine]
-            part[:] = 0.0
-            if kind == SMOOTH:
-                _smooth(ink, points, samples, (v, u), part)
-            elif _beside(plain, picture, (first + v, u)):
-                part[:] = plain.housing
+                v, u = NODE_PX * i, NODE_PX * j
+                _fill(picture, (v, v + NODE_PX, u, u + NODE_PX), grey, frame)
+            elif kind == BROKEN:
+                left[lost, 0], left[lost, 1] = i, j
+                lost += 1
+            elif is_blotted(plain, blobs, (x, y, far)):
+                _shade_cell(surface, ink, picture, (i, j), far, kind == SHARP, room, frame)
             else:
-                _cast(surface, ink, picture, (first + v, u), part)
+                _shade_cell(surface, clean, picture, (i, j), far, kind == SHARP, room, frame)
+    return left[:lost]
+
+
+class _Room(NamedTuple):
+    """Arrays that all cells use.
+
+    of_pixels (NODE_PX, 4), of_samples (NODE_PX samples, 4): cubic weights of their places in a
+    cell.  line (2, 4), ray (2, 3): to be written to.
+    """
+
+    of_pixels: NDArray[np.float64]
+    of_samples: NDArray[np.float64]
+    line: NDArray[np.float64]
+    ray: NDArray[np.float64]
+
+
+@kernel_part
+def _shade_cell(  # noqa: PLR0913, PLR0917 - flat, as the compiler wants it
+    surface: SplineSurface,
+    ink: InkArrays,
+    picture: Picture,
+    cell: tuple[int, int],
+    far: float,
+    sharp: bool,
+    room: _Room,
+    frame: NDArray[np.float32],
+) -> None:
+    """Greys of a cell that a change of grey may cross; far: of `_amid`."""
+    (plain, strays, blobs), v, u = ink, NODE_PX * cell[0], NODE_PX * cell[1]
+    nodes, count, fine, line = picture.nodes, picture.samples, picture.fineness, room.line
+    part, side = count // fine, _side(nodes, cell) / count
+    # From a pixel's centre to the far end of its farthest sample.
+    reach = far / NODE_PX * (1 - 1 / count) + UNEVEN * side / 2
+    for down in range(min(NODE_PX, picture.height - v)):
+        for right in range(min(NODE_PX, picture.width - u)):
+            _across(nodes, cell, room.of_pixels[down], line)
+            x, y = _along(line, room.of_pixels[right])
+            grey, clear, _, _ = ink_at(plain, strays, blobs, x, y)
+            pixel = v + down, v + down + 1, u + right, u + right + 1
+            if clear > reach:
+                _fill(picture, pixel, grey, frame)
+                continue
+            _fill(picture, pixel, 0.0, frame)
+            for k in range(count):
+                _across(nodes, cell, room.of_samples[down * count + k], line)
+                row = picture.top + (v + down) * fine + k // part
+                for m in range(count):
+                    x, y = _along(line, room.of_samples[right * count + m])
+                    if sharp:
+                        place = down + (k + 0.5) / count, right + (m + 0.5) / count
+                        x, y, _ = _meet_from(surface, picture, cell, place, (x, y), room.ray)
+                    grey = _mixed(plain, strays, blobs, (x, y), side)
+                    col = picture.left + picture.step * ((u + right) * fine + m // part)
+                    frame[row, col] += grey / (part * part)
+
+
+@kernel_part(forceinline=True)
+def _fill(
+    picture: Picture, pixels: tuple[int, int, int, int], grey: float, frame: NDArray[np.float32]
+) -> None:
+    """Give pixels (first row, last + 1, first column, last + 1) one grey."""
+    fine, top = picture.fineness, picture.top
+    first, last = fine * pixels[2], fine * min(pixels[3], picture.width)
+    if picture.step < 0:
+        first, last = 1 - last, 1 - first
+    for row in range(top + fine * pixels[0], top + fine * min(pixels[1], picture.height)):
+        for col in range(picture.left + first, picture.left + last):
+            frame[row, col] = grey
+
+
+@kernel_part
+def _weights(count: int) -> NDArray[np.float64]:
+    """Cubic weights (NODE_PX count, 4) of the places of `count` samples in each pixel of a cell."""
+    weights = np.empty((NODE_PX * count, 4))
+    for k in range(len(weights)):
+        a, b, c, d = cubic_weights((k + 0.5) / len(weights))
+        weights[k, 0], weights[k, 1], weights[k, 2], weights[k, 3] = a, b, c, d
+    return weights
+
+
+@kernel_part(forceinline=True)
+def _across(
+    nodes: NDArray[np.float64],
+    cell: tuple[int, int],
+    down: NDArray[np.float64],
+    line: NDArray[np.float64],
+) -> None:
+    """Material x and y where a line across a cell meets its four columns of nodes, line (2, 4)."""
+    i, j = cell
+    for n in range(4):
+        for k in range(2):
+            line[k, n] = (
+                down[0] * nodes[i, j + n, k]
+                + down[1] * nodes[i + 1, j + n, k]
+                + down[2] * nodes[i + 2, j + n, k]
+                + down[3] * nodes[i + 3, j + n, k]
+            )
+
+
+@kernel_part(forceinline=True)
+def _along(line: NDArray[np.float64], w: NDArray[np.float64]) -> Any:
+    """Material x and y at a place of a line."""
+    x = w[0] * line[0, 0] + w[1] * line[0, 1] + w[2] * line[0, 2] + w[3] * line[0, 3]
+    y = w[0] * line[1, 0] + w[1] * line[1, 1] + w[2] * line[1, 2] + w[3] * line[1, 3]
+    return x, y
+
+
+@kernel
+def cast(  # noqa: PLR0913, PLR0917 - flat, as the compiler wants it
+    surface: SplineSurface,
+    ink: InkArrays,
+    picture: Picture,
+    cells: NDArray[np.intp],
+    guesses: tuple[NDArray[np.float64], int],
+    frame: NDArray[np.float32],
+) -> None:
+    """Greys of cells (k, 2) by rays for each sample, where the surface folds or bends sharply.
+
+    guesses: of `Sight.guesses`, and the first row of pixels there.
+    """
+    (plain, strays, blobs), (near, first) = ink, guesses
+    fine, count = picture.fineness, picture.samples
+    part, side, alike = count // fine, picture.pixel_m / count, ALIKE_PX * picture.pixel_m
+    starts, ray = np.empty((9, 2)), np.empty((2, 3))
+    for i, j in cells:
+        for v in range(NODE_PX * i, min(NODE_PX * (i + 1), picture.height)):
+            for u in range(NODE_PX * j, min(NODE_PX * (j + 1), picture.width)):
+                for k in range(9):
+                    # The pixel itself first.
+                    row, col = v - first + (k // 3 + 1) % 3, u + (k + 1) % 3
+                    starts[k, 0], starts[k, 1] = near[row, col, 0], near[row, col, 1]
+                _fill(picture, (v, v + 1, u, u + 1), 0.0, frame)
+                for k in range(count * count):
+                    at_v = v + (k // count + 0.5) / count - NODE_PX * i
+                    at_u = u + (k % count + 0.5) / count - NODE_PX * j
+                    _interpolate_ray(picture, (i, j), (at_v, at_u), ray)
+                    found, x, y, _ = first_meeting(surface, ray[0], ray[1], starts, alike)
+                    grey = plain.housing
+                    if found:
+                        grey = _mixed(plain, strays, blobs, (x, y), side)
+                    row = picture.top + v * fine + k // count // part
+                    col = picture.left + picture.step * (u * fine + k % count // part)
+                    frame[row, col] += grey / (part * part)

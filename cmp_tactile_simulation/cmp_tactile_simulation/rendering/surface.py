@@ -134,9 +134,24 @@ def spline_coefficients(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     along_y = _interpolation_inverse(values.shape[0])
     along_x = _interpolation_inverse(values.shape[1])
-    # Without BLAS, whose last digits depend on how many threads it has at the moment.
-    half = np.einsum("iy,yxk->ixk", along_y, values)
-    return np.ascontiguousarray(np.einsum("jx,ixk->ijk", along_x, half))
+    half = _product(along_y, np.ascontiguousarray(values))
+    turned = _product(along_x, np.ascontiguousarray(half.transpose(1, 0, 2)))
+    return np.ascontiguousarray(turned.transpose(1, 0, 2))
+
+
+@kernel
+def _product(matrix: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A matrix (m, n) times values (n, p, k): without BLAS, the last digits of which depend on how
+    many threads it has at the moment.
+    """
+    product = np.zeros((len(matrix), values.shape[1], values.shape[2]))
+    for i in range(len(matrix)):
+        out = product[i].ravel()
+        for n in range(len(values)):
+            factor, row = matrix[i, n], values[n].ravel()
+            for k in range(len(row)):
+                out[k] += factor * row[k]
+    return product
 
 
 @lru_cache(maxsize=16)
