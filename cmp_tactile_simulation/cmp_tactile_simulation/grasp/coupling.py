@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 # The force also follows the rate of deformation by this time, s: a loss factor of 0.1 to 0.3 at the
 # 30 to 90 Hz with which held objects of 50 to 300 g swing.
 DAMPING_S = 5e-4
-# The gel is solved again once the contact has moved by so much over it, m: on the sample rig the
-# tangent then misses up to 3 % of the change.
-LONGEST_TANGENT_M = 4e-5
-# How far a contact reaches about, m: what a turn moves.
+# The gel is solved again where its tangent changes the force by more than this share of the normal
+# force, and by more than so much, N: it knows no end of sticking, and no more nodes that touch.
+LARGEST_CHANGE, LEAST_CHANGE_N = 0.02, 0.01
+# How far a contact reaches about, m, to compare moments with forces.
 ARM_M = 4e-3
 
 
@@ -64,13 +64,15 @@ class FingerTouch:
     def holds_at(self, pose: Pose) -> bool:
         """Whether the tangent, or that nothing touches, still holds with the object there."""
         begin = self.state.pose
-        angle = float(np.linalg.norm(_turn(begin, pose)))
-        if self.touches:
-            way = pose.to_gel(begin.to_indenter(self.middle)) - self.middle
-            return bool(np.linalg.norm(way) + ARM_M * angle < LONGEST_TANGENT_M)
-        gap = float(self.state.gap.min())
-        reach = float(np.linalg.norm(self.middle - begin.position))
-        return bool(np.linalg.norm(pose.position - begin.position) + reach * angle < gap)
+        turn = _turn(begin, pose)
+        if not self.touches:
+            reach = float(np.linalg.norm(self.middle - begin.position))
+            way = np.linalg.norm(pose.position - begin.position) + reach * np.linalg.norm(turn)
+            return bool(way < self.state.gap.min())
+        change = self.stiffness @ np.concatenate([pose.position - begin.position, turn])
+        force, moment = change[:3], change[3:] - np.cross(self.middle - begin.position, change[:3])
+        size = np.linalg.norm(force) + np.linalg.norm(moment) / ARM_M
+        return bool(size < max(LEAST_CHANGE_N, -LARGEST_CHANGE * self.wrench[2]))
 
 
 class FingerContact:

@@ -18,7 +18,7 @@ from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene
 from cmp_tactile_simulation.grasp.world import (
-    GRIPS,
+    GRIP,
     LIFT,
     OBJECT,
     SHAKE,
@@ -72,7 +72,7 @@ class Grasp:
         progress: OnProgress = no_progress,
     ) -> None:
         self.scene = scene
-        self.world = World(_model(scene), SIDES, OBJECT)
+        self.world = World(_model(scene), SIDES, OBJECT, scene.gripper.speed)
         gel = partial(elastomer_of, scene.fingertip, scene.contact_nodes)
         look = Look(camera=scene.camera, samples=scene.samples)
         self._fingers: dict[str, Simulator] = {}
@@ -118,28 +118,27 @@ class Grasp:
         self, step: float
     ) -> Iterator[tuple[float, str, dict[str, float], Array, float]]:
         """For each time step: time, phase, controls, force on the object and its mass."""
-        now, mass = 0.0, self.scene.mass
-        held = {LIFT: 0.0, TILT: 0.0} if self.scene.model is None else {}
+        now, mass, pushed = 0.0, self.scene.mass, np.zeros(6)
+        held: dict[str, float] = {}
         for phase in self.scene.motion:
             goal = _goal(phase, held)
             heavier = mass if phase.mass is None else phase.mass
-            force = np.array([*phase.force, *phase.torque])
+            push = np.array([*phase.force, *phase.torque])
             count = max(1, round(phase.duration / step))
             for number in range(1, count + 1):
                 share = number / count
                 smooth = share * share * (3 - 2 * share)
                 controls = {
-                    # A force acts at once: motion limits itself.
-                    name: value if name in GRIPS else held.get(name, 0.0) * (1 - smooth)
-                    + value * smooth
+                    name: (1 - smooth) * held.get(name, 0.0) + smooth * value
                     for name, value in goal.items()
                 }
                 if phase.shake:
                     angle = 2 * math.pi * phase.shake_hz * number * step
                     controls[SHAKE] = phase.shake * math.sin(angle)
+                force = (1 - smooth) * pushed + smooth * push
                 yield now, phase.name, controls, force, mass + (heavier - mass) * share
                 now += step
-            held, mass = goal, heavier
+            held, mass, pushed = goal, heavier, push
 
     def _frame(
         self, index: int, phase: str, controls: Mapping[str, float], mass: float
@@ -168,7 +167,7 @@ def _goal(phase: GraspPhase, before: Mapping[str, float]) -> dict[str, float]:
     """The controls at the end of a phase."""
     goal = {**before, **phase.controls}
     if phase.grip is not None:
-        goal |= dict.fromkeys(GRIPS, phase.grip)
+        goal[GRIP] = phase.grip
     if phase.lift is not None:
         goal[LIFT] = phase.lift
     if phase.tilt_deg is not None:

@@ -22,7 +22,6 @@ from cmp_tactile_processing.sensor.yaml_file import (
     Limits,
     Part,
     YamlFile,
-    choice,
     did_you_mean,
     number,
     positive,
@@ -62,23 +61,23 @@ class Gripper(Part):
     """The packaged gripper: two fingers that close along y on a hand.
 
     opening: between the fingertips, m.  height: of the fingertips above the table, m.
-    speed: of each finger at the largest force with nothing between them, m/s.
-    force_limit: of each finger, N.
+    speed: of each finger with nothing between them, m/s.
     """
 
     opening: float = field(default=0.08, metadata=number(0.005, 0.2, "m"))
     height: float = field(default=0.03, metadata=number(0.0, 1.0, "m"))
-    speed: float = field(default=0.05, metadata=positive(1.0, "m/s"))
-    force_limit: float = field(default=10.0, metadata=positive(MAX_FORCE_N, "N"))
+    speed: float = field(default=0.02, metadata=positive(0.2, "m/s"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GraspPhase(Part):
     """A part of a grasp; what it does not name stays as it was.
 
-    grip N: force of each finger.  lift m, tilt_deg: of the hand, reached smoothly at the end.
+    grip N: force of each finger, negative to open.  lift m, tilt_deg: of the hand.  All are reached smoothly at the
+    end.
     shake m, shake_hz: amplitude along x and frequency, for this phase.
-    force N, torque N m: on the object at its centre of mass, world frame, for this phase.
+    force N, torque N m: on the object at its centre of mass, world frame, reached smoothly at the
+    end; without them they end as smoothly.
     mass kg: of the object, reached evenly at the end.
     controls: of the actuators of another model, by their names, reached smoothly.
     """
@@ -101,8 +100,7 @@ class GraspKeys(Part):
     """The keys of a grasp that its file holds as they are.
 
     sensor: description of both fingertips.  mass kg and position m: of the object on the table.
-    rate: of frames, Hz.  coupling: `gel`, or `measured`: MuJoCo's own contact gives the force.
-    contact_nodes, samples: as of a scene.  camera: of both.
+    rate: of frames, Hz.  contact_nodes, samples: as of a scene.  camera: of both.
     model: MJCF of another gripper, with the sites `left` and `right` (gel frames: z outwards) and
     the body `object`; its actuators are set by `controls`.
     """
@@ -114,7 +112,6 @@ class GraspKeys(Part):
     position: Vector = (0.0, 0.0, 0.03)
     gripper: Gripper = field(default_factory=Gripper)
     model: str | None = field(default=None, metadata=text())
-    coupling: str = field(default="gel", metadata=choice("gel", "measured"))
     rate: float = field(default=10.0, metadata=number(1.0, 200.0, "Hz"))
     contact_nodes: int = field(default=20, metadata=number(*NODES_RANGE))
     samples: int = field(default=2, metadata=number(1, 8))

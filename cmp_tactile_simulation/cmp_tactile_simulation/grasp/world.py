@@ -21,8 +21,9 @@ Array = NDArray[np.float64]
 
 PACKAGE = "cmp_tactile_simulation"
 INSTALL = "found no MuJoCo: pip install mujoco"
-# Names in the packaged gripper, of its actuators and of the body that is held.
-LIFT, SHAKE, TILT, GRIPS, OBJECT = "lift", "shake", "tilt", ("grip_left", "grip_right"), "object"
+# Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
+# holds.
+LIFT, SHAKE, TILT, GRIP, OBJECT = "lift", "shake", "tilt", "grip", "object"
 
 
 def load_mujoco() -> Any:
@@ -45,8 +46,6 @@ def packaged_gripper(scene: GraspScene) -> Any:
     for side in SIDES:
         place = spec.site(side).pos
         place[1] = math.copysign(gripper.opening / 2, place[1])
-        # What limits its speed before it touches.
-        spec.joint(side).damping[0] = gripper.force_limit / gripper.speed
     held = spec.worldbody.add_body(name=OBJECT, pos=scene.position)
     held.add_freejoint()
     _add_shape(mujoco, spec, held, scene)
@@ -77,10 +76,10 @@ class World:
     """Steps a MuJoCo model in which gels hold an object.
 
     sites: names of the gel frames.  contacts: of each gel with the object.
-    two_way: whether the gels' force acts in the rigid world; otherwise its own contacts do.
+    speed: m/s, of each finger of the packaged gripper.
     """
 
-    def __init__(self, spec: Any, sites: Sequence[str], held: str) -> None:
+    def __init__(self, spec: Any, sites: Sequence[str], held: str, speed: float) -> None:
         """Raises InputError for a model that MuJoCo refuses, or without a site or the body."""
         self._mujoco = load_mujoco()
         try:
@@ -89,7 +88,7 @@ class World:
             msg = f"model: MuJoCo refuses it: {error}"
             raise InputError(msg) from None
         self.data = self._mujoco.MjData(self.model)
-        self._names = list(sites)
+        self._names, self._speed = list(sites), speed
         self._sites = [self._number("site", name) for name in sites]
         self._held = self._number("body", held)
         self._fingers = [int(self.model.site_bodyid[site]) for site in self._sites]
@@ -148,13 +147,16 @@ class World:
     def step(self, controls: Mapping[str, float], force: Array, mass: float) -> None:
         """One time step.
 
-        controls: of actuators, by name.  force (6,) N and N m: on the object at its centre of mass,
+        controls: of actuators, by name; GRIP: N, of both fingers of the packaged gripper.  force (6,) N and N m: on the object at its centre of mass,
         world frame.  mass: of the object, kg.
         Raises ContactError where a gel cannot follow, and InputError for an unknown actuator.
         """
         data, model = self.data, self.model
         for name, value in controls.items():
-            data.ctrl[self._number("actuator", name)] = value
+            if name == GRIP:
+                self._grip(value)
+            else:
+                data.ctrl[self._number("actuator", name)] = value
         if mass != model.body_mass[self._held]:
             model.body_inertia[self._held] *= mass / model.body_mass[self._held]
             model.body_mass[self._held] = mass
@@ -174,6 +176,13 @@ class World:
         with one_thread():
             for finger, gel in enumerate(self._gels):
                 gel.move(self.pose(finger))
+
+    def _grip(self, force: float) -> None:
+        """Drive the fingers at their speed, together or apart, with at most this force, N."""
+        for side in SIDES:
+            number = self._number("actuator", f"{GRIP}_{side}")
+            self.model.actuator_forcerange[number] = -abs(force), abs(force)
+            self.data.ctrl[number] = math.copysign(self._speed, force)
 
     def _push(self, body: int, force: Array, moment: Array) -> None:
         """Add a force and a moment about the object's origin, world frame."""
