@@ -7,6 +7,7 @@ other memory than its friction), and is damped a little, as gels are.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,20 +85,16 @@ class FingerContact:
         self.touch = self._solved(contact.rest(pose))
 
     def move(self, pose: Pose) -> None:
-        """Solve the gel with the object where it is now, if it has moved noticeably.
+        """Solve the gel with the object where it is now, T_gel_object.
 
         Raises ContactError where the contact leaves its patch or the gel cannot follow.
         """
-        if self.touch.holds_at(pose):
-            return
         state = self.touch.state
         if not self.touch.touches:
-            try:
-                # What flies past does not have to be followed on its way.
+            # What flies past does not have to be followed on its way.
+            with suppress(ContactError):
                 self.touch = self._solved(self.contact.rest(pose))
-            except ContactError:
-                self.touch = self._solved(self.contact.move(state, pose))
-            return
+                return
         self.touch = self._solved(self.contact.move(state, pose))
 
     def _solved(self, state: ContactState) -> FingerTouch:

@@ -105,10 +105,12 @@ class Grasp:
         step = world.model.opt.timestep
         period, index = 1 / scene.rate, 0
         for now, phase, controls, force, mass in self._commands(step):
-            if now >= index * period - step / 2:
-                yield self._frame(index, phase, controls, mass)
-                index += 1
             try:
+                if now >= index * period - step / 2:
+                    # The picture shows the gel as it is at this moment.
+                    world.solve(always=True)
+                    yield self._frame(index, phase, controls, mass)
+                    index += 1
                 world.step(controls, force, mass)
             except ContactError as error:
                 msg = f"{scene.name}: {now:.2f} s, {phase}: {error}"

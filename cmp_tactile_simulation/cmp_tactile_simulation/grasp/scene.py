@@ -127,9 +127,10 @@ class GraspKeys(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class GraspScene(GraspKeys):
-    """All that a grasp depends on.  fingertip: the sensor of both."""
+    """All that a grasp depends on.  fingertip: the sensor of both, sensor_file: where it is from."""
 
     fingertip: SensorDescription
+    sensor_file: Path
     object: IndenterDescription
     file: Path
 
@@ -175,4 +176,4 @@ def _read(top: YamlFile, path: Path) -> GraspScene:
     if found.model is not None and not (path.parent / found.model).is_file():
         raise top.error("model", found.model, "an MJCF file")
     held = read_indenter(shape, path.parent, Start((0.0, 0.0, 0.0)))
-    return GraspScene(**values, fingertip=fingertip, object=held, file=path)
+    return GraspScene(**values, fingertip=fingertip, sensor_file=source, object=held, file=path)

@@ -173,9 +173,18 @@ class World:
         self._mujoco.mj_kinematics(model, data)
         self._mujoco.mj_comPos(model, data)
         self._mujoco.mj_comVel(model, data)
+        self.solve()
+
+    def solve(self, *, always: bool = False) -> None:
+        """Solve the gels over which the object has moved noticeably, or all of them.
+
+        Raises ContactError where a gel cannot follow.
+        """
         with one_thread():
             for finger, gel in enumerate(self._gels):
-                gel.move(self.pose(finger))
+                pose = self.pose(finger)
+                if always or not gel.touch.holds_at(pose):
+                    gel.move(pose)
 
     def _grip(self, force: float) -> None:
         """Drive the fingers at their speed, together or apart, with at most this force, N."""
