@@ -97,7 +97,6 @@ class Grasp:
                 )
                 self._fingers[side] = finger
         self.world.hold(contacts)
-        self._contacts = contacts
 
     def frames(self) -> Iterator[GraspFrame]:
         """The frames, in order; ContactError with the time where a gel cannot follow."""
@@ -150,7 +149,7 @@ class Grasp:
         fingers = {}
         for number, (side, finger) in enumerate(self._fingers.items()):
             state = world.touch(number).state
-            moved = self._contacts[number].elastomer.marker_displacement(state.force)
+            moved = world.gel(number).contact.elastomer.marker_displacement(state.force)
             fingers[side] = finger.observe(state, moved, index, stamp, phase)
         return GraspFrame(
             index=index,

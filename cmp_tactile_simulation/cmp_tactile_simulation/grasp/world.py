@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.files import packaged_files
 from cmp_tactile_processing.cache.threads import one_thread
-from cmp_tactile_processing.errors import InputError
+from cmp_tactile_processing.errors import ContactError, InputError
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.coupling import FingerContact, FingerTouch
@@ -110,9 +110,13 @@ class World:
 
         Raises ContactError where the object is inside a gel.
         """
-        self._gels = [
-            FingerContact(contact, self.pose(finger)) for finger, contact in enumerate(contacts)
-        ]
+        self._gels = []
+        for finger, contact in enumerate(contacts):
+            try:
+                self._gels.append(FingerContact(contact, self.pose(finger)))
+            except ContactError as error:
+                msg = f"{self._names[finger]} fingertip: {error}"
+                raise ContactError(msg) from None
         # The object and the fingers' other parts meet in the gels alone.
         for body in self._fingers:
             geoms = np.flatnonzero(self.model.geom_bodyid == body)
@@ -132,6 +136,10 @@ class World:
             place, turn = self._frame(self._names.index(name))
             return Pose(place.copy(), turn.copy())
         return Pose(data.xpos[self._held].copy(), data.xmat[self._held].reshape(3, 3).copy())
+
+    def gel(self, finger: int) -> FingerContact:
+        """The gel of a finger."""
+        return self._gels[finger]
 
     def touch(self, finger: int) -> FingerTouch:
         """The gel of a finger as it was last solved."""
