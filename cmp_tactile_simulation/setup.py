@@ -27,6 +27,7 @@ setup(
     ],
     # Only what has no rosdep key; package.xml names the rest.
     install_requires=["setuptools", "h5netcdf", "scikit-fem", "threadpoolctl", "trimesh"],
+    extras_require={"mujoco": ["mujoco>=3.3"]},
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -205,7 +205,8 @@ def _triangles(scene: GraspScene) -> Array:
         mesh = trimesh.creation.icosphere(3, values["radius"])
     else:
         mesh = trimesh.creation.cylinder(values["radius"], values["length"], sections=48)
-        mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
+        mesh.vertices = mesh.vertices[:, [2, 1, 0]]
+        mesh.invert()
     return np.asarray(mesh.subdivide_to_size(LARGEST_M).triangles, dtype=np.float64)
 
 

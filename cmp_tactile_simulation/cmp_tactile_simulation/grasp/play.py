@@ -103,21 +103,20 @@ class Grasp:
         scene, world = self.scene, self.world
         step = world.model.opt.timestep
         period, index = 1 / scene.rate, 0
-        for now, phase, controls, force, mass in self._commands(step):
-            try:
+        now, phase = 0.0, ""
+        try:
+            for now, phase, controls, force, mass in self._commands(step):
                 if now >= index * period - step / 2:
                     # The picture shows the gel as it is at this moment.
                     world.solve(always=True)
                     yield self._frame(index, phase, controls, mass)
                     index += 1
                 world.step(controls, force, mass)
-            except ContactError as error:
-                msg = f"{scene.name}: {now:.2f} s, {phase}: {error}"
-                raise ContactError(msg) from None
+        except ContactError as error:
+            msg = f"{scene.name}: {now:.2f} s, {phase}: {error}"
+            raise ContactError(msg) from None
 
-    def _commands(
-        self, step: float
-    ) -> Iterator[tuple[float, str, dict[str, float], Array, float]]:
+    def _commands(self, step: float) -> Iterator[tuple[float, str, dict[str, float], Array, float]]:
         """For each time step: time, phase, controls, force on the object and its mass."""
         now, mass, pushed = 0.0, self.scene.mass, np.zeros(6)
         held: dict[str, float] = {}

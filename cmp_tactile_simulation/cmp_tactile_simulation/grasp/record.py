@@ -1,10 +1,10 @@
-"""A grasp into a folder: one bag of both sensors, with their truth and what is measured, and a video."""
+"""A grasp into a folder: one bag of both sensors with truth and measurements, and a video."""
 
 from __future__ import annotations
 
 import csv
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +16,12 @@ from scipy.spatial.transform import Rotation
 from cmp_tactile_driver.bags.writer import BagWriter
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.force.advice import UNUSABLE
-from cmp_tactile_processing.measured import NS_PER_S, ForceField
+from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import bag_messages
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
-from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.picture import GraspPainter, VideoWriter
 from cmp_tactile_simulation.grasp.play import Grasp, GraspFrame
 from cmp_tactile_simulation.grasp.scene import SIDES
@@ -70,7 +69,7 @@ def record_grasp(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) 
     raises.
     """
     with _whole(folder) as partial:
-        return _record(grasp, partial, folder.name, on_share)
+        return _record(grasp, partial, on_share)
 
 
 @contextmanager
@@ -91,9 +90,7 @@ def _whole(folder: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _record(
-    grasp: Grasp, folder: Path, name: str, on_share: Callable[[float], None]
-) -> GraspSummary:
+def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> GraspSummary:
     scene = grasp.scene
     folder.parent.mkdir()
     count = scene.duration * scene.rate
@@ -121,10 +118,8 @@ def _record(
         text = dump_yaml({**content, "name": side})
         (folder / f"{side}.yaml").write_text(text, encoding="utf-8")
     shutil.copyfile(scene.file, folder / "scene.yaml")
-    size = np.array(errors or [[np.nan] * 3])
-    return GraspSummary(
-        frames, usable, np.sqrt((size**2).mean(axis=0)), np.abs(size).max(axis=0)
-    )
+    size = np.array(errors or [np.full(3, np.nan)])
+    return GraspSummary(frames, usable, np.sqrt((size**2).mean(axis=0)), np.abs(size).max(axis=0))
 
 
 class _GraspBag:

@@ -73,8 +73,8 @@ class Gripper(Part):
 class GraspPhase(Part):
     """A part of a grasp; what it does not name stays as it was.
 
-    grip N: force of each finger, negative to open.  lift m, tilt_deg: of the hand.  All are reached smoothly at the
-    end.
+    grip N: force of each finger, negative to open.  lift m, tilt_deg: of the hand.  All are reached
+    smoothly at the end.
     shake m, shake_hz: amplitude along x and frequency, for this phase.
     force N, torque N m: on the object at its centre of mass, world frame, reached smoothly at the
     end; without them they end as smoothly.
@@ -127,7 +127,10 @@ class GraspKeys(Part):
 
 @dataclass(frozen=True, kw_only=True)
 class GraspScene(GraspKeys):
-    """All that a grasp depends on.  fingertip: the sensor of both, sensor_file: where it is from."""
+    """All that a grasp depends on.
+
+    fingertip: the sensor of both, which sensor_file describes.
+    """
 
     fingertip: SensorDescription
     sensor_file: Path

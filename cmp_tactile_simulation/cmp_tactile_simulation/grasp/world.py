@@ -110,17 +110,18 @@ class World:
 
         Raises ContactError where the object is inside a gel.
         """
-        self._gels = []
-        for finger, contact in enumerate(contacts):
-            try:
-                self._gels.append(FingerContact(contact, self.pose(finger)))
-            except ContactError as error:
-                msg = f"{self._names[finger]} fingertip: {error}"
-                raise ContactError(msg) from None
+        self._gels = [self._held_by(finger, contact) for finger, contact in enumerate(contacts)]
         # The object and the fingers' other parts meet in the gels alone.
         for body in self._fingers:
             geoms = np.flatnonzero(self.model.geom_bodyid == body)
             self.model.geom_contype[geoms] = self.model.geom_conaffinity[geoms] = 0
+
+    def _held_by(self, finger: int, contact: ContactSimulation) -> FingerContact:
+        try:
+            return FingerContact(contact, self.pose(finger))
+        except ContactError as error:
+            msg = f"{self._names[finger]} fingertip: {error}"
+            raise ContactError(msg) from None
 
     def pose(self, finger: int) -> Pose:
         """T_gel_object of a finger's gel."""
@@ -155,8 +156,9 @@ class World:
     def step(self, controls: Mapping[str, float], force: Array, mass: float) -> None:
         """One time step.
 
-        controls: of actuators, by name; GRIP: N, of both fingers of the packaged gripper.  force (6,) N and N m: on the object at its centre of mass,
-        world frame.  mass: of the object, kg.
+        controls: of actuators, by name; GRIP: N, of both fingers of the packaged gripper.
+        force (6,) N and N m: on the object at its centre of mass, world frame.
+        mass: of the object, kg.
         Raises ContactError where a gel cannot follow, and InputError for an unknown actuator.
         """
         data, model = self.data, self.model

@@ -85,9 +85,7 @@ class FrameWriter:
         """Write the next frame."""
         messages = self._messages(frame)
         for name, kind in self._types.items():
-            write_simulated(
-                self._writer, self._prefix + name, kind, frame.stamp_ns, messages[name]
-            )
+            write_simulated(self._writer, self._prefix + name, kind, frame.stamp_ns, messages[name])
 
     def _messages(self, frame: SimulatedFrame) -> dict[str, Any]:
         """The messages of a frame by topic, below the namespace."""

@@ -146,11 +146,11 @@ def test_own_model_grasps(box: GraspScene, tmp_path: Path) -> None:
     frames = list(played(scene, [close], rate=5.0).frames())
     # The model's own limit of the grip's force is 10 N: it ends before the gel's patch does.
     assert frames[-1].wrenches["left"][2] < -0.5
+    wrong = played(scene, [GraspPhase(name="close", duration=0.1, controls={"no_such": 1.0})])
     with pytest.raises(InputError, match="no_such"):
-        wrong = GraspPhase(name="close", duration=0.1, controls={"no_such": 1.0})
-        list(played(scene, [wrong]).frames())
+        list(wrong.frames())
     (tmp_path / "mine.xml").write_text(text.replace('site name="left"', 'site name="other"'))
-    with pytest.raises(InputError, match="other.*expected left"):
+    with pytest.raises(InputError, match=r"other.*expected left"):
         played(scene, [close])
     (tmp_path / "mine.xml").write_text("<mujoco><nothing/></mujoco>")
     with pytest.raises(InputError, match=r"mine\.xml"):
