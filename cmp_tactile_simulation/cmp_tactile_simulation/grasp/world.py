@@ -81,7 +81,9 @@ class World:
 
     def __init__(self, spec: Any, sites: Sequence[str], held: str, speed: float) -> None:
         """Raises InputError for a model that MuJoCo refuses, or without a site or the body."""
-        self._mujoco = load_mujoco()
+        self._mujoco, self._warnings = load_mujoco(), list[str]()
+        # Otherwise MuJoCo writes a file into the working folder, and begins the simulation again.
+        self._mujoco.set_mju_user_warning(self._warnings.append)
         try:
             self.model = spec.compile()
         except ValueError as error:
@@ -159,7 +161,8 @@ class World:
         controls: of actuators, by name; GRIP: N, of both fingers of the packaged gripper.
         force (6,) N and N m: on the object at its centre of mass, world frame.
         mass: of the object, kg.
-        Raises ContactError where a gel cannot follow, and InputError for an unknown actuator.
+        Raises ContactError where a gel cannot follow or the rigid world has no solution, and
+        InputError for an unknown actuator.
         """
         data, model = self.data, self.model
         for name, value in controls.items():
@@ -179,6 +182,9 @@ class World:
             self._push(self._fingers[finger], on_gel, moment)
             self._push(self._held, -on_gel, -moment)
         self._mujoco.mj_step(model, data)
+        if self._warnings:
+            msg = f"MuJoCo: {self._warnings[0].strip()}"
+            raise ContactError(msg)
         # Poses and velocities of the new place, without another step.
         self._mujoco.mj_kinematics(model, data)
         self._mujoco.mj_comPos(model, data)

@@ -194,3 +194,12 @@ def test_without_mujoco_the_line_that_installs_it_is_said(
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
     with pytest.raises(InputError, match="pip install mujoco"):
         world.load_mujoco()
+
+
+def test_world_that_flies_apart_ends_with_a_line(
+    box: GraspScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ContactError, match=r"box: 0\.\d+ s, push: MuJoCo"):
+        list(played(box, [GraspPhase(name="push", duration=0.1, force=(0, 0, 1e14))]).frames())
+    assert not list(tmp_path.iterdir())
