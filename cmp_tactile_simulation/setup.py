@@ -20,9 +20,14 @@ setup(
             f"share/{package_name}/recipes",
             sorted(str(path) for path in Path("recipes").glob("*") if path.is_file()),
         ),
+        (
+            f"share/{package_name}/grasps",
+            sorted(str(path) for path in Path("grasps").glob("*") if path.is_file()),
+        ),
     ],
     # Only what has no rosdep key; package.xml names the rest.
     install_requires=["setuptools", "h5netcdf", "scikit-fem", "threadpoolctl", "trimesh"],
+    extras_require={"mujoco": ["mujoco>=3.3"]},
     zip_safe=False,
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",

@@ -57,6 +57,7 @@ WITHOUT_ROSDEP_KEY = {
     "h5netcdf": "h5netcdf",
     "joblib": "joblib",
     "mcap": "mcap",
+    "mujoco": "mujoco",
     "platformdirs": "platformdirs",
     "pyarrow": "pyarrow",
     "pydantic_core": "pydantic",

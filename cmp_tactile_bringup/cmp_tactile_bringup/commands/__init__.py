@@ -31,6 +31,7 @@ SUBCOMMANDS = {
     "gripper": ("graphs.Gripper", "run the sensors of two fingers"),
     "simulate": ("simulate.Simulate", "simulate a scene: frames with truth"),
     "dataset": ("dataset.Dataset", "simulate many presses with truth, for learning"),
+    "grasp": ("grasp.Grasp", "grasp an object with two sensors in MuJoCo"),
     "process": ("process.Process", "process recordings without ROS"),
     "export": ("export.Export", "write datasets and bags for training: LeRobot"),
     "zero": ("running.Zero", "set displacement and force of a running sensor to zero"),

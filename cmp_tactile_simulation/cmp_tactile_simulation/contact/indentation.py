@@ -131,6 +131,13 @@ class ContactSimulation:
         """What the indenter presses with in a state."""
         return carried_load(self.elastomer, state)
 
+    def stiffness(self, state: ContactState) -> Array:
+        """How force and moment on the gel change as the indenter moves, (6, 6), gel frame.
+
+        About the indenter's origin; N and N m per m and rad.  Zeros where nothing touches.
+        """
+        return self._step.stiffness(state)
+
     def driven_load(self, state: ContactState) -> Load:
         """What a further load starts from: `load`, of which only the normal force without friction.
 

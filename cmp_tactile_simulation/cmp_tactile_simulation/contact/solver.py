@@ -35,6 +35,8 @@ LOAD_TOLERANCE = 1e-6
 ITERATIONS = 30
 # Length that makes a torque comparable with a force, m: how far a fingertip's contact reaches.
 CONTACT_ARM = 2e-3
+# Motions of the indenter that a load drives: along x, y, z and about z.
+DRIVEN = [0, 1, 2, 5]
 # Directions in which the contact is this much softer than in its stiffest are not driven.
 SOFTEST = 1e-6
 # Where a force moves its own node so far that the normal turns by more than this, rad, the
@@ -159,7 +161,7 @@ def newton_step(
     force[touching] = system.start
     moved = problem.moved(force - view.force)[touching]
     missing = system.missing + (system.test * moved[system.owner]).sum(axis=1)
-    rigid = _rigid(view)[touching] * _driven(problem)
+    rigid = _rigid(view)[touching][..., DRIVEN] * _driven(problem)
     rigid[..., 3] /= CONTACT_ARM
     moves = np.einsum("mi,mic->mc", system.test, rigid[system.owner])
     solved = _solved(problem, touching, system, np.column_stack([missing, moves]))
@@ -177,7 +179,7 @@ def missed_load(problem: laws.Problem, view: laws.View, load: Array | None) -> f
     """Largest miss of the load relative to its normal force."""
     if load is None:
         return 0.0
-    found = np.einsum("kic,ki->c", _rigid(view), view.force)
+    found = np.einsum("kic,ki->c", _rigid(view)[..., DRIVEN], view.force)
     miss = _driven(problem) * (found - load) * (1.0, 1.0, 1.0, 1.0 / CONTACT_ARM)
     return float(np.abs(miss).max() / abs(load[2]))
 
@@ -281,12 +283,33 @@ def _motion(system: _System, rigid: Array, solved: Array, load: Array) -> Array:
     return np.asarray(np.linalg.pinv(stiffness, rcond=SOFTEST) @ (wanted - found))
 
 
+def stiffness(problem: laws.Problem, offset: Array, state: Guess) -> Array:
+    """How force and moment on the gel change as the indenter moves, (6, 6) N, N m per m, rad.
+
+    Both are about the indenter's origin, rows and columns along and about x, y, z.
+    offset: see solve.  state: solved, of the nodes that touch.  What sticks and what slides goes on
+    to; a motion that ends that changes the force less.
+    """
+    view = laws.look(problem, problem.rest + offset, state.force, state.pose)
+    nodes = np.arange(len(view.force))
+    along = _directions(view, nodes, view.along)
+    system = _system(problem, view, Status(nodes, state.sliding, along, np.ones(len(nodes))))
+    rigid = _rigid(view)
+    # In the solver's single precision, turns count as the ways that they make.
+    rigid[..., 3:] /= CONTACT_ARM
+    moves = np.einsum("mi,mic->mc", system.test, rigid[system.owner])
+    weights = np.einsum("mi,mic->mc", system.trial, rigid[system.owner])
+    scale = np.array([1.0, 1.0, 1.0, CONTACT_ARM, CONTACT_ARM, CONTACT_ARM])
+    return np.asarray(weights.T @ _solved(problem, nodes, system, moves) * np.outer(scale, scale))
+
+
 def _rigid(view: laws.View) -> Array:
-    """Velocity (k, 3, 4) of the indenter at the nodes, for its motion in x, y, z and turn."""
-    rigid = np.zeros((len(view.place), 3, 4))
+    """Velocity (k, 3, 6) of the indenter at the nodes, for its motion along and about x, y, z."""
+    rigid = np.zeros((len(view.place), 3, 6))
     rigid[:, [0, 1, 2], [0, 1, 2]] = 1.0
     arm = view.place - view.pose.position
-    rigid[:, 0, 3], rigid[:, 1, 3] = -arm[:, 1], arm[:, 0]
+    for axis in range(3):
+        rigid[:, :, 3 + axis] = np.cross(np.eye(3)[axis], arm)
     return rigid
 
 

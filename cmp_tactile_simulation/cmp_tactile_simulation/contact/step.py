@@ -100,6 +100,17 @@ class ContactStep:
                 self._forget()
             return self._reach(state, pose, load)
 
+    def stiffness(self, state: ContactState) -> Array:
+        """See solver.stiffness; zeros where nothing touches."""
+        nodes = np.flatnonzero(state.contact)
+        if len(nodes) == 0:
+            return np.zeros((6, 6))
+        with one_thread():
+            problem = self._problem(state, nodes)
+            offset = state.displacement[nodes] - problem.moved(state.force[nodes])
+            guess = solver.Guess(state.force[nodes], state.pose, state.slipping[nodes])
+            return solver.stiffness(problem, offset, guess)
+
     def _reach(self, state: ContactState, pose: Pose, load: Array | None) -> ContactState:
         free = not state.contact.any() and load is None
         moved = self._unloaded() if free and self._creeps else state.displacement

@@ -67,44 +67,25 @@ def recorded_topics(sensor: SensorDescription) -> FrameTopics:
     return FrameTopics(f"/{sensor.ros_name}/", types)
 
 
-class RecordingWriter:
-    """Writes one bag; all messages of a frame bear its stamp.
+class FrameWriter:
+    """Writes the frames of a sensor into a bag that is open; all messages of one bear its stamp.
 
-    The same frames give the same bytes.  A frame is a chunk of the file: should the process be
-    killed, only the next one is lost.
     Raises CmpTactileError where the suite's message definitions are not installed.
     """
 
-    def __init__(self, bag: Path, sensor: SensorDescription) -> None:
-        self._bag, self._sensor = bag, sensor
+    def __init__(self, writer: BagWriter, sensor: SensorDescription) -> None:
+        self._writer, self._sensor = writer, sensor
         self._make = bag_messages()
         self._info = making.whole_frame_info(sensor)
         self._prefix, self._types = recorded_topics(sensor)
-        # A bag is a new folder, and this one has the scene already: its file goes on from here.
-        self._beside = bag / ".partial"
-        shutil.rmtree(self._beside, ignore_errors=True)
-        self._writer = BagWriter(self._beside / bag.name)
-        self._writer.path = self._writer.path.replace(bag / self._writer.path.name)
         for name, kind in self._types.items():
-            definition = simulation_definition(kind)
-            self._writer.add_topic(self._prefix + name, kind, definition=definition)
+            add_simulated_topic(writer, self._prefix + name, kind)
 
     def append(self, frame: SimulatedFrame) -> None:
         """Write the next frame."""
         messages = self._messages(frame)
         for name, kind in self._types.items():
-            data = bytes(simulation_typestore().serialize_cdr(messages[name], kind))
-            self._writer.write(self._prefix + name, frame.stamp_ns, data)
-        self._writer.flush()
-
-    def close(self) -> None:
-        """Write index and metadata.yaml."""
-        self._writer.close()
-        metadata = self._writer.folder / "metadata.yaml"
-        # There is none where the disk is full.
-        if metadata.exists():
-            metadata.replace(self._bag / metadata.name)
-        shutil.rmtree(self._beside)
+            write_simulated(self._writer, self._prefix + name, kind, frame.stamp_ns, messages[name])
 
     def _messages(self, frame: SimulatedFrame) -> dict[str, Any]:
         """The messages of a frame by topic, below the namespace."""
@@ -125,16 +106,60 @@ class RecordingWriter:
                 )
                 for view, grid in frame.grids.items()
             },
-            "truth/indenter_pose": self._pose(frame.pose, gel),
+            "truth/indenter_pose": pose_message(make, frame.pose, gel),
         }
 
-    def _pose(self, pose: Pose, header: Any) -> Any:
-        place = self._make.new(
-            "geometry_msgs/msg/Pose",
-            position=self._make.point(pose.position),
-            orientation=self._make.quaternion(Rotation.from_matrix(pose.rotation)),
-        )
-        return self._make.new(POSE_STAMPED, header=header, pose=place)
+
+def add_simulated_topic(writer: BagWriter, topic: str, kind: str) -> None:
+    """Add a topic of a message type that the suite or its simulator defines."""
+    writer.add_topic(topic, kind, definition=simulation_definition(kind))
+
+
+def write_simulated(writer: BagWriter, topic: str, kind: str, stamp_ns: int, message: Any) -> None:
+    """Write a message on such a topic."""
+    writer.write(topic, stamp_ns, bytes(simulation_typestore().serialize_cdr(message, kind)))
+
+
+def pose_message(make: making.MessageMaker, pose: Pose, header: Any) -> Any:
+    """A PoseStamped."""
+    place = make.new(
+        "geometry_msgs/msg/Pose",
+        position=make.point(pose.position),
+        orientation=make.quaternion(Rotation.from_matrix(pose.rotation)),
+    )
+    return make.new(POSE_STAMPED, header=header, pose=place)
+
+
+class RecordingWriter:
+    """Writes the bag of one sensor into the folder of its scene.
+
+    The same frames give the same bytes.  A frame is a chunk of the file: should the process be
+    killed, only the next one is lost.
+    Raises CmpTactileError where the suite's message definitions are not installed.
+    """
+
+    def __init__(self, bag: Path, sensor: SensorDescription) -> None:
+        self._bag = bag
+        # A bag is a new folder, and this one has the scene already: its file goes on from here.
+        self._beside = bag / ".partial"
+        shutil.rmtree(self._beside, ignore_errors=True)
+        self._writer = BagWriter(self._beside / bag.name)
+        self._writer.path = self._writer.path.replace(bag / self._writer.path.name)
+        self._frames = FrameWriter(self._writer, sensor)
+
+    def append(self, frame: SimulatedFrame) -> None:
+        """Write the next frame."""
+        self._frames.append(frame)
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write index and metadata.yaml."""
+        self._writer.close()
+        metadata = self._writer.folder / "metadata.yaml"
+        # There is none where the disk is full.
+        if metadata.exists():
+            metadata.replace(self._bag / metadata.name)
+        shutil.rmtree(self._beside)
 
 
 class RecordedFrame:

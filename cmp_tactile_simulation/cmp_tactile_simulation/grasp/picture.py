@@ -1,0 +1,222 @@
+"""Pictures of a grasp: gripper and object, what both cameras see, and the forces over time.
+
+MuJoCo's own renderer needs OpenGL, which many machines of a laboratory's network lack.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.errors import OutputError
+from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.grasp.play import GraspFrame
+from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
+WIDTH_PX, HEIGHT_PX, SCENE_PX = 1280, 720, 720
+CAMERA_PX = (280, 210)
+CODEC = "mp4v"
+BACKGROUND, INK, FAINT = (250, 248, 246), (40, 40, 40), (200, 196, 192)
+OBJECT_COLOUR: Colour = (120, 170, 90)
+HOUSING: Colour = (110, 105, 100)
+GELS: Mapping[str, Colour] = {"left": (200, 120, 40), "right": (60, 110, 220)}
+# Behind the gel, m.
+HOUSING_M = 0.03
+# The eye relative to what it looks at, m, and the focal length in px.
+EYE, FOCAL_PX = np.array([0.26, -0.16, 0.13]), 1500.0
+LIGHT = np.array([0.5, -0.4, 0.8]) / np.linalg.norm([0.5, -0.4, 0.8])
+# Longest side of the triangles that are drawn, m.
+LARGEST_M = 0.008
+# Of the force arrows and of the plot's least range.
+M_PER_N, LEAST_N = 0.012, 1.0
+
+
+@dataclass
+class GraspPainter:
+    """Draws one frame after the other; keeps the forces for the plot."""
+
+    scene: GraspScene
+    _seconds: list[float] = field(default_factory=list)
+    _forces: dict[str, list[float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        size = self.scene.fingertip.elastomer.size
+        gel = trimesh.creation.box(size)
+        gel.apply_translation([0, 0, -size[2] / 2])
+        housing = trimesh.creation.box([size[0] * 1.1, size[1] * 1.1, HOUSING_M])
+        housing.apply_translation([0, 0, -size[2] - HOUSING_M / 2])
+        # Small enough to be drawn in the right order.
+        self._gel, self._housing = (
+            part.subdivide_to_size(LARGEST_M).triangles for part in (gel, housing)
+        )
+        self._object = _triangles(self.scene)
+
+    def draw(self, frame: GraspFrame, measured: Mapping[str, Array]) -> Image:
+        """The picture (720, 1280, 3) BGR.  measured (6,): wrenches by side, NaN where unknown."""
+        now = frame.index / self.scene.rate
+        self._seconds.append(now)
+        for side in SIDES:
+            along = float(np.hypot(*frame.wrenches[side][:2]))
+            values = {"grip": -frame.wrenches[side][2], "load": along}
+            values |= {"grip measured": -measured[side][2]}
+            values |= {"load measured": float(np.hypot(*measured[side][:2]))}
+            for name, value in values.items():
+                self._forces.setdefault(f"{side} {name}", []).append(value)
+        picture = np.full((HEIGHT_PX, WIDTH_PX, 3), BACKGROUND, np.uint8)
+        self._paint_world(picture[:, :SCENE_PX], frame)
+        title = f"{self.scene.title or self.scene.name}: {frame.phase}, {now:.1f} s"
+        _text(picture, title, (16, 32), 0.7)
+        for number, side in enumerate(SIDES):
+            left = SCENE_PX + number * CAMERA_PX[0]
+            seen = cv2.resize(frame.fingers[side].image, CAMERA_PX, interpolation=cv2.INTER_AREA)
+            shown = cv2.cvtColor(seen, cv2.COLOR_GRAY2BGR) if seen.ndim == 2 else seen
+            picture[48 : 48 + CAMERA_PX[1], left : left + CAMERA_PX[0]] = shown
+            slip = frame.fingers[side].force.slip_state.name.lower().replace("_", " ")
+            _text(picture, f"{side}: {slip}", (left + 4, 38), 0.5, GELS[side])
+        self._plot(picture[48 + CAMERA_PX[1] + 20 :, SCENE_PX:])
+        return picture
+
+    def _paint_world(self, picture: Image, frame: GraspFrame) -> None:
+        middle = sum(frame.fingertips[side].position for side in SIDES) / len(SIDES)
+        view = _View(np.asarray(middle), picture.shape[1], picture.shape[0])
+        for place in np.linspace(-0.2, 0.2, 11):
+            for ends in ([[place, -0.2, 0], [place, 0.2, 0]], [[-0.2, place, 0], [0.2, place, 0]]):
+                a, b = view.pixels(np.array(ends))[0].round().astype(int)
+                cv2.line(picture, a.tolist(), b.tolist(), FAINT, 1, cv2.LINE_AA)
+        parts: list[tuple[Array, Colour]] = [
+            (frame.held.to_gel(self._object), OBJECT_COLOUR),
+            *((frame.fingertips[side].to_gel(self._gel), GELS[side]) for side in SIDES),
+            *((frame.fingertips[side].to_gel(self._housing), HOUSING) for side in SIDES),
+        ]
+        _paint(picture, view, parts)
+        for side in SIDES:
+            self._paint_force(picture, view, frame.fingertips[side], frame.wrenches[side])
+
+    def _paint_force(self, picture: Image, view: _View, gel: Pose, wrench: Array) -> None:
+        """The force on the object, at the gel."""
+        tail = gel.position
+        ends = np.stack([tail, tail - M_PER_N * (gel.rotation @ wrench[:3])])
+        a, b = view.pixels(ends)[0].round().astype(int)
+        if np.linalg.norm(b - a) > 3:
+            cv2.arrowedLine(picture, a.tolist(), b.tolist(), INK, 2, cv2.LINE_AA, tipLength=0.1)
+
+    def _plot(self, area: Image) -> None:
+        """Forces over time: truth as lines, what was measured as dots."""
+        height, width = area.shape[:2]
+        box = (56, 24, width - 20, height - 40)
+        most = max(LEAST_N, *(np.nanmax(item) for item in self._forces.values()))
+        end = self.scene.duration
+
+        def place(seconds: float, newtons: float) -> tuple[int, int]:
+            x = box[0] + (box[2] - box[0]) * seconds / end
+            return round(x), round(box[3] - (box[3] - box[1]) * newtons / most)
+
+        cv2.rectangle(area, (box[0], box[1]), (box[2], box[3]), FAINT, 1)
+        for value in np.arange(0, most + 1e-9, _tick(most)):
+            x, y = place(0, float(value))
+            cv2.line(area, (x, y), (box[2], y), FAINT, 1)
+            _text(area, f"{value:g}", (8, y + 5), 0.45)
+        for value in np.arange(0, end + 1e-9, _tick(end)):
+            _text(area, f"{value:g} s", (place(float(value), 0)[0] - 8, height - 20), 0.45)
+        _text(area, "N: grip (thick) and load of each finger; dots: as measured", (56, 16), 0.45)
+        for side in SIDES:
+            for name, width_px in (("grip", 2), ("load", 1)):
+                true = zip(self._seconds, self._forces[f"{side} {name}"], strict=True)
+                points = np.array([place(*item) for item in true], np.int32)
+                cv2.polylines(area, [points], False, GELS[side], width_px, cv2.LINE_AA)
+                found = zip(self._seconds, self._forces[f"{side} {name} measured"], strict=True)
+                for seconds, newtons in found:
+                    if np.isfinite(newtons):
+                        cv2.circle(area, place(seconds, newtons), 2, GELS[side], -1, cv2.LINE_AA)
+
+
+class VideoWriter:
+    """Writes pictures as an MP4; a context manager.  OutputError where OpenCV cannot."""
+
+    def __init__(self, path: Path, rate: float) -> None:
+        codec = cv2.VideoWriter.fourcc(*CODEC)
+        self._writer = cv2.VideoWriter(str(path), codec, rate, (WIDTH_PX, HEIGHT_PX))
+        if not self._writer.isOpened():
+            msg = f"{path}: OpenCV cannot write a video to this path"
+            raise OutputError(msg)
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.release()
+
+    def add(self, picture: Image) -> None:
+        """Write the next picture."""
+        self._writer.write(picture)
+
+
+class _View:
+    """A camera that looks at a place."""
+
+    def __init__(self, at: Array, width: int, height: int) -> None:
+        ahead = -EYE / np.linalg.norm(EYE)
+        right = np.cross(ahead, [0, 0, 1])
+        right /= np.linalg.norm(right)
+        self._eye, self._turn = at + EYE, np.stack([right, -np.cross(right, ahead), ahead])
+        self._middle = np.array([width / 2, height / 2])
+
+    def pixels(self, points: Array) -> tuple[Array, Array]:
+        """Pixels (..., 2) and depths (...,) m of points (..., 3)."""
+        seen = (points - self._eye) @ self._turn.T
+        return FOCAL_PX * seen[..., :2] / seen[..., 2:] + self._middle, seen[..., 2]
+
+
+def _paint(picture: Image, view: _View, parts: list[tuple[Array, Colour]]) -> None:
+    """Triangles (n, 3, 3) of several parts, the farthest first."""
+    corners = np.concatenate([part for part, _ in parts])
+    colours = np.concatenate([np.tile(colour, (len(part), 1)) for part, colour in parts])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
+    shades = 0.55 + 0.45 * np.clip(normals @ LIGHT, 0, 1)
+    pixels, depths = view.pixels(corners)
+    for n in np.argsort(-depths.mean(axis=1)):
+        corner = (pixels[n] * 16).round().astype(np.int32)
+        colour = (shades[n] * colours[n]).astype(int).tolist()
+        cv2.fillConvexPoly(picture, corner, colour, cv2.LINE_AA, shift=4)
+
+
+def _triangles(scene: GraspScene) -> Array:
+    """The object's surface in its own frame, (n, 3, 3) m."""
+    kind, values = scene.object.type, scene.object.values
+    mesh: Any
+    if scene.object.file is not None:
+        mesh = trimesh.load_mesh(scene.object.file)
+        mesh.apply_scale(values.get("scale") or 1.0)
+    elif kind == "cuboid":
+        mesh = trimesh.creation.box(values["size"])
+    elif kind == "sphere":
+        mesh = trimesh.creation.icosphere(3, values["radius"])
+    else:
+        mesh = trimesh.creation.cylinder(values["radius"], values["length"], sections=48)
+        mesh.vertices = mesh.vertices[:, [2, 1, 0]]
+        mesh.invert()
+    return np.asarray(mesh.subdivide_to_size(LARGEST_M).triangles, dtype=np.float64)
+
+
+def _tick(most: float) -> float:
+    """A round distance of some five ticks."""
+    power = 10.0 ** np.floor(np.log10(most / 5))
+    return float(next(step * power for step in (1, 2, 5, 10) if step * power >= most / 5))
+
+
+def _text(
+    picture: Image, text: str, place: tuple[int, int], scale: float, colour: Colour = INK
+) -> None:
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)

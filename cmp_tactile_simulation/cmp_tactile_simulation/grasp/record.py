@@ -1,0 +1,190 @@
+"""A grasp into a folder: one bag of both sensors with truth and measurements, and a video."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_processing.errors import OutputError
+from cmp_tactile_processing.force.advice import UNUSABLE
+from cmp_tactile_processing.measured import ForceField
+from cmp_tactile_processing.pipeline import Pipeline
+from cmp_tactile_processing.ros.messages import making
+from cmp_tactile_processing.ros.messages.definitions import bag_messages
+from cmp_tactile_processing.sensor.yaml_file import read_yaml
+from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+from cmp_tactile_simulation.grasp.picture import GraspPainter, VideoWriter
+from cmp_tactile_simulation.grasp.play import Grasp, GraspFrame
+from cmp_tactile_simulation.grasp.scene import SIDES
+from cmp_tactile_simulation.recording.truth import (
+    POSE_STAMPED,
+    FrameWriter,
+    add_simulated_topic,
+    pose_message,
+    write_simulated,
+)
+
+Array = NDArray[np.float64]
+
+OBJECT_TOPIC, CONTROL_TOPIC, TF_TOPIC = "/object/pose", "/gripper/controls", "/tf"
+JOINT_STATE, TF_MESSAGE = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+WORLD_FRAME, OBJECT_FRAME = "world", "object"
+TABLE_FILE, VIDEO_FILE = "wrenches.csv", "grasp.mp4"
+AXES = ("fx", "fy", "fz", "mx", "my", "mz")
+COLUMNS = (
+    *("time_s", "phase", "side", "slip", "measured_slip", "flags", "usable"),
+    *(f"{axis}_true" for axis in AXES),
+    *AXES,
+    *(f"{axis}_std" for axis in AXES),
+)
+
+
+@dataclass(frozen=True)
+class GraspSummary:
+    """What came of a grasp.
+
+    error, most (3,) N: of the force of usable frames, RMS and largest, over both fingers.
+    """
+
+    frames: int
+    usable: int
+    error: Array
+    most: Array
+
+
+def record_grasp(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> GraspSummary:
+    """Play a grasp into a new folder; it is there whole, or not at all.
+
+    Raises OutputError where the folder is there already or cannot be written, and what the grasp
+    raises.
+    """
+    with _whole(folder) as partial:
+        return _record(grasp, partial, on_share)
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    if folder.exists():
+        msg = f"{folder}: exists already, expected a new folder"
+        raise OutputError(msg)
+    partial = folder.with_name(f".{folder.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        yield partial / folder.name
+        (partial / folder.name).replace(folder)
+    except OSError as error:
+        msg = f"{folder}: cannot be written: {error.strerror or error}"
+        raise OutputError(msg) from None
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> GraspSummary:
+    scene = grasp.scene
+    folder.parent.mkdir()
+    count = scene.duration * scene.rate
+    errors: list[Array] = []
+    usable = frames = 0
+    with ExitStack() as stack:
+        bag = _GraspBag(stack.enter_context(BagWriter(folder)), grasp)
+        table = stack.enter_context((folder / TABLE_FILE).open("w", newline="", encoding="utf-8"))
+        rows = csv.writer(table)
+        rows.writerow(COLUMNS)
+        video = stack.enter_context(VideoWriter(folder / VIDEO_FILE, scene.rate))
+        painter = GraspPainter(scene)
+        for frame in grasp.frames():
+            found = bag.append(frame)
+            for side, field in found.items():
+                rows.writerow(_row(frame, side, field, scene.rate))
+                if not field.flags & UNUSABLE:
+                    usable += 1
+                    errors.append(field.wrench[:3] - frame.wrenches[side][:3])
+            video.add(painter.draw(frame, {side: found[side].wrench for side in SIDES}))
+            frames += 1
+            on_share(min(1.0, frames / count))
+    content = read_yaml(scene.sensor_file).content
+    for side in SIDES:
+        text = dump_yaml({**content, "name": side})
+        (folder / f"{side}.yaml").write_text(text, encoding="utf-8")
+    shutil.copyfile(scene.file, folder / "scene.yaml")
+    size = np.array(errors or [np.full(3, np.nan)])
+    return GraspSummary(frames, usable, np.sqrt((size**2).mean(axis=0)), np.abs(size).max(axis=0))
+
+
+class _GraspBag:
+    """Writes the frames of a grasp into a bag, with what the sensors' own chain makes of them."""
+
+    def __init__(self, writer: BagWriter, grasp: Grasp) -> None:
+        self._writer, self._make = writer, bag_messages()
+        sensors = {side: replace(grasp.scene.fingertip, name=side) for side in SIDES}
+        self._frames = {side: FrameWriter(writer, sensor) for side, sensor in sensors.items()}
+        self._chains = {side: Pipeline(sensor) for side, sensor in sensors.items()}
+        self._gels = {side: making.gel_frame(sensor) for side, sensor in sensors.items()}
+        topics = {OBJECT_TOPIC: POSE_STAMPED, CONTROL_TOPIC: JOINT_STATE, TF_TOPIC: TF_MESSAGE}
+        for side in SIDES:
+            topics |= {f"/{side}/force_field": making.FORCE_FIELD}
+            topics |= {f"/{side}/wrench": WRENCH_STAMPED, f"/{side}/truth/wrench": WRENCH_STAMPED}
+        self._topics = topics
+        for topic, kind in topics.items():
+            add_simulated_topic(writer, topic, kind)
+
+    def append(self, frame: GraspFrame) -> dict[str, ForceField]:
+        """Write a frame; what was measured in it, by side."""
+        found = {}
+        for side in SIDES:
+            seen, chain = frame.fingers[side], self._chains[side]
+            self._frames[side].append(seen)
+            if frame.index == 0:
+                chain.set_reference([seen.image], seen.stamp_ns)
+            found[side] = chain.process(seen.image, seen.stamp_ns).force
+            header = self._make.header(frame.stamp_ns, self._gels[side])
+            true = replace(seen.force, wrench=frame.wrenches[side])
+            self._write(f"/{side}/force_field", frame, self._make.force_field(found[side], header))
+            self._write(f"/{side}/wrench", frame, self._make.wrench_stamped(found[side], header))
+            self._write(f"/{side}/truth/wrench", frame, self._make.wrench_stamped(true, header))
+        self._write_world(frame)
+        self._writer.flush()
+        return found
+
+    def _write_world(self, frame: GraspFrame) -> None:
+        make, header = self._make, self._make.header(frame.stamp_ns, WORLD_FRAME)
+        self._write(OBJECT_TOPIC, frame, pose_message(make, frame.held, header))
+        poses = {OBJECT_FRAME: frame.held}
+        poses |= {self._gels[side]: frame.fingertips[side] for side in SIDES}
+        transforms = [
+            make.transform(header, child, pose.position, Rotation.from_matrix(pose.rotation))
+            for child, pose in poses.items()
+        ]
+        self._write(TF_TOPIC, frame, make.new(TF_MESSAGE, transforms=transforms))
+        nothing = np.zeros(0)
+        controls = make.new(
+            JOINT_STATE,
+            header=header,
+            name=list(frame.controls),
+            position=np.array([*frame.controls.values()], np.float64),
+            velocity=nothing,
+            effort=nothing,
+        )
+        self._write(CONTROL_TOPIC, frame, controls)
+
+    def _write(self, topic: str, frame: GraspFrame, message: object) -> None:
+        write_simulated(self._writer, topic, self._topics[topic], frame.stamp_ns, message)
+
+
+def _row(frame: GraspFrame, side: str, field: ForceField, rate: float) -> list[object]:
+    true = frame.fingers[side].force.slip_state.name.lower()
+    usable = int(not field.flags & UNUSABLE)
+    values = np.concatenate([frame.wrenches[side], field.wrench, field.wrench_std])
+    head = [f"{frame.index / rate:.4f}", frame.phase, side, true, field.slip_state.name.lower()]
+    return [*head, int(field.flags), usable, *(f"{value:.6g}" for value in values)]

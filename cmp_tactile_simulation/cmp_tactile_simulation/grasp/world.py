@@ -1,0 +1,234 @@
+"""The rigid world of a grasp in MuJoCo: a gripper, an object, and the gels between them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.cache.files import packaged_files
+from cmp_tactile_processing.cache.threads import one_thread
+from cmp_tactile_processing.errors import ContactError, InputError
+from cmp_tactile_simulation.contact.indentation import ContactSimulation
+from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.grasp.coupling import FingerContact, FingerTouch
+from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene
+
+Array = NDArray[np.float64]
+
+PACKAGE = "cmp_tactile_simulation"
+INSTALL = "found no MuJoCo: pip install mujoco"
+# Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
+# holds.
+LIFT, SHAKE, TILT, GRIP, OBJECT = "lift", "shake", "tilt", "grip", "object"
+
+
+def load_mujoco() -> Any:
+    """The module; InputError with the line that installs it."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InputError(INSTALL) from error
+    return mujoco
+
+
+def packaged_gripper(scene: GraspScene) -> Any:
+    """The MuJoCo model (MjSpec) of the packaged gripper and the object of a scene.
+
+    World: x across the fingers, y along which they close, z up.
+    """
+    mujoco, gripper = load_mujoco(), scene.gripper
+    spec = mujoco.MjSpec.from_file(str(packaged_files(PACKAGE, "grasps/*.xml")["gripper"]))
+    spec.body("hand").pos[2] = gripper.height
+    for side in SIDES:
+        place = spec.site(side).pos
+        place[1] = math.copysign(gripper.opening / 2, place[1])
+    held = spec.worldbody.add_body(name=OBJECT, pos=scene.position)
+    held.add_freejoint()
+    _add_shape(mujoco, spec, held, scene)
+    return spec
+
+
+def _add_shape(mujoco: Any, spec: Any, body: Any, scene: GraspScene) -> None:
+    kind, values = scene.object.type, scene.object.values
+    geometry = mujoco.mjtGeom
+    if scene.object.file is not None:
+        scale = [values.get("scale") or 1.0] * 3
+        spec.add_mesh(name=OBJECT, file=str(scene.object.file.resolve()), scale=scale)
+        body.add_geom(type=geometry.mjGEOM_MESH, meshname=OBJECT, mass=scene.mass)
+    elif kind == "cuboid":
+        half = [side / 2 for side in values["size"]]
+        body.add_geom(type=geometry.mjGEOM_BOX, size=half, mass=scene.mass)
+    elif kind == "sphere":
+        size = [values["radius"], 0, 0]
+        body.add_geom(type=geometry.mjGEOM_SPHERE, size=size, mass=scene.mass)
+    else:
+        size = [values["radius"], values["length"] / 2, 0]
+        # Our cylinder lies about x, MuJoCo's stands about z.
+        quat = [np.sqrt(0.5), 0, np.sqrt(0.5), 0]
+        body.add_geom(type=geometry.mjGEOM_CYLINDER, size=size, quat=quat, mass=scene.mass)
+
+
+class World:
+    """Steps a MuJoCo model in which gels hold an object.
+
+    sites: names of the gel frames.  contacts: of each gel with the object.
+    speed: m/s, of each finger of the packaged gripper.
+    """
+
+    def __init__(self, spec: Any, sites: Sequence[str], held: str, speed: float) -> None:
+        """Raises InputError for a model that MuJoCo refuses, or without a site or the body."""
+        self._mujoco, self._warnings = load_mujoco(), list[str]()
+        # Otherwise MuJoCo writes a file into the working folder, and begins the simulation again.
+        self._mujoco.set_mju_user_warning(self._warnings.append)
+        try:
+            self.model = spec.compile()
+        except ValueError as error:
+            msg = f"model: MuJoCo refuses it: {error}"
+            raise InputError(msg) from None
+        self.data = self._mujoco.MjData(self.model)
+        self._names, self._speed = list(sites), speed
+        self._sites = [self._number("site", name) for name in sites]
+        self._held = self._number("body", held)
+        self._fingers = [int(self.model.site_bodyid[site]) for site in self._sites]
+        self._mujoco.mj_forward(self.model, self.data)
+        self._gels: list[FingerContact] = []
+
+    def _number(self, kind: str, name: str) -> int:
+        finder = getattr(self.model, kind)
+        try:
+            return int(finder(name).id)
+        except KeyError:
+            count = getattr(self.model, f"n{kind}")
+            names = ", ".join(finder(n).name for n in range(count)) or "none"
+            msg = f"model: found the {kind} names {names}, expected {name}"
+            raise InputError(msg) from None
+
+    def hold(self, contacts: Sequence[ContactSimulation]) -> None:
+        """Let these gels act between the fingertips and the object from now on.
+
+        Raises ContactError where the object is inside a gel.
+        """
+        self._gels = [self._held_by(finger, contact) for finger, contact in enumerate(contacts)]
+        # The object and the fingers' other parts meet in the gels alone.
+        for body in self._fingers:
+            geoms = np.flatnonzero(self.model.geom_bodyid == body)
+            self.model.geom_contype[geoms] = self.model.geom_conaffinity[geoms] = 0
+
+    def _held_by(self, finger: int, contact: ContactSimulation) -> FingerContact:
+        try:
+            return FingerContact(contact, self.pose(finger))
+        except ContactError as error:
+            msg = f"{self._names[finger]} fingertip: {error}"
+            raise ContactError(msg) from None
+
+    def pose(self, finger: int) -> Pose:
+        """T_gel_object of a finger's gel."""
+        place, turn = self._frame(finger)
+        data = self.data
+        at = turn.T @ (data.xpos[self._held] - place)
+        return Pose(at, turn.T @ data.xmat[self._held].reshape(3, 3))
+
+    def world_pose(self, name: str) -> Pose:
+        """Of a site, or of the body that is held where there is no such site."""
+        data = self.data
+        if name in self._names:
+            place, turn = self._frame(self._names.index(name))
+            return Pose(place.copy(), turn.copy())
+        return Pose(data.xpos[self._held].copy(), data.xmat[self._held].reshape(3, 3).copy())
+
+    def gel(self, finger: int) -> FingerContact:
+        """The gel of a finger."""
+        return self._gels[finger]
+
+    def touch(self, finger: int) -> FingerTouch:
+        """The gel of a finger as it was last solved."""
+        return self._gels[finger].touch
+
+    def wrench(self, finger: int) -> Array:
+        """On the gel now, (6,) N and N m about the gel frame's origin, gel frame."""
+        pose = self.pose(finger)
+        wrench = self._gels[finger].touch.ahead(pose, self._velocity(finger))
+        wrench[3:] += np.cross(pose.position, wrench[:3])
+        return wrench
+
+    def step(self, controls: Mapping[str, float], force: Array, mass: float) -> None:
+        """One time step.
+
+        controls: of actuators, by name; GRIP: N, of both fingers of the packaged gripper.
+        force (6,) N and N m: on the object at its centre of mass, world frame.
+        mass: of the object, kg.
+        Raises ContactError where a gel cannot follow or the rigid world has no solution, and
+        InputError for an unknown actuator.
+        """
+        data, model = self.data, self.model
+        for name, value in controls.items():
+            if name == GRIP:
+                self._grip(value)
+            else:
+                data.ctrl[self._number("actuator", name)] = value
+        if mass != model.body_mass[self._held]:
+            model.body_inertia[self._held] *= mass / model.body_mass[self._held]
+            model.body_mass[self._held] = mass
+        data.xfrc_applied[:] = 0.0
+        data.xfrc_applied[self._held] = force
+        for finger, gel in enumerate(self._gels):
+            wrench = gel.touch.ahead(self.pose(finger), self._velocity(finger))
+            _, turn = self._frame(finger)
+            on_gel, moment = turn @ wrench[:3], turn @ wrench[3:]
+            self._push(self._fingers[finger], on_gel, moment)
+            self._push(self._held, -on_gel, -moment)
+        self._mujoco.mj_step(model, data)
+        if self._warnings:
+            msg = f"MuJoCo: {self._warnings[0].strip()}"
+            raise ContactError(msg)
+        # Poses and velocities of the new place, without another step.
+        self._mujoco.mj_kinematics(model, data)
+        self._mujoco.mj_comPos(model, data)
+        self._mujoco.mj_comVel(model, data)
+        self.solve()
+
+    def solve(self, *, always: bool = False) -> None:
+        """Solve the gels over which the object has moved noticeably, or all of them.
+
+        Raises ContactError where a gel cannot follow.
+        """
+        with one_thread():
+            for finger, gel in enumerate(self._gels):
+                pose = self.pose(finger)
+                if always or not gel.touch.holds_at(pose):
+                    gel.move(pose)
+
+    def _grip(self, force: float) -> None:
+        """Drive the fingers at their speed, together or apart, with at most this force, N."""
+        for side in SIDES:
+            number = self._number("actuator", f"{GRIP}_{side}")
+            self.model.actuator_forcerange[number] = -abs(force), abs(force)
+            self.data.ctrl[number] = math.copysign(self._speed, force)
+
+    def _push(self, body: int, force: Array, moment: Array) -> None:
+        """Add a force and a moment about the object's origin, world frame."""
+        data = self.data
+        arm = data.xpos[self._held] - data.xipos[body]
+        data.xfrc_applied[body, :3] += force
+        data.xfrc_applied[body, 3:] += moment + np.cross(arm, force)
+
+    def _frame(self, finger: int) -> tuple[Array, Array]:
+        """Place (3,) m and rotation (3, 3) of a gel in the world."""
+        site = self._sites[finger]
+        return self.data.site_xpos[site], self.data.site_xmat[site].reshape(3, 3)
+
+    def _velocity(self, finger: int) -> Array:
+        """Of the object's origin relative to the gel, (6,) m/s and rad/s, gel frame."""
+        held, gel = np.zeros(6), np.zeros(6)
+        kinds = self._mujoco.mjtObj
+        find = self._mujoco.mj_objectVelocity
+        find(self.model, self.data, kinds.mjOBJ_XBODY, self._held, held, 0)
+        find(self.model, self.data, kinds.mjOBJ_SITE, self._sites[finger], gel, 0)
+        place, turn = self._frame(finger)
+        arm = self.data.xpos[self._held] - place
+        along = held[3:] - gel[3:] - np.cross(gel[:3], arm)
+        return np.concatenate([turn.T @ along, turn.T @ (held[:3] - gel[:3])])
