@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE
+from cmp_tactile_driver.bags.reader import COMPRESSED_IMAGE, IMAGE, of_one_sensor
 from cmp_tactile_driver.bags.recording import frames_within, is_bag, open_recording_of
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan, timeline
@@ -144,7 +144,7 @@ class StoredResults:
         Raises FrameSourceError for what is no bag, CmpTactileError for one of several sensors.
         """
         self._storage = storage or BagStorage(path)
-        self._topics = _result_topics(path, self._storage.topics)
+        self._topics = _result_topics(path, self._storage.topics, sensor)
         self._reader = ResultReader(sensor, BitDepth(str(path)))
         messages = self._storage.index(list(self._topics))
         first = next((topic for topic, field in self._topics.items() if field == "frame"), "")
@@ -173,10 +173,10 @@ class StoredResults:
         yield from open_ones.values()
 
 
-def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
-    """The field of a Snapshot that each topic fills."""
+def _result_topics(path: Path, topics: dict[str, str], sensor: SensorDescription) -> dict[str, str]:
+    """The field of a Snapshot that each topic fills; of one sensor where the bag has several."""
     found: dict[str, str] = {}
-    for topic, kind in sorted(topics.items()):
+    for topic, kind in sorted(of_one_sensor(topics, sensor.ros_name).items()):
         name, truth = topic.rpartition("/")[2], "/truth/" in topic
         if truth:
             continue
@@ -188,7 +188,7 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
             found[topic] = topic.split("/")[-2]
         elif (
             kind in (IMAGE, COMPRESSED_IMAGE)
-            and _is_frame(topic)
+            and _is_frame(topic, sensor.ros_name)
             # Raw ones come first, and are better.
             and topic.removesuffix(COMPRESSED) not in found
         ):
@@ -201,10 +201,12 @@ def _result_topics(path: Path, topics: dict[str, str]) -> dict[str, str]:
     return found
 
 
-def _is_frame(topic: str) -> bool:
+def _is_frame(topic: str, namespace: str) -> bool:
     """Whether it is the topic of a camera, not of a view of it."""
-    parts = topic.removesuffix(COMPRESSED).split("/")
-    return parts[-1] == "image_raw" and parts[-2:-1] not in (["left"], ["right"])
+    name = topic.removesuffix(COMPRESSED)
+    parts = name.split("/")
+    of_view = parts[-2:-1] in (["left"], ["right"]) and name != f"/{namespace}/image_raw"
+    return parts[-1] == "image_raw" and not of_view
 
 
 def _bag(path: Path) -> BagStorage | None:
@@ -220,7 +222,7 @@ def _frames(
     Forces alone are shown where the bag has no images; surfaces alone are processed.
     """
     if storage is not None:
-        fields = set(_result_topics(path, storage.topics).values())
+        fields = set(_result_topics(path, storage.topics, sensor).values())
         if {"surface", "frame"} <= fields or ("force" in fields and "frame" not in fields):
             return StoredResults(path, sensor, storage)
     return ProcessedFrames(path, sensor, topic)

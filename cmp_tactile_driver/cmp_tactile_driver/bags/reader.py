@@ -97,18 +97,19 @@ class BagReader:
         topic: str = "",
         expected_size: ImageSize | None = None,
         shape: GridShape | None = None,
+        namespace: str = "",
     ) -> None:
         """topic: empty for the only image topic.  expected_size: absent for the first frame's.
 
         shape: of surfaces, which are read where the bag has no images, or topic names them; absent
-        where only frames are of use.
+        where only frames are of use.  namespace: of the sensor, in a bag with frames of several.
         Raises FrameSourceError for a bag that cannot be read or has no such topic.
         """
         self._path, self.name = path, str(path)
         self._storage = BagStorage(path)
         self._shape = shape
         topic = topic and f"/{topic.strip('/')}"
-        topics = _topics_with_frames(self._storage, topic)
+        topics = of_one_sensor(_topics_with_frames(self._storage, topic), namespace)
         self.image_topic = _choose_topic(path, topics, topic, surfaces=bool(shape))
         self._info_topic = _info_topic(self._storage.topics, self.image_topic)
         self._depth = BitDepth(f"{path}: {self.image_topic}", look_ahead=self._used_bits)
@@ -270,6 +271,12 @@ def _topics_with_frames(storage: BagStorage, wanted: str) -> dict[str, str]:
 def image_topics(topics: Mapping[str, str]) -> list[str]:
     """The topics of images, in order."""
     return sorted(name for name, kind in topics.items() if kind in (IMAGE, COMPRESSED_IMAGE))
+
+
+def of_one_sensor(topics: dict[str, str], namespace: str) -> dict[str, str]:
+    """The topics below a sensor's namespace, or all where none is."""
+    own = {name: kind for name, kind in topics.items() if name.startswith(f"/{namespace}/")}
+    return own or topics
 
 
 def _choose_topic(path: Path, topics: dict[str, str], wanted: str, *, surfaces: bool) -> str:

@@ -48,12 +48,14 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
     frame_id: str = "",
     expected_size: frames.ImageSize | None = None,
     shape: GridShape | None = None,
+    namespace: str = "",
 ) -> Recording:
     """A bag (folder or file), a video, an image or, where the folder is not a bag, its images.
 
     topic: of the bag's images, empty for the only one.  shape: of the surfaces that are read of a
     bag without images; absent where only frames are of use.  frame_rate (Hz): of an image folder.
     frame_id: of images and videos.  expected_size: absent for the size of the first image.
+    namespace: of the sensor, in a bag with frames of several.
     Raises FrameSourceError where there is nothing to replay.
     """
     if not (path.is_file() or path.is_dir()):
@@ -62,7 +64,7 @@ def open_recording(  # noqa: PLR0913  what files do not say, and what is expecte
         raise FrameSourceError(msg)
     check_folder(path)
     if is_bag(path):
-        return BagReader(path, topic, expected_size, shape)
+        return BagReader(path, topic, expected_size, shape, namespace)
     if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageFolder(path, frame_rate, expected_size=expected_size, frame_id=frame_id)
     return _video(path, expected_size, frame_id)
@@ -132,6 +134,7 @@ def open_recording_of(  # noqa: PLR0913  as open_recording
         frame_id=frame_id,
         expected_size=sensor.frame_size if sensor.views and not any_size else None,
         shape=sensor.pattern.shape if surfaces else None,
+        namespace="" if topic else sensor.ros_name,
     )
 
 

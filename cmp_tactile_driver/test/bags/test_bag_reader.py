@@ -71,6 +71,8 @@ def test_choice_of_the_topic(tmp_path):
     two = made_bags.write(tmp_path / "two", {"/a/image_raw": [image], "/b/image_raw": [image]})
     with pytest.raises(FrameSourceError, match=r"several image topics, .*: /a/image_raw, /b"):
         BagReader(two)
+    assert BagReader(two, namespace="b").image_topic == "/b/image_raw"
+    assert BagReader(path, namespace="other").image_topic == "/rig/image_raw"
 
 
 @pytest.mark.parametrize(

@@ -75,8 +75,8 @@ class GraspPainter:
                 self._forces.setdefault(f"{side} {name}", []).append(value)
         picture = np.full((HEIGHT_PX, WIDTH_PX, 3), BACKGROUND, np.uint8)
         self._paint_world(picture[:, :SCENE_PX], frame)
-        title = f"{self.scene.title or self.scene.name}: {frame.phase}, {now:.1f} s"
-        _text(picture, title, (16, 32), 0.7)
+        _text(picture, self.scene.title or self.scene.name, (16, 30), 0.6)
+        _text(picture, f"{frame.phase}, {now:.1f} s", (16, 56), 0.6)
         for number, side in enumerate(SIDES):
             left = SCENE_PX + number * CAMERA_PX[0]
             seen = cv2.resize(frame.fingers[side].image, CAMERA_PX, interpolation=cv2.INTER_AREA)
