@@ -222,7 +222,7 @@ class Tracking:
             self._add(kind, *sequence_of(kind, self._sensor)[chosen])
 
     def _add_flawed_prints(self) -> None:
-        for seed in range(3):
+        for seed in range(2):
             for number, pair in enumerate(flawed_pairs(self._sensor, seed)):
                 name = f"{RARE if seed else ''}flawed print {number} {seed}"
                 self.units[name] = partial(inspected, *map(self._studio.photograph, pair))

@@ -6,7 +6,8 @@
 An import hook makes every function of the chosen packages read its constants from memory at a fixed
 address, compiled kernels as well. Each value is tried in a forked process, so nothing is compiled
 twice. A constant is measured on those frames of which a function that reads it is run. The first
-run compiles for some minutes; results are appended to OUTPUT.jsonl, and a later run goes on there.
+run compiles for some minutes; results are appended to OUTPUT.SCORE.jsonl, and a later run goes on
+there. It also keeps compiled code and frames in benchmark_output; delete them after a change there.
 """
 
 from __future__ import annotations
@@ -307,9 +308,14 @@ def usual(units: Mapping[str, Unit]) -> tuple[dict[str, tuple[Figures, str]], di
 
 def forget() -> None:
     """Clear what the package's functions keep of earlier calls."""
-    for item in gc.get_objects():
-        if isinstance(item, CACHE) and item.__module__.startswith(ROOT):
-            item.cache_clear()
+    for item in _caches():
+        item.cache_clear()
+
+
+@functools.cache
+def _caches() -> list[Any]:
+    found = [item for item in gc.get_objects() if isinstance(item, CACHE)]
+    return [item for item in found if item.__module__.startswith(ROOT)]
 
 
 def changed(kind: type, value: float, factor: float) -> float:
@@ -323,6 +329,7 @@ def measure(
     """Append a line of JSON for each constant that OUTPUT does not have yet."""
     known = {tuple(item["name"]) for item in _lines(output)}
     run(units)  # compiles
+    _caches()
     before, read = usual(units)
     began = perf_counter()
     repeated = tried(0, MEMORY[0, 0], units, math.inf)
@@ -434,7 +441,10 @@ def main() -> None:
     scores = importlib.import_module("constant_scores")
     options.output.parent.mkdir(parents=True, exist_ok=True)
     rows = options.output.with_suffix(f".{options.score}.jsonl")
-    units = scores.UNITS[options.score](options.data)
+    frames = Path(f"benchmark_output/constants-{options.score}.pickle")
+    if not frames.exists():
+        frames.write_bytes(pickle.dumps(scores.UNITS[options.score](options.data)))
+    units = pickle.loads(frames.read_bytes())  # noqa: S301
     measure(constants, units, scores.RARE, options.only, rows)
     lines = table(joined(rows.parent, options.output.stem))
     options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
