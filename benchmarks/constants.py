@@ -46,8 +46,9 @@ ADDRESS, SLOTS = 0x6E0000000000, 4096
 MAP_FIXED_NOREPLACE = 0x100000
 # More memory, bytes, or time, times that of the usual value and s, ends a trial.
 MEMORY_LIMIT, TIME_RATIO, LEAST_TIME_S = 3 << 30, 4.0, 20.0
-# A constant that changes nothing in about so many units is tried on all that reach it.
-FEW_UNITS = 40
+# Half and twice are tried on so many units.  What changes nothing there is then set to zero and to
+# a huge value on all that reach it.
+FEW_UNITS = 24
 # Changes of errors below this share are not printed.
 LEAST_RATIO = 5e-4
 CHANGES = {"half": 0.5, "twice": 2.0, "zero": 0.0, "huge": 1e3}
@@ -328,8 +329,6 @@ def measure(
 ) -> None:
     """Append a line of JSON for each constant that OUTPUT does not have yet."""
     known = {tuple(item["name"]) for item in _lines(output)}
-    run(units)  # compiles
-    _caches()
     before, read = usual(units)
     began = perf_counter()
     repeated = tried(0, MEMORY[0, 0], units, math.inf)
@@ -352,7 +351,7 @@ def measure(
         else:
             limit = LEAST_TIME_S + TIME_RATIO * seconds * len(mine) / len(units)
             few = dict(itertools.islice(mine.items(), 0, None, 1 + len(mine) // FEW_UNITS))
-            for chosen, labels in ((few, ("half", "twice")), (mine, CHANGES)):
+            for chosen, labels in ((few, ("half", "twice")), (mine, ("zero", "huge"))):
                 if any(text.values()):
                     break
                 for label in labels:
