@@ -46,9 +46,9 @@ ADDRESS, SLOTS = 0x6E0000000000, 4096
 MAP_FIXED_NOREPLACE = 0x100000
 # More memory, bytes, or time, times that of the usual value and s, ends a trial.
 MEMORY_LIMIT, TIME_RATIO, LEAST_TIME_S = 3 << 30, 4.0, 20.0
-# Half and twice are tried on so many units.  What changes nothing there is then set to zero and to
-# a huge value on all that reach it.
-FEW_UNITS = 24
+# Half and twice are tried on about so many units.  What changes nothing there is then set to zero
+# and to a huge value on more of them.
+FEW_UNITS, MANY_UNITS = 24, 60
 # Changes of errors below this share are not printed.
 LEAST_RATIO = 5e-4
 CHANGES = {"half": 0.5, "twice": 2.0, "zero": 0.0, "huge": 1e3}
@@ -350,8 +350,8 @@ def measure(
             text["not measured"] = "not reached"
         else:
             limit = LEAST_TIME_S + TIME_RATIO * seconds * len(mine) / len(units)
-            few = dict(itertools.islice(mine.items(), 0, None, 1 + len(mine) // FEW_UNITS))
-            for chosen, labels in ((few, ("half", "twice")), (mine, ("zero", "huge"))):
+            few, many = (_some(mine, most) for most in (FEW_UNITS, MANY_UNITS))
+            for chosen, labels in ((few, ("half", "twice")), (many, ("zero", "huge"))):
                 if any(text.values()):
                     break
                 for label in labels:
@@ -361,6 +361,10 @@ def measure(
         with output.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"name": name, "value": value, "units": len(mine)} | text) + "\n")
         print(".".join(name), value, len(mine), text, flush=True)
+
+
+def _some(units: Mapping[str, Unit], most: int) -> dict[str, Unit]:
+    return dict(itertools.islice(units.items(), 0, None, math.ceil(len(units) / most)))
 
 
 def compared(
