@@ -21,7 +21,7 @@ from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.measured import Grid, GridFault, GridShape, Status, Surface
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_simulation.rendering.ink import HOUSING_GREY, Checkerboard, Dots, InkArrays
-from cmp_tactile_simulation.rendering.shading import Picture, shade, solve
+from cmp_tactile_simulation.rendering.shading import ALIKE_PIXELS, Picture, shade, solve
 from cmp_tactile_simulation.rendering.surface import (
     DeformedSurface,
     SplineSurface,
@@ -44,8 +44,6 @@ LENS_TOLERANCE_M = 1e-4
 
 # A marker is hidden where its ray first meets the surface further than this from it, m.
 SAME_POINT_M = 1e-7
-# Guesses this near to each other, in pixels, lead to the same meeting.
-ALIKE_PIXELS = 2.0
 
 
 @dataclass(frozen=True)
