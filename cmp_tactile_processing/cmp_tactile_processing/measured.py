@@ -14,6 +14,8 @@ from cmp_tactile_processing.errors import InputError
 
 NAN = float("nan")
 NS_PER_S = 10**9
+# Standard deviation of normal noise per median of its absolute value.
+MAD_TO_STD = 1.4826
 
 
 class Status(IntEnum):

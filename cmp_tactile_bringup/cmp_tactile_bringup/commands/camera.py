@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from cmp_tactile_bringup.commands.description import LARGEST_SEED
 from cmp_tactile_bringup.commands.options import (
     Choice,
     Command,
@@ -43,8 +44,8 @@ T = TypeVar("T")
 PITCH = Number(0.01, 50, "mm")
 # Of the print of sample_rig, mm.
 USUAL_PITCH = 0.6905
-# As in calibration/proposal.py and sensor/dot_code.py, which take long to load.
-LAYOUTS, LARGEST_SEED = ("one", "mirrors", "cameras"), 65535
+# As in calibration/proposal.py, which takes long to load.
+LAYOUTS = ("one", "mirrors", "cameras")
 DEVICES, POLL_S = "/dev/", 0.1
 FRAME_SIZE = Pair("a size in px, as 1280x720", low=16)
 # What is worth a hint, and what is worth doing before a sensor is used, of a marker's standard

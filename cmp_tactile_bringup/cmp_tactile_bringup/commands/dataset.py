@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated
 
 from cmp_tactile_bringup.commands.options import Command, Number, argument, option
+from cmp_tactile_bringup.commands.process import MOST_JOBS
+from cmp_tactile_bringup.commands.simulate import MAX_SEED
 
 if TYPE_CHECKING:
     from cmp_tactile_processing.errors import CmpTactileError
@@ -15,8 +17,8 @@ if TYPE_CHECKING:
     from cmp_tactile_simulation.dataset.recipe import Recipe
     from cmp_tactile_simulation.dataset.shards import Shard
 
-# As the modules that do the work have them, which are loaded when it begins.
-MAX_DATASET, MAX_SEED, MOST_JOBS = 1_000_000, 2**32 - 1, 256
+# As the module that does the work has it, which is loaded when it begins.
+MAX_DATASET = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -19,16 +19,16 @@ from cmp_tactile_processing.calibration import observation, outcome
 from cmp_tactile_processing.calibration.outcome import finding
 from cmp_tactile_processing.errors import CalibrationError, Finding, Severity, errors_in
 from cmp_tactile_processing.geometry.optics import ViewGeometry
-from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean, similarity
+from cmp_tactile_processing.geometry.rigid_motion import (
+    LEAST_MARKERS,
+    largest_local_mean,
+    similarity,
+)
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.surface.stillness import largest_motion, motion_limit, rest_shape
 
-FEWEST_CORNERS = 6
-# Gaps are what is looked for: no marker is left out for its gap, m.
-WIDEST_GAP_M = 1e-2
 JUDGED_PERCENT = 95.0
 
 
@@ -87,7 +87,7 @@ def rigid_drift(position: NDArray[np.float64], nominal: NDArray[np.float64]) -> 
     """
     dims = 2 if np.isnan(position[..., 2]).all() else 3
     known = np.isfinite(position[..., :dims]).all(axis=-1)
-    if int(known.sum()) < FEWEST_CORNERS:
+    if int(known.sum()) < LEAST_MARKERS:
         return None
     flat = np.array([1.0, 1.0, float(dims == 3)])
     p, q = nominal[known] * flat, np.nan_to_num(position[known]) * flat
@@ -110,8 +110,7 @@ class CheckedRecording:
     ) -> None:
         self.sensor, self.grids, self.limits = sensor, grids, limits
         self.nominal = sensor.pattern.corners()
-        wide = replace(sensor.triangulation, max_ray_gap=WIDEST_GAP_M)
-        rig = StereoRig(replace(sensor, triangulation=wide))
+        rig = observation.rig_for_any_gap(sensor)
         self.views: dict[str, ViewGeometry] = rig.views
         nothing = [None] * len(next(iter(grids.values())))
         pairs = zip(grids.get("left", nothing), grids.get("right", nothing), strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,13 @@ from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean
 from cmp_tactile_processing.measured import Grid, Status
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_processing.stereo.rig import StereoRig
 from cmp_tactile_processing.tracking.views import ViewTrackers
 
 # A corner's mean is not believed to be better than this, px: interpolation has its own errors.
 LEAST_STD = 2e-3
+# A gap of the rays that is never exceeded, m.
+WIDEST_GAP_M = 1e-2
 
 
 @dataclass(frozen=True)
@@ -145,3 +148,9 @@ def _reported_std(grid: Grid) -> NDArray[np.float64]:
     known = np.isfinite(grid.corner_std)
     usual = float(np.median(grid.corner_std[known])) if known.any() else LEAST_STD
     return np.where(known, grid.corner_std, usual)
+
+
+def rig_for_any_gap(sensor: SensorDescription) -> StereoRig:
+    """The sensor's rig, which leaves out no marker for its gap: gaps are what is looked for."""
+    wide = replace(sensor.triangulation, max_ray_gap=WIDEST_GAP_M)
+    return StereoRig(replace(sensor, triangulation=wide))

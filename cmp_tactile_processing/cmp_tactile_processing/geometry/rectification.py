@@ -21,7 +21,7 @@ from cmp_tactile_processing.geometry.lens import Lens, fit_stock_lens
 from cmp_tactile_processing.geometry.optics import ViewGeometry, build_views
 from cmp_tactile_processing.geometry.split import check_image
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.sensor.parts import Pattern, PatternSurface
+from cmp_tactile_processing.sensor.parts import MAX_IMAGE_SIDE, Pattern, PatternSurface
 from cmp_tactile_processing.sensor.yaml_file import (
     Part,
     YamlFile,
@@ -43,7 +43,6 @@ NOWHERE_PX = -10000.0
 MAP_STRIDE = 4
 # Lines of the grid of points that the stock lens model of a view with layers is fitted to.
 FITTED_LINES = 12
-MAX_IMAGE_SIDE = 16384
 # Coefficients of the distortion models of sensor_msgs.  OpenCV's rational model may go on with
 # those of a thin prism (12) and a tilted sensor (14).
 DISTORTION_LENGTHS = {"plumb_bob": (5,), "equidistant": (4,), "rational_polynomial": (8, 12, 14)}

@@ -18,7 +18,8 @@ KEPT_SHARE = 0.7
 ROUNDS = 4
 # Fewer markers do not separate a motion from their noise.
 LEAST_MARKERS = 6
-# Of a marker and its eight neighbours, so many must be known.
+# Markers of a local mean: one and its eight neighbours; so many of them must be known.
+NEIGHBOURS = 9
 LEAST_NEIGHBOURS = 5
 
 

@@ -42,8 +42,6 @@ CERTAIN_CONTRAST = 0.3
 MOST_BY_NOISE = 0.4
 # Neighbours alike that make a pixel part of the pattern: a checker's tip has as many.
 MIN_EQUAL_NEIGHBOURS = 2
-# Above this share, clusters are likely; a second pass finds the rest of them.
-CLUSTERS = 0.01
 # Standard normal: root of the sum of squares of (1, -2, 1), and 30th percentile of its modulus.
 SECOND_DIFFERENCE, LOW_QUANTILE, LOW_VALUE = 6**0.5, 0.3, 0.385
 # Standard deviation of the smoothing before saddle points and gradients are measured: a lens blurs
@@ -213,11 +211,12 @@ class ImpulseFilter:
         )
         limit = max(MIN_IMPULSE_GREY, self._share_of_contrast * contrast, by_noise)
         share = _share_standing_out(clean, self._step, max(limit, CERTAIN_CONTRAST * contrast))
-        if share > SALT_AND_PEPPER:
-            self._replace(clean, int(limit))
-        if share > CLUSTERS:
-            self._replace(clean, int(limit))
-        return share > SALT_AND_PEPPER
+        if share <= SALT_AND_PEPPER:
+            return False
+        # The second pass finds the rest of clusters.
+        self._replace(clean, int(limit))
+        self._replace(clean, int(limit))
+        return True
 
     def _replace(self, clean: NDArray[np.uint8], limit: int) -> None:
         cv2.medianBlur(clean, 3, dst=self._median)
@@ -247,11 +246,11 @@ def _rough_noise(grey: NDArray[np.uint8], step: int) -> float:
 def _share_standing_out(grey: NDArray[np.uint8], step: int, limit: float) -> float:
     """Share of a lattice of pixels that have no neighbour alike.
 
-    Counts only until it is more than CLUSTERS.
+    Counts only until it is more than SALT_AND_PEPPER.
     """
     height, width = grey.shape
     count, total = 0, 0
-    enough = CLUSTERS * grey.size / (step * step)
+    enough = SALT_AND_PEPPER * grey.size / (step * step)
     # Grey levels are whole numbers.
     flat, least = grey.reshape(-1), np.int32(np.ceil(limit))
     for y in range(1, height - 1, step):

@@ -26,6 +26,7 @@ from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.messages.reading import grid_from_msg, stamp_ns
 from cmp_tactile_processing.ros.parameters import StageParameters
 from cmp_tactile_processing.ros.process import run_node
+from cmp_tactile_processing.ros.services import SERVICE_S
 from cmp_tactile_processing.sensor.parameters import Parameters, TriangulationParameters, parameter
 from cmp_tactile_processing.stereo.rig import StereoRig, implausible_ray_gap
 from cmp_tactile_processing.surface import reference_keeping
@@ -33,7 +34,7 @@ from cmp_tactile_processing.surface.displacement import Reference, surface_at_re
 from cmp_tactile_processing.surface.gauge import RestGauge
 from cmp_tactile_processing.surface.stillness import RestParameters
 
-SERVICE_S, ANSWER_S = 1.0, 60.0
+ANSWER_S = 60.0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,14 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.measured import Contact, ForceField, SlipEstimate, SlipState, Surface
+from cmp_tactile_processing.measured import (
+    MAD_TO_STD,
+    Contact,
+    ForceField,
+    SlipEstimate,
+    SlipState,
+    Surface,
+)
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import SlipParameters
 from cmp_tactile_processing.slip.friction import (
@@ -132,7 +139,7 @@ class ContactTrack:
         self._sliding = True
         self._slid.append(patch.use.ratio)
         self._friction = median(self._slid)
-        scatter = 1.4826 * median(abs(ratio - self._friction) for ratio in self._slid)
+        scatter = MAD_TO_STD * median(abs(ratio - self._friction) for ratio in self._slid)
         error = SLIDING_ERROR_SHARE * self._friction
         std = hypot(scatter / sqrt(len(self._slid)), patch.ratio_std, error)
         self._peak = patch.use.ratio, 0.0, patch.record()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.measured import Status
+from cmp_tactile_processing.stereo.triangulation import LEAST_STD_PX, PARALLEL_SINE2
 from cmp_tactile_processing.stereo.virtual_marker_curves import Layout, LineCurves
 
 Array: TypeAlias = NDArray[np.float64]
@@ -26,13 +27,9 @@ Limits: TypeAlias = tuple[float, float]
 Out: TypeAlias = tuple[Array, Codes, Array]
 
 MISSING, MEASURED, PREDICTED = (int(status) for status in Status)
-# No view measures a gridline better than this, px, whatever its own standard deviation says.
-LEAST_STD_PX = 1e-3
 # Both views measure where a gridline runs where it makes this angle at least with the epipolar
 # plane, in which both rays lie: 30 degrees.  There it is twice as uncertain as at 90 degrees.
 LEAST_SINE2 = math.sin(math.radians(30)) ** 2
-# Rays that meet at a smaller angle than this (its sine squared) are one ray.
-PARALLEL_SINE2 = 1e-6
 # Variance of the curve there, in units of that of what both views give together.
 FREEDOM = 100.0
 # In shares of a segment's length: how far a gridline may lie from the curve through its corners,

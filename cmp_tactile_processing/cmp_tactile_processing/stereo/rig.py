@@ -21,7 +21,12 @@ from cmp_tactile_processing.measured import (
     no_virtual_markers,
 )
 from cmp_tactile_processing.sensor.description import SensorDescription
-from cmp_tactile_processing.stereo.triangulation import Triangulated, meet_surface, triangulate
+from cmp_tactile_processing.stereo.triangulation import (
+    LEAST_STD_PX,
+    Triangulated,
+    meet_surface,
+    triangulate,
+)
 from cmp_tactile_processing.stereo.virtual_markers import (
     LineNodes,
     Lines3D,
@@ -29,8 +34,6 @@ from cmp_tactile_processing.stereo.virtual_markers import (
     SeenLines,
 )
 
-# No corner is known better than this, px, whatever its own standard deviation says.
-LEAST_STD_PX = 1e-3
 MISSING, PREDICTED = int(Status.MISSING), int(Status.PREDICTED)
 NOT_SEEN, NOT_SEEN_LEFT = int(MarkerFault.NOT_SEEN), int(MarkerFault.NOT_SEEN_LEFT)
 NOT_SEEN_RIGHT = int(MarkerFault.NOT_SEEN_RIGHT)

@@ -28,6 +28,8 @@ from cmp_tactile_processing.sensor.parts import PatternSurface
 
 # Rays that meet at a smaller angle than this (its sine squared) have no usable common normal.
 PARALLEL_SINE2 = 1e-6
+# No corner or gridline is known better than this, px, whatever its standard deviation says.
+LEAST_STD_PX = 1e-3
 NO_RAY, PARALLEL_RAYS = int(MarkerFault.NO_RAY), int(MarkerFault.PARALLEL_RAYS)
 BEHIND_CAMERA, RAY_GAP = int(MarkerFault.BEHIND_CAMERA), int(MarkerFault.RAY_GAP)
 

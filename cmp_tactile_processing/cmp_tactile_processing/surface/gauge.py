@@ -19,19 +19,17 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.errors import InputError
-from cmp_tactile_processing.geometry.rigid_motion import largest_local_mean
-from cmp_tactile_processing.measured import Systematics
+from cmp_tactile_processing.geometry.rigid_motion import NEIGHBOURS, largest_local_mean
+from cmp_tactile_processing.measured import MAD_TO_STD, Systematics
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.surface.description_changes import DescriptionChanges
 
 Array: TypeAlias = NDArray[np.float64]
 
-# No print is known to be nearer to its places, px; of so many neighbouring corners one counts, as
-# what is left of them is alike.
-MIN_PRINT_PX, ALIKE_CORNERS = 5e-3, 9.0
+# No print is known to be nearer to its places, px.
+MIN_PRINT_PX = 5e-3
 # From so many deviations on, a corner counts less.
 ROBUST_SCALE = 3.0
-MAD_TO_STD = 1.4826
 MAX_STEPS = 12
 # A step that makes the fit worse is halved at most so often.
 MAX_HALVINGS = 4
@@ -171,7 +169,8 @@ class RestGauge:
         except InputError:
             return None
         # Where not all corners are compared, fewer of them are alike.
-        alike = max(1.0, ALIKE_CORNERS * len(possible.compared) / measured.shape[1])
+        # What is left of neighbouring corners is alike: they count as one.
+        alike = max(1.0, NEIGHBOURS * len(possible.compared) / measured.shape[1])
         information = by_change.T @ by_change / (std**2 * alike) + known
         covariance = np.linalg.inv(information) * np.outer(prior, prior)
         return _Fit(changes * prior, covariance, off)

@@ -14,22 +14,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.geometry.rigid_motion import fit_motion, largest_local_mean, local_mean
-from cmp_tactile_processing.measured import Markers3D, Status
+from cmp_tactile_processing.geometry.rigid_motion import (
+    NEIGHBOURS,
+    fit_motion,
+    largest_local_mean,
+    local_mean,
+)
+from cmp_tactile_processing.measured import MAD_TO_STD, Markers3D, Status
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
 
 # The share of the markers that must keep a limit: a few may flicker at the rim of the light.
 MOST_MARKERS = 0.95
 # What noise may make of a figure, in standard deviations.
 DEVIATIONS = 5.0
-# Nine markers are averaged where one's creep is measured.
-NEIGHBOURS = 9
 # Motion below this is none, m: a tenth of the least that a load of interest makes.
 LEAST_MOTION = 3e-6
 # Another scale is another sensor, or a press from rim to rim.
 LARGEST_SCALE = 0.03
-# Standard deviation of normal noise per median of its absolute value.
-MAD_TO_STD = 1.4826
 # Standard deviation of the median of normal noise per that of its mean.
 MEDIAN_TO_MEAN = 1.2533
 

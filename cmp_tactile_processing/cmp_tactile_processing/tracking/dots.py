@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.special import bdtr, bdtrc
 
-from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.image.prepared import MEDIAN_OF_NORMAL, PreparedImage
 from cmp_tactile_processing.tracking.corners.neighbours import predicted_places
 
 Float = NDArray[np.float64]
@@ -40,12 +40,9 @@ MIN_DOT_CONTRAST = 0.04
 MIN_DOT_SCATTER_RATIO = 3.5
 # Levels in the middle, within this share of the difference, are not known.
 UNKNOWN_BAND_SHARE = 0.2
+# Levels need so many checkers, and a plane of them over the image so many of each kind.
 MIN_LEVEL_CHECKERS = 12
-# A plane of levels over the image needs so many of each kind, and half of the rounds done.
-MIN_PLANE_CHECKERS = 12
 LEVEL_ROUNDS = 8
-# Median of |x| of a normal distribution of standard deviation 1.
-MEDIAN_OF_NORMAL = 0.6745
 # Weaker dots are no proof of another code: what blur makes of checkers looks the same.
 LEAST_PROOF = 0.2
 # Of the checkers of a code half have a dot, to this share.
@@ -224,7 +221,7 @@ def _two_levels(values: Float, place: Float) -> tuple[Float, Float] | None:
         if fewest == 0:
             return None
         used = (
-            terms if fewest >= MIN_PLANE_CHECKERS and number >= LEVEL_ROUNDS // 2 else terms[:, :1]
+            terms if fewest >= MIN_LEVEL_CHECKERS and number >= LEVEL_ROUNDS // 2 else terms[:, :1]
         )
         none, some = (
             used @ np.linalg.lstsq(used[chosen], values[chosen], rcond=None)[0]

@@ -12,31 +12,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.calibration.map_fit import MapFit, map_fit
-from cmp_tactile_processing.calibration.observation import ViewObservation, usual_complaint
+from cmp_tactile_processing.calibration.observation import (
+    ViewObservation,
+    rig_for_any_gap,
+    usual_complaint,
+)
 from cmp_tactile_processing.calibration.outcome import ViewResiduals, finding, number_text
 from cmp_tactile_processing.errors import CalibrationError, Finding, InputError
 from cmp_tactile_processing.geometry.optics import build_views
 from cmp_tactile_processing.geometry.rig_parameters import RigParameters, RigPrior
-from cmp_tactile_processing.geometry.rigid_motion import local_mean
-from cmp_tactile_processing.measured import Grid, Status
+from cmp_tactile_processing.geometry.rigid_motion import NEIGHBOURS, local_mean
+from cmp_tactile_processing.measured import MAD_TO_STD, Grid, Status
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parts import Uncertainty
-from cmp_tactile_processing.stereo.rig import StereoRig
 
 # Deviation of a print's corners from the regular pattern, px: the first guess leaves room for all
 # that a wrong start may show, then the residuals show it.
 FIRST_PRINT_PX, FITS = 1.0, 3
-# Median of the absolute values of Gaussian numbers to their standard deviation.
-MEDIAN_TO_STD = 1.4826
 # A corner this many standard deviations off is an outlier.
 OUTLIER = 5.0
 # A smooth error of the whole surface - its radius, the pitch - is a polynomial of this order;
 # where that explains this share of the deviations, nothing local is the matter.
 ORDER, EXPLAINED = 3, 0.9
-# Averages over 3 x 3 corners scatter by this much less than single ones.
-NEIGHBOURS_ROOT = 3.0
-# No gap of the rays is too wide to look at: it is what is looked for.
-WIDEST_GAP_M = 1e-2
 
 # Parts of the pattern move from frame to frame by this many standard deviations of a corner at
 # most: noise alone, averaged over 3 x 3 corners.
@@ -193,7 +190,7 @@ class _Residuals:
 
 def _beyond_noise(residuals: NDArray[np.float64], seen: Sequence[ViewObservation]) -> float:
     """What the residuals (N, 2) px show beyond the noise of the mean corners, px."""
-    spread = MEDIAN_TO_STD * float(np.median(np.abs(residuals)))
+    spread = MAD_TO_STD * float(np.median(np.abs(residuals)))
     noise = float(np.median(np.concatenate([view.std[view.seen] for view in seen])))
     return float(np.sqrt(max(0.0, spread**2 - noise**2)))
 
@@ -261,8 +258,7 @@ class GelShape:
 
 def gel_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> GelShape:
     """The surface that the mean corners show."""
-    wide = replace(sensor.triangulation, max_ray_gap=WIDEST_GAP_M)
-    rig = StereoRig(replace(sensor, triangulation=wide))
+    rig = rig_for_any_gap(sensor)
     grids = {view.view: _grid(sensor, view) for view in seen}
     markers = rig.triangulate(grids.get("left"), grids.get("right"))
     off = markers.position - sensor.pattern.corners()
@@ -270,7 +266,7 @@ def gel_shape(sensor: SensorDescription, seen: Sequence[ViewObservation]) -> Gel
     smooth = local_mean(known)
     rough = np.linalg.norm(known - smooth, axis=-1)
     rough = rough[np.isfinite(rough)]
-    noise = float(np.median(rough)) / NEIGHBOURS_ROOT if rough.size else 0.0
+    noise = float(np.median(rough)) / NEIGHBOURS**0.5 if rough.size else 0.0
     deviation = np.concatenate([smooth, off[..., known.shape[-1] :]], axis=-1)
     return GelShape(markers.position, deviation, noise, markers.ray_gap)
 

@@ -18,8 +18,10 @@ Float = NDArray[np.float64]
 SHARPEN = -1 / 8
 # And this share takes a corner's own error out of its bend: for where all differences are noise.
 SMOOTHEN = 1 / 3
-# Degree of the curve through the virtual markers around a corner, of few and of more per segment.
-LOW_DEGREE, FEW_MARKERS, DEGREE = 2, 3, 4
+# Highest degree of the curve through the virtual markers around a corner.  With 2, corners of
+# ragged and much blurred prints are 1 to 2 % more exact and those of small spheres 2 % less, but
+# waves of 2.2 checkers lose 40 % of their bends.
+DEGREE = 4
 # Where these turn by more than this from checker to checker, rad, against what the corners show,
 # they follow a ragged edge.
 RAGGED_TURN = 0.2
@@ -82,8 +84,7 @@ def _derivatives(n: int) -> Float:
     Of the n virtual markers before the corner, the corner and the n behind it.
     """
     place = np.arange(-n, n + 1) / (n + 1)
-    degree = LOW_DEGREE if n <= FEW_MARKERS else DEGREE
-    terms = np.vander(place, min(degree, 2 * n) + 1, increasing=True)
+    terms = np.vander(place, min(max(n, 2), DEGREE) + 1, increasing=True)
     return np.ascontiguousarray(np.linalg.pinv(terms)[1:3], dtype=np.float64)
 
 

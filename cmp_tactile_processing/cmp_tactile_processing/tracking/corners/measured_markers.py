@@ -62,17 +62,15 @@ MAX_RIM_OFFSET_RATIO = 5.0
 CROSSING_STD, BETWEEN_STD = 0.008, 0.02
 MAX_COMPLETION_ROUNDS = 8
 REPAIR_ROUNDS = 3
-# So few missing corners are a flaw of the print, in all or in each gap; but not if more than this
-# share of the grid is missing.
+# So few missing corners are a flaw of the print, in all or in each gap.
 MAX_FLAW_CORNERS = 3
-MAX_UNSEEN_SHARE = 0.05
 # The pattern continues beyond a border if this share of the border's corners does, or so long a
 # row of them (share of the border, number): the lower part of a torn image may be shifted by whole
 # checkers.
 MIN_CONTINUED_SHARE = 0.5
 MIN_CONTINUED_RUN_SHARE = 0.15
 MIN_CONTINUED_RUN = 3
-# A corner this near to a tear of the image is left out, in sides.
+# A corner this near to a tear of the image is of neither part and is left out, in sides.
 NEAR_TEAR = 0.15
 
 
@@ -400,8 +398,6 @@ def _few_in_each_place(unseen: NDArray[np.bool_]) -> bool:
     count = np.count_nonzero(unseen)
     if count <= MAX_FLAW_CORNERS:
         return True
-    if count > MAX_UNSEEN_SHARE * unseen.size:
-        return False
     _, _, places, _ = cv2.connectedComponentsWithStats(unseen.astype(np.uint8), connectivity=8)
     return bool(places[1:, cv2.CC_STAT_AREA].max() <= MAX_FLAW_CORNERS)
 

@@ -65,11 +65,10 @@ FARTHEST = 0.15
 # Where the model does not fit, dirt, a flaw or a sharp bend pulls the saddle point: by so much, in
 # sides (0.013 to 0.022 among 700 such corners of six random sensors).
 UNMODELLED = 0.02
-# Prior of a corner's blur: the mean of the corners before it, of which the latest has at least this
-# weight, with this standard deviation of log(blur).  It is used once so many corners are known.
+# Prior of a corner's blur: about the mean of so many corners before it, with this standard
+# deviation of log(blur).  It is used once so many are known.
+PRIOR_CORNERS = 5
 BLUR_PRIOR_STD = 0.25
-MIN_LATEST_WEIGHT = 0.2
-MIN_PRIOR_CORNERS = 4
 # The same of the slope of the light, with this share of its usual standard deviation: a blurred
 # edge alone could as well be a slope.
 SLOPE_PRIOR_STD_SHARE = 0.4
@@ -344,7 +343,7 @@ def refine_by_model(
         count = fill_up(pixels, seen, prior.radius)
         p[:] = 0
         p[P_BLUR] = p[P_USUAL] = blur
-        enough = known >= MIN_PRIOR_CORNERS
+        enough = known >= PRIOR_CORNERS
         p[P_SPREAD] = BLUR_PRIOR_STD if enough else 1.0
         p[P_SLOPE], p[P_SLOPE + 1] = right, down
         p[P_LEFT] = SLOPE_PRIOR_STD_SHARE if enough else 1.0
@@ -360,7 +359,7 @@ def refine_by_model(
             position[n, 1] += dy
             modelled[n] = True
             known += 1
-            share = max(1 / known, MIN_LATEST_WEIGHT)
+            share = 1 / min(known, PRIOR_CORNERS)
             blur *= (p[P_BLUR] / blur) ** share
             right += share * (p[P_LIGHT] / p[P_HALF] - right)
             down += share * (p[P_LIGHT + 1] / p[P_HALF] - down)

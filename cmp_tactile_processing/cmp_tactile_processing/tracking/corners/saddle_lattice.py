@@ -20,8 +20,8 @@ LEAST_CONTRAST, LEAST_DEVIATIONS = 0.04, 5.0
 LEAST_QUALITY = 0.5
 # A neighbour lies this near to where the nominal step leads, in steps.
 REACH = 0.45
-# An edge differs in grey by at least these shares of the amplitude of its corners.
-LEAST_EDGE, WEAKEST_EDGE = 0.5, 0.0
+# An edge differs in grey by at least this share of the amplitude of its corners.
+LEAST_EDGE = 0.5
 # A corner whose neighbour is so much stronger lies on the outermost checkers' rim, where a grey
 # margin takes the place of two of its four checkers.
 LEAST_OF_NEIGHBOUR = 0.55
@@ -175,10 +175,10 @@ def _drop_absent(
                 continue
             # Beyond an even corner the checker at (+, +) is dark.
             sign = -1.0 if amplitude[here] > 0 else 1.0
-            expected = (abs(amplitude[here]) + abs(amplitude[there])) / 2
+            least = LEAST_EDGE * (abs(amplitude[here]) + abs(amplitude[there])) / 2
             weakest, mean = sign * edges[count, 0], sign * edges[count, 1]
             count += 1
-            if not (mean > LEAST_EDGE * expected and weakest > WEAKEST_EDGE * expected):
+            if not (mean > least and weakest > 0.0):
                 neighbour[here, towards] = -1
                 neighbour[there, (towards + 2) % 4] = -1
 

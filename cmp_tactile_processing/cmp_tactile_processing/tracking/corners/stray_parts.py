@@ -30,9 +30,8 @@ TYPICAL_BENDS = 4.0
 # touch, and more by the gap's square in checkers.  Halves of a twisted gel with five lines hidden
 # between them reach 0.21, another pattern of nearly the same pitch 0.16 at a gap of three.
 LARGEST_MISFIT, MISFIT_OF_GAP = 0.04, 0.0125
-# Across a gap wider than this a part needs so many corners for each square checker of the gap: a
-# surface bends to fit a few.
-NARROW_GAP, CORNERS_OF_GAP = 2, 2
+# A part needs so many corners for each square checker of the gap: a surface bends to fit a few.
+CORNERS_OF_GAP = 2
 # Corners of the parts that far from one another, beyond the gap, count.
 REACH = 3
 # A single corner lies within this of the surface through those around it, in sides, or within so
@@ -188,7 +187,7 @@ def _goes_on(displacement: Float, whole: Mask, part: Mask, usual: float) -> bool
     gap = from_whole[part].min()
     near_whole = np.argwhere(whole & ~part & (from_part <= gap + REACH))
     near_part = np.argwhere(part & (from_whole <= gap + REACH))
-    too_few = gap > NARROW_GAP and np.count_nonzero(part) < CORNERS_OF_GAP * gap**2
+    too_few = np.count_nonzero(part) < CORNERS_OF_GAP * gap**2
     if too_few or len(near_whole) < FEWEST_AROUND:
         return False
     places = np.concatenate([near_whole, near_part])

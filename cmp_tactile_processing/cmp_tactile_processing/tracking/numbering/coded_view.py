@@ -27,7 +27,12 @@ from cmp_tactile_processing.tracking.numbering.joining import (
     joined,
     placed,
 )
-from cmp_tactile_processing.tracking.numbering.result import Numbering, not_seen
+from cmp_tactile_processing.tracking.numbering.result import (
+    JOINED_CONFIDENCE,
+    OTHER_PATTERN,
+    Numbering,
+    not_seen,
+)
 
 Float = NDArray[np.float64]
 # Fewer corners are surrounded by too few checkers to be compared with each other.
@@ -35,10 +40,6 @@ FEWEST_READ = 6
 # A piece lies within so many checkers of where the nearest numbered corner suggests, and so many
 # more for each checker in between: the gel strains by no more.
 REACH, REACH_PER_CHECKER = 2, 0.15
-# What is left of the confidence where pieces were joined without their dots.
-JOINED = 0.9
-# Corners of other codes with this share of the grid's are another pattern.
-OTHER_PATTERN = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +126,7 @@ class CodedView:
         joins = self._join(corners, left)
         drop_loose_corners(corners, self._nominal.corners)
         other = max((piece.size for piece in pieces if piece.is_foreign), default=0)
-        return self._judged(corners, other, JOINED if joins else 1.0)
+        return self._judged(corners, other, JOINED_CONFIDENCE if joins else 1.0)
 
     def confirms(self, corners: Float, image: PreparedImage) -> bool:
         """Whether the dots beside corners (rows, cols, 2) px show that their numbers are right."""

@@ -20,6 +20,7 @@ from cmp_tactile_processing.tracking.detector import (
     NominalGrid,
 )
 from cmp_tactile_processing.tracking.numbering.components import GridlinePointers
+from cmp_tactile_processing.tracking.numbering.faulty_view import LITTLE_MOTION
 from cmp_tactile_processing.tracking.numbering.pattern_border import BorderSide, border_sides
 
 Float = NDArray[np.float64]
@@ -42,8 +43,6 @@ FAR = ((5, 0.8), (9, 1.6))
 MOST = 0.6
 # A place that fits the nominal grid better by this speaks against another, in sides.
 CLEARLY_BETTER = 0.4
-# The last frame's corners speak for a place from which they moved less than this, in sides.
-LITTLE_MOTION = 0.5
 # Margins of one pattern look alike: brightness between dark and light checkers.
 SAME_MARGIN = 0.3
 # An outermost line with fewer corners than this share of its length is not a line of the pattern.

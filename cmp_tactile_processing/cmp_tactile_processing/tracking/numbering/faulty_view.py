@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from cmp_tactile_processing.image.prepared import PreparedImage
 from cmp_tactile_processing.measured import GridFault
+from cmp_tactile_processing.tracking.corners.measured_markers import NEAR_TEAR
 from cmp_tactile_processing.tracking.detector import STEPS, CornerGraph, NominalGrid
 
 # A deformed grid differs in shape from the nominal one by less than this, in sides, RMS.
@@ -85,8 +86,6 @@ MAX_ALONG_SLOPE = 0.15
 # Change at a row over the largest at the two rows before and after it: where a gridline lies along
 # a row, a lens leaves 1.6 at most; rows that are rolled by lost bytes reach 4.8 to 15.
 MAX_LENS_RATIO = 3.0
-# A corner this near to a tear is of neither part, in sides.
-TOO_NEAR = 0.15
 # Two numbered parts belong together if corners up to MAX_NEIGHBOUR_DISTANCE numbers apart have
 # moved alike, within this difference, in sides.
 MAX_MOTION_DIFFERENCE_SIDES = 0.3
@@ -315,7 +314,7 @@ def cut_at(graph: CornerGraph, tears: list[float], side: float) -> CornerGraph:
     """The graph without pointers across these rows, px."""
     y = graph.position[:, 1]
     part = np.searchsorted(tears, y)
-    lost = np.abs(y[:, None] - tears).min(axis=1) < TOO_NEAR * side
+    lost = np.abs(y[:, None] - tears).min(axis=1) < NEAR_TEAR * side
     other = graph.neighbour
     across = (other >= 0) & ((part[:, None] != part[other]) | lost[:, None] | lost[other])
     return replace(graph, neighbour=np.where(across, -1, other), merged=graph.merged & ~lost)

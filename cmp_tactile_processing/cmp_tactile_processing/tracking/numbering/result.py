@@ -11,6 +11,10 @@ from cmp_tactile_processing.measured import GridFault
 
 # Fewer corners that the fit cannot join to the rest are the rim of something that hides the gel.
 FEWEST_STRAYS = 6
+# Corners with this share of the grid's that fit nowhere are another pattern.
+OTHER_PATTERN = 0.1
+# Factor of the confidence where components were joined across a gap.
+JOINED_CONFIDENCE = 0.9
 
 
 @dataclass(frozen=True)

@@ -40,33 +40,33 @@ from cmp_tactile_processing.tracking.numbering.faulty_view import (
     turned_reason,
 )
 from cmp_tactile_processing.tracking.numbering.joining import drop_loose_corners, in_order, joined
-from cmp_tactile_processing.tracking.numbering.result import Numbering, not_seen
+from cmp_tactile_processing.tracking.numbering.result import (
+    JOINED_CONFIDENCE,
+    OTHER_PATTERN,
+    Numbering,
+    not_seen,
+)
 
 # A component that is to be anchored by itself has this share of the corners at least.
 SMALLEST_ANCHORED = 0.1
 # On a cluttered image without pattern corners connect by chance: up to this share of those.
 BY_CHANCE = 0.5
-# Corners with this share of the grid's that fit nowhere are another pattern.
-OTHER_PATTERN = 0.1
 # Checkers that differ by more than this from those of the pattern, in sides, are another one's.
 OTHER_STEP = 0.15
-# Faults of the description, which need more than a piece of the pattern; a piece has so many
-# corners.
+# Faults of the description, which need more than a piece of the pattern.
 OF_THE_DESCRIPTION = {
     GridFault.OTHER_SIZE,
     GridFault.OTHER_COLOURS,
     GridFault.MIRRORED,
     GridFault.TURNED,
 }
-FEWEST_PIECE = 9
 # A part of the grid turns with the gel by less than this, rad, where it is smaller than a share
 # of the whole; of the whole see `faulty_view.py`.
 LARGEST_TURN_OF_PART = 0.25
-# Factors of the confidence: for each side where the end of the pattern was not seen, for corners
-# far from the nominal projection, and for components joined across a gap.
+# Factors of the confidence: for each side where the end of the pattern was not seen, and for
+# corners far from the nominal projection.
 UNSEEN_SIDE_CONFIDENCE = 0.95
 FAR_FROM_NOMINAL_CONFIDENCE = 0.9
-JOINED_CONFIDENCE = 0.9
 # And where rows or columns rest on one border alone, the other one out of sight: something along a
 # gridline that is as bright as the margin looks the same.
 ONE_BORDER = 0.5
@@ -246,7 +246,7 @@ class GridNumbering:
         What is wrong with the description only a whole pattern shows: a piece of one, behind
         something that hides the rest, may end anywhere, and has little shape.
         """
-        pieces = sum(len(component.position) >= FEWEST_PIECE for component in components)
+        pieces = sum(len(component.position) >= FEWEST_CORNERS for component in components)
         if anchor.fault not in OF_THE_DESCRIPTION or pieces < 2:
             return self._missing(anchor.fault, anchor.reason)
         reason = f"the pattern is seen in {pieces} pieces, and none shows its place"

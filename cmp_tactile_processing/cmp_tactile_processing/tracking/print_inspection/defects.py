@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.image.light_bands import LightBands
+from cmp_tactile_processing.measured import MAD_TO_STD
 from cmp_tactile_processing.tracking.print_inspection.flawed_corners import FlawedCorners
 from cmp_tactile_processing.tracking.print_inspection.picture import SMOOTHING_PX, Departure
 
@@ -207,7 +208,7 @@ def _gradient(expected: Image) -> Image:
 def _straying(amount: Image, gradient: Image, usable: Mask) -> float:
     """By how much edges may stray that are not a spot, px, from how they typically do."""
     edge = usable & (gradient > ON_EDGE * float(np.quantile(gradient[usable], 0.95)))
-    typical = 1.4826 * float(np.median(np.abs(amount[edge] / gradient[edge])))
+    typical = MAD_TO_STD * float(np.median(np.abs(amount[edge] / gradient[edge])))
     return EDGE_DEVIATIONS * typical + LEAST_STRAYING_PX
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import CalibrationError, InputError
 from cmp_tactile_processing.image.light_bands import LightBands
-from cmp_tactile_processing.image.prepared import PreparedImage
+from cmp_tactile_processing.image.prepared import QUANTISATION, PreparedImage
 from cmp_tactile_processing.measured import Grid, GridShape, Status
 from cmp_tactile_processing.sensor.dot_code import DOT_DIAMETER
 from cmp_tactile_processing.tracking.print_inspection.defects import (
@@ -43,8 +43,6 @@ RAGGED_PX, FAR_OFF = 0.08, 4.0
 SAME_REST_PX = 0.5
 # What shows less of the pattern says nothing about the print.
 LEAST_SEEN = 0.5
-# Rounding to whole grey levels is noise, too.
-ROUNDING_NOISE = 12**-0.5
 
 
 class PrintInspection:
@@ -218,7 +216,7 @@ class MeanFrame:
         self._sum += image.grey
         self._smooth += image.smooth
         self._smoothing_px += image.smoothing_px
-        self._noise2 += image.noise**2 + ROUNDING_NOISE**2
+        self._noise2 += image.noise**2 + QUANTISATION**2
         self.frames += 1
         seen = np.isfinite(corners[..., 0])
         self._corners.add(corners - self.origin, seen)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from cmp_tactile_processing.measured import MAD_TO_STD
 from cmp_tactile_processing.tracking.print_inspection.defects import (
     Spots,
     find_spots,
@@ -157,7 +158,7 @@ class PrintView:
         doubtful = np.asarray(judged & (sampled(self._to_spot, scatter.smooth) < reach))
         known = np.isfinite(across)
         if known.any():
-            usual = 1.4826 * float(np.median(np.abs(across[known])))
+            usual = MAD_TO_STD * float(np.median(np.abs(across[known])))
             doubtful |= known & (np.abs(across) > max(MARKER_DEVIATIONS * usual, LEAST_ASTRAY_PX))
         return LineScatter(across, std, scatter.smooth, doubtful)
 
