@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_processing.cache.files import partial_folder
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.measured import ForceField
@@ -65,34 +66,20 @@ class GraspSummary:
 def record_grasp(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> GraspSummary:
     """Play a grasp into a new folder; it is there whole, or not at all.
 
-    Raises OutputError where the folder is there already or cannot be written, and what the grasp
+    Raises OutputError where the folder is there already or its disk is full, and what the grasp
     raises.
     """
-    with _whole(folder) as partial:
-        return _record(grasp, partial, on_share)
-
-
-@contextmanager
-def _whole(folder: Path) -> Iterator[Path]:
-    if folder.exists():
-        msg = f"{folder}: exists already, expected a new folder"
-        raise OutputError(msg)
-    partial = folder.with_name(f".{folder.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        yield partial / folder.name
+    with partial_folder(folder) as partial:
+        if folder.exists():
+            msg = f"{folder}: exists already, expected a new folder"
+            raise OutputError(msg)
+        found = _record(grasp, partial / folder.name, on_share)
         (partial / folder.name).replace(folder)
-    except OSError as error:
-        msg = f"{folder}: cannot be written: {error.strerror or error}"
-        raise OutputError(msg) from None
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    return found
 
 
 def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> GraspSummary:
     scene = grasp.scene
-    folder.parent.mkdir()
     count = scene.duration * scene.rate
     errors: list[Array] = []
     usable = frames = 0
