@@ -80,7 +80,8 @@ def connected(address: str) -> Any:
     try:
         from distributed import Client
 
-        client = Client(address, timeout=SECONDS_TO_CONNECT)
+        # Not for all that dask computes in this process: a client without scheduler stays.
+        client = Client(address, timeout=SECONDS_TO_CONNECT, set_as_default=False)
     except ImportError as error:
         msg = f"--scheduler: found no dask ({error}), expected the package: pip install distributed"
         raise CmpTactileError(msg) from None
