@@ -66,7 +66,7 @@ def on_cluster(
     from distributed import as_completed
 
     futures = {client.submit(work, item, pure=False): item for item in items}
-    for future in as_completed(list(futures)):
+    for future in as_completed(list(futures), loop=client.loop):
         item, error = futures[future], future.exception()
         if error is None:
             yield item, future.result()
