@@ -21,6 +21,7 @@ PAGES = {
     "gripper": "../docs/gripper.md",
     "simulate": "../docs/tutorials/simulate.md",
     "dataset": "../docs/tutorials/dataset.md",
+    "grasp": "../docs/grasp.md",
     "process": "#process",
     "export": "../docs/datasets.md",
     "zero": "../docs/reference.md",
