@@ -26,6 +26,7 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml, yaml_value
 from cmp_tactile_simulation.dataset.recipe import packaged_recipes, read_recipe
+from cmp_tactile_simulation.grasp.scene import load_grasp
 from cmp_tactile_simulation.scenes.file import read_scene
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -61,6 +62,8 @@ def kind_of(block: str) -> str:
         return "parameters"
     if "features" in keys:
         return "feature map"
+    if "gripper" in keys:
+        return "grasp"
     if keys & {"indenters", "history", "variants"}:
         return "recipe"
     if "version" in keys:
@@ -115,6 +118,11 @@ def read_recipe_with(folder: Path, block: str) -> None:
     assert read_recipe(folder / "recipe.yaml").samples
 
 
+def read_grasp(folder: Path, block: str) -> None:
+    (folder / "grasp.yaml").write_text(block, encoding="utf-8")
+    assert load_grasp(str(folder / "grasp.yaml")).motion
+
+
 READERS: dict[str, Callable[[Path, str], None]] = {
     "scene": read_scene_text,
     "scene's part": read_part_of_a_scene,
@@ -123,6 +131,7 @@ READERS: dict[str, Callable[[Path, str], None]] = {
     "loads": read_loads,
     "feature map": read_map,
     "recipe": read_recipe_with,
+    "grasp": read_grasp,
 }
 BLOCKS = list(documented())
 
