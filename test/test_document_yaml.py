@@ -55,17 +55,21 @@ def documented() -> Iterator[Any]:
             yield pytest.param(block, id=f"{document.relative_to(ROOT)}-{number}")
 
 
+OWN_KEYS = {
+    "feature map": {"features"},
+    "grasp": {"gripper"},
+    "recipe": {"indenters", "history", "variants"},
+}
+
+
 def kind_of(block: str) -> str:
     content = yaml_value(block)
     keys = {"motion"} if isinstance(content, list) else set(content)
     if PARAMETERS in block:
         return "parameters"
-    if "features" in keys:
-        return "feature map"
-    if "gripper" in keys:
-        return "grasp"
-    if keys & {"indenters", "history", "variants"}:
-        return "recipe"
+    of_one_kind = [kind for kind, own in OWN_KEYS.items() if keys & own]
+    if of_one_kind:
+        return of_one_kind[0]
     if "version" in keys:
         return "scene" if "motion" in keys else "sensor"
     if "loads" in keys:
