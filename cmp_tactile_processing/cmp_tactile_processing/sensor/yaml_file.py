@@ -18,6 +18,7 @@ from operator import getitem
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
+from cmp_tactile_processing.cache.files import expanded_path
 from cmp_tactile_processing.errors import (
     InputError,
     RefusedValueError,
@@ -164,6 +165,19 @@ def choice(*words: str) -> dict[str, Any]:
 def text() -> dict[str, Any]:
     """A text that is not empty."""
     return {"min_length": 1}
+
+
+def named_file(name_or_path: str, kind: str, packaged: Mapping[str, Path]) -> Path:
+    """A file by its path, or one that comes with a package by its name.
+
+    kind: such as "recipe".  Raises InputError where there is neither, with a name like it.
+    """
+    path = packaged.get(name_or_path) or expanded_path(name_or_path)
+    if not path.is_file():
+        msg = f"{name_or_path}: found no such {kind}, expected a file or one of "
+        msg += ", ".join(packaged) + did_you_mean(name_or_path, packaged)
+        raise InputError(msg)
+    return path
 
 
 def read_yaml(path: Path) -> YamlFile:

@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from cmp_tactile_processing.cache.files import expanded_path, packaged_files
+from cmp_tactile_processing.cache.files import packaged_files
 from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor.description import (
     SensorDescription,
@@ -24,6 +24,7 @@ from cmp_tactile_processing.sensor.yaml_file import (
     YamlFile,
     did_you_mean,
     file_schema,
+    named_file,
     number,
     part_schema,
     positive,
@@ -170,12 +171,7 @@ def load_recipe(name_or_path: str) -> Recipe:
 
     Raises InputError with file, line, key, found and expected, for all that is wrong with it.
     """
-    packaged = packaged_recipes()
-    path = packaged.get(name_or_path) or expanded_path(name_or_path)
-    if not path.is_file():
-        msg = f"{name_or_path}: found no such recipe, expected a file or one of "
-        msg += ", ".join(packaged) + did_you_mean(name_or_path, packaged)
-        raise InputError(msg)
+    path = named_file(name_or_path, "recipe", packaged_recipes())
     return read_recipe(path)
 
 

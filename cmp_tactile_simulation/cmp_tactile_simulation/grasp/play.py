@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from numpy.typing import NDArray
 from cmp_tactile_processing.errors import ContactError, InputError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.processes import OnProgress, no_progress
-from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene
 from cmp_tactile_simulation.grasp.world import (
@@ -28,7 +26,6 @@ from cmp_tactile_simulation.grasp.world import (
     packaged_gripper,
 )
 from cmp_tactile_simulation.indenters import Indenter, MeshIndenter
-from cmp_tactile_simulation.neo_hookean_gel import elastomer_of
 from cmp_tactile_simulation.scenes.description import INDENTERS
 from cmp_tactile_simulation.simulator import FIRST_STAMP_NS, Look, SimulatedFrame, Simulator
 
@@ -73,30 +70,22 @@ class Grasp:
     ) -> None:
         self.scene = scene
         self.world = World(_model(scene), SIDES, OBJECT, scene.gripper.speed)
-        gel = partial(elastomer_of, scene.fingertip, scene.contact_nodes)
-        look = Look(camera=scene.camera, samples=scene.samples)
-        self._fingers: dict[str, Simulator] = {}
-        contacts = []
-        for number, side in enumerate(SIDES):
-            body = _body(scene, self.world.pose(number))
-            contacts.append(
-                ContactSimulation(
-                    gel(cache_dir=cache_dir, progress=progress), body, scene.object.friction
-                )
+        self._pictures = pictures
+        self._fingers = {
+            side: Simulator(
+                scene.fingertip,
+                _body(scene, self.world.pose(number)),
+                friction=scene.object.friction,
+                look=Look(camera=scene.camera, samples=scene.samples),
+                seed=number,
+                contact_nodes=scene.contact_nodes,
+                rate=scene.rate,
+                cache_dir=cache_dir,
+                progress=progress,
             )
-            if pictures:
-                finger = Simulator(
-                    scene.fingertip,
-                    body,
-                    friction=scene.object.friction,
-                    look=look,
-                    seed=number,
-                    contact_nodes=scene.contact_nodes,
-                    rate=scene.rate,
-                    cache_dir=cache_dir,
-                )
-                self._fingers[side] = finger
-        self.world.hold(contacts)
+            for number, side in enumerate(SIDES)
+        }
+        self.world.hold([finger.contact for finger in self._fingers.values()])
 
     def frames(self) -> Iterator[GraspFrame]:
         """The frames, in order; ContactError with the time where a gel cannot follow."""
@@ -146,9 +135,9 @@ class Grasp:
         world = self.world
         stamp = FIRST_STAMP_NS + round(index * NS_PER_S / self.scene.rate)
         fingers = {}
-        for number, (side, finger) in enumerate(self._fingers.items()):
+        for number, (side, finger) in enumerate(self._fingers.items() if self._pictures else ()):
             state = world.touch(number).state
-            moved = world.gel(number).contact.elastomer.marker_displacement(state.force)
+            moved = finger.elastomer.marker_displacement(state.force)
             fingers[side] = finger.observe(state, moved, index, stamp, phase)
         return GraspFrame(
             index=index,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from cmp_tactile_processing.cache.files import expanded_path, packaged_files
+from cmp_tactile_processing.cache.files import packaged_files
 from cmp_tactile_processing.errors import InputError, RefusedValueError
 from cmp_tactile_processing.sensor.description import (
     DEFAULT_SENSOR,
@@ -22,7 +22,7 @@ from cmp_tactile_processing.sensor.yaml_file import (
     Limits,
     Part,
     YamlFile,
-    did_you_mean,
+    named_file,
     number,
     positive,
     read_yaml,
@@ -148,12 +148,7 @@ def load_grasp(name_or_path: str) -> GraspScene:
 
     Raises InputError with file, line, key, found and expected, for all that is wrong with it.
     """
-    packaged = packaged_grasps()
-    path = packaged.get(name_or_path) or expanded_path(name_or_path)
-    if not path.is_file():
-        msg = f"{name_or_path}: found no such grasp, expected a file or one of "
-        msg += ", ".join(packaged) + did_you_mean(name_or_path, packaged)
-        raise InputError(msg)
+    path = named_file(name_or_path, "grasp", packaged_grasps())
     return _read(read_yaml(path), path)
 
 
