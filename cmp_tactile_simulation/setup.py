@@ -11,6 +11,10 @@ setup(
     package_data={package_name: ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (
+            "share/ament_index/resource_index/rclcpp_components",
+            [f"resource/rclcpp_components/{package_name}"],
+        ),
         (f"share/{package_name}", ["package.xml"]),
         (
             f"share/{package_name}/scenes",
@@ -34,6 +38,12 @@ setup(
     license="Apache-2.0",
     description="Simulator of vision-based tactile sensors: elastomer, contact, mirror optics.",
     entry_points={
+        "console_scripts": [
+            f"grasp_simulator = {package_name}.nodes.grasp_simulator:main",
+        ],
+        "cmp_tactile_components": [
+            f"{package_name}::GraspSimulator = {package_name}.nodes.grasp_simulator:GraspSimulator",
+        ],
         "cmp_tactile_frame_sources": [
             f"simulated = {package_name}.live.source:SimulatedSource.from_options",
         ],

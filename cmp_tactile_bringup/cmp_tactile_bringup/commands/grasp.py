@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from cmp_tactile_bringup.commands.options import Command, argument, option
+from cmp_tactile_bringup.commands.graphs import ASSIGNMENTS
+from cmp_tactile_bringup.commands.options import Command, argument, misuse, option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,35 +14,56 @@ class Grasp(Command):
     """Simulate a grasp: a gripper whose fingertips are sensors lifts, tilts and shakes an object in
     MuJoCo, and the gels' contact holds it. Writes one bag with the frames of both sensors, their
     truth, what is measured in them, and the poses; a table of both wrenches; a video. docs/grasp.md
-    lists the keys of a scene. Needs MuJoCo: pip install mujoco
+    lists the keys of a scene. With --live, it runs in real time with the nodes of both sensors, as
+    `ros2 launch cmp_tactile_bringup grasp.launch.py` does. Needs MuJoCo: pip install mujoco
 
     examples:
       cmp_tactile grasp box --output box
-      cmp_tactile view box --sensor box/left.yaml
       cmp_tactile grasp my_grasp.yaml --output mine
+      cmp_tactile grasp cup --live view:=true drive:=command
     """
 
-    scene: Annotated[
-        str | None,
-        argument("SCENE", "a grasp's file or packaged name; without it, list these"),
+    words: Annotated[
+        list[str] | None,
+        argument(
+            "[SCENE] [NAME:=VALUE]",
+            f"a grasp's file or packaged name; without it, list these. With --live, {ASSIGNMENTS}",
+        ),
     ] = None
+    live: Annotated[bool, option("run it in real time, until Ctrl-C")] = False
     output: Annotated[
         str | None, option("folder to write (default: the scene's name)", short="-o")
     ] = None
 
     def run(self) -> int:
-        """Play and record the grasp, or list the packaged ones."""
+        """Play and record the grasp, run it live, or list the packaged ones."""
+        from cmp_tactile_simulation.grasp.scene import load_grasp, packaged_grasps
+
+        words = self.words or []
+        scenes = [word for word in words if ":=" not in word]
+        if len(scenes) > 1:
+            misuse(f"found {scenes[1]!r} after the scene, expected NAME:=VALUE")
+        if self.live:
+            from cmp_tactile_bringup.container.executables import standalone
+
+            given = [f"scene:={scene}" for scene in scenes]
+            return standalone(["grasp", *given, *(word for word in words if ":=" in word)])
+        if len(words) > len(scenes):
+            misuse("found NAME:=VALUE, expected it with --live alone")
+        if not scenes:
+            for name, path in packaged_grasps().items():
+                print(f"{name:12} {load_grasp(str(path)).title}")
+            return 0
+        return self._record(scenes[0])
+
+    def _record(self, name: str) -> int:
         from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.cache.files import expanded_path
         from cmp_tactile_simulation.grasp.play import Grasp as Played
         from cmp_tactile_simulation.grasp.record import record_grasp
-        from cmp_tactile_simulation.grasp.scene import load_grasp, packaged_grasps
+        from cmp_tactile_simulation.grasp.scene import load_grasp
 
-        if self.scene is None:
-            for name, path in packaged_grasps().items():
-                print(f"{name:12} {load_grasp(str(path)).title}")
-            return 0
-        scene = load_grasp(self.scene)
+        scene = load_grasp(name)
         folder = expanded_path(self.output or scene.name)
         with shown_stages() as on_stage:
             grasp = Played(scene, progress=on_stage)

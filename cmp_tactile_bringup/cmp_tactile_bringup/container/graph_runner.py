@@ -58,14 +58,14 @@ def run_graph(arguments: Sequence[str], stop: StopSignal) -> int:
     try:
         graph = _with_recordings(_load(options), stop)
         if options.only:
-            (graph,) = (part for part in graph.by_sensor() if part.namespace == options.only)
+            (graph,) = (part for part in graph.by_process() if part.namespace == options.only)
             graph = replace(graph, viewer=None)
         check_recordings(graph)
-        first, *others = graph.by_sensor()
+        first, *others = graph.by_process()
         commands = {
-            part.sensors[0].name: python_command(
+            part.namespace.strip("/"): python_command(
                 EXECUTABLES, "standalone", options.config, *options.arguments,
-                f"--only={part.sensors[0].namespace}", END_WITH_STDIN, *ros_args,
+                f"--only={part.namespace}", END_WITH_STDIN, *ros_args,
             )
             for part in others
         }  # fmt: skip

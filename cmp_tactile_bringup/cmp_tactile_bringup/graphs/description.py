@@ -206,6 +206,8 @@ class Component:
     component's own.  remappings: from old to new name.  parameters: values by name, or rclpy's
     parameters.  log_level: a constant of rcl_interfaces/Log, 0 for the default.  intra_process:
     whether messages pass to other components of the process as objects.  sensor: its own.
+    process: of what belongs to no sensor, namespace of the process that it shares with others of
+    the same; empty for one process of the whole graph.
     """
 
     package: str
@@ -217,6 +219,7 @@ class Component:
     log_level: int = 0
     intra_process: bool = True
     sensor: GraphSensor | None = None
+    process: str = ""
 
     @property
     def full_name(self) -> str:
@@ -247,19 +250,29 @@ class Graph:
 
     @property
     def namespace(self) -> str:
-        """That of the first component, where its container is, too."""
-        return absolute_name(self.components[0].namespace)
+        """Where its container is: of the process, or of the first component."""
+        return absolute_name(self.components[0].process or self.components[0].namespace)
 
-    def by_sensor(self) -> tuple[Graph, ...]:
-        """A graph for the container of each sensor: Python runs on one core in a process.
+    def by_process(self) -> tuple[Graph, ...]:
+        """A graph for each process: Python runs on one core in a process.
 
-        One, where a component has no sensor.
+        Each sensor has one; there is only one where a component has neither sensor nor process.
         """
-        if any(item.sensor is None for item in self.components):
+        processes = [
+            item.sensor.namespace if item.sensor else item.process for item in self.components
+        ]
+        if "" in processes:
             return (self,)
         return tuple(
-            replace(self, components=tuple(c for c in self.components if c.sensor is sensor))
-            for sensor in self.sensors
+            replace(
+                self,
+                components=tuple(
+                    item
+                    for item, process in zip(self.components, processes, strict=True)
+                    if process == own
+                ),
+            )
+            for own in dict.fromkeys(processes)
         )
 
     def with_parameters(self, parameters: Mapping[str, Mapping[str, Value]]) -> Graph:

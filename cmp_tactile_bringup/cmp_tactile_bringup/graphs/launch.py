@@ -47,7 +47,7 @@ def graph_actions(context: LaunchContext, function: GraphFunction) -> list[Actio
     found = function.load({item.name: given[item.name] for item in function.arguments})
     graph = with_recordings(found, lambda what, _share: _log_once(what))
     check_recordings(graph)
-    actions: list[Action] = [_container(part) for part in graph.by_sensor()]
+    actions: list[Action] = [_container(part) for part in graph.by_process()]
     if given["container"]:
         nodes = composable_nodes(graph)
         actions = [

@@ -1,4 +1,4 @@
-"""The packaged graphs `sensor`, `simulate`, `replay` and `gripper`."""
+"""The packaged graphs `sensor`, `simulate`, `replay`, `gripper` and `grasp`."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ from cmp_tactile_processing.errors import InputError
 
 # Height of the letters at two fingers, which are seen from farther away than one sensor, m.
 FINGER_TEXT_M = 0.0009
+
+FINGERS = tuple(f"{side}_finger" for side in ("left", "right"))
 
 # What a gripper sets for both fingers, as its user does, or by itself.
 OF_BOTH = ("rate", "start", "end", "loop", "paused", "record_topics", "record_compression")
@@ -120,7 +122,38 @@ def _up_of(mount: str) -> list[float]:
     return [round(part, 6) for part in up]
 
 
-GRAPHS = {item.function.__name__: item for item in (sensor, simulate, replay, gripper)}
+@graph(
+    Argument("scene", "grasp to simulate: packaged name or file (docs/grasp.md)", "box"),
+    Argument(
+        "drive",
+        "what moves the fingers: the grip of the scene, or the opening on gripper/command",
+        "scene",
+        ("scene", "command"),
+    ),
+    Argument("loop", "play the scene's motion again and again", default=True),
+)
+def grasp(given: Mapping[str, Any]) -> list[Component]:
+    """A gripper with two sensors holds an object in MuJoCo, and the processing of both sensors."""
+    # Its rooms are imported by those who simulate alone.
+    from cmp_tactile_simulation.grasp.scene import load_grasp
+
+    file = str(load_grasp(given["scene"]).sensor_file)
+    fixed = {"source": TOPIC, "sensor": file, "use_sim_time": True, "frame_queue": "newest"}
+    fingers = [sensor_components({}, name=name, **fixed)[0] for name in FINGERS]
+    package = "cmp_tactile_simulation"
+    parameters = {**given, "sensor_names": " ".join(FINGERS)}
+    gripper = Component(
+        package,
+        f"{package}::GraspSimulator",
+        "grasp_simulator",
+        "/",
+        parameters=parameters,
+        process="/grasp",
+    )
+    return [*fingers[0], *fingers[1], gripper]
+
+
+GRAPHS = {item.function.__name__: item for item in (sensor, simulate, replay, gripper, grasp)}
 
 
 def find_graph(name_or_path: str) -> GraphFunction:

@@ -74,7 +74,7 @@ def test_every_node_of_the_gripper_has_one_analyzer_that_expects_it(parameters):
 def test_every_analyzer_has_a_container_of_the_gripper(parameters):
     analyzers = _analyzers(parameters)
     taking = []
-    for part in load_graph("gripper").by_sensor():
+    for part in load_graph("gripper").by_process():
         namespace, name = part.namespace.lstrip("/"), part.components[0].name
         taking += _taking(analyzers, f"{namespace}/{CONTAINER}: {namespace}/{name}")
     assert sorted(taking) == sorted(analyzers)

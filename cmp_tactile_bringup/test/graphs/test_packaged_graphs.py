@@ -124,7 +124,7 @@ def test_a_gripper_has_two_sensors_with_sources_of_their_own():
         parts = [c for c in graph.components if c.namespace == f"/{finger}"]
         assert {c.name for c in parts} > CHAIN
         assert {c.parameters["sensor_name"] for c in parts} == {finger}
-    parts = graph.by_sensor()
+    parts = graph.by_process()
     assert [part.namespace for part in parts] == ["/left_finger", "/right_finger"]
     assert sorted(c.full_name for part in parts for c in part.components) == sorted(
         c.full_name for c in graph.components

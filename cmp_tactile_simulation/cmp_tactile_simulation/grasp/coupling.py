@@ -7,13 +7,15 @@ other memory than its friction), and is damped a little, as gels are.
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
+from cmp_tactile_processing.cache.kernels import kernel, kernel_part
 from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import ContactState, Pose
@@ -44,10 +46,14 @@ class FingerTouch:
     stiffness: Array
     middle: Array
 
-    @property
+    @cached_property
     def touches(self) -> bool:
         """Whether the object touches the gel."""
         return bool(self.state.contact.any())
+
+    @cached_property
+    def _clearance(self) -> float:
+        return float(self.state.gap.min())
 
     def ahead(self, pose: Pose, velocity: Array) -> Array:
         """The wrench (6,) on the gel with the object a little farther on, about its origin there.
@@ -56,24 +62,28 @@ class FingerTouch:
         """
         if not self.touches:
             return np.zeros(6)
-        begin = self.state.pose
-        moved = np.concatenate([pose.position - begin.position, _turn(begin, pose)])
-        wrench = self.wrench + self.stiffness @ (moved + DAMPING_S * velocity)
+        moved = self._moved(pose) + DAMPING_S * velocity
+        wrench = self.wrench + self.stiffness @ moved
         # The gel does not pull.
         return np.asarray(wrench if wrench[2] < 0 else np.zeros(6))
 
     def holds_at(self, pose: Pose) -> bool:
         """Whether the tangent, or that nothing touches, still holds with the object there."""
-        begin = self.state.pose
-        turn = _turn(begin, pose)
+        moved, begin = self._moved(pose), self.state.pose.position
+        way, turn = math.sqrt(moved[:3] @ moved[:3]), math.sqrt(moved[3:] @ moved[3:])
         if not self.touches:
-            reach = float(np.linalg.norm(self.middle - begin.position))
-            way = np.linalg.norm(pose.position - begin.position) + reach * np.linalg.norm(turn)
-            return bool(way < self.state.gap.min())
-        change = self.stiffness @ np.concatenate([pose.position - begin.position, turn])
-        force, moment = change[:3], change[3:] - np.cross(self.middle - begin.position, change[:3])
-        size = np.linalg.norm(force) + np.linalg.norm(moment) / ARM_M
+            reach = float(np.linalg.norm(self.middle - begin))
+            return bool(way + reach * turn < self._clearance)
+        change = self.stiffness @ moved
+        force = change[:3]
+        moment = shifted(change[3:], begin - self.middle, force)
+        size = math.sqrt(force @ force) + math.sqrt(moment @ moment) / ARM_M
         return bool(size < max(LEAST_CHANGE_N, -LARGEST_CHANGE * self.wrench[2]))
+
+    def _moved(self, pose: Pose) -> Array:
+        """How the object has moved since, (6,) m and rad."""
+        begin = self.state.pose
+        return motion_between(begin.position, begin.rotation, pose.position, pose.rotation)
 
 
 class FingerContact:
@@ -106,7 +116,47 @@ class FingerContact:
         return FingerTouch(state, wrench, self.contact.stiffness(state), middle)
 
 
-def _turn(begin: Pose, end: Pose) -> Array:
-    """Rotation vector (3,) between two poses, rad, gel frame."""
-    turn = Rotation.from_matrix(end.rotation @ begin.rotation.T)
-    return np.asarray(turn.as_rotvec())
+# A time step calls these for each finger; NumPy's own would take longer than the gels.
+@kernel_part
+def _cross(a: Array, b: Array) -> Array:
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+@kernel
+def shifted(moment: Array, arm: Array, force: Array) -> Array:
+    """The moment (3,) about a point that the force's own point is `arm` away from."""
+    return moment + _cross(arm, force)
+
+
+@kernel
+def motion_between(from_place: Array, from_turn: Array, place: Array, turn: Array) -> Array:
+    """Translation and rotation vector between two poses, (6,) m and rad."""
+    between = turn @ from_turn.T
+    doubled = np.array(
+        [
+            between[2, 1] - between[1, 2],
+            between[0, 2] - between[2, 0],
+            between[1, 0] - between[0, 1],
+        ]
+    )
+    sine = 0.5 * math.sqrt(doubled @ doubled)
+    cosine = 0.5 * (between[0, 0] + between[1, 1] + between[2, 2] - 1.0)
+    factor = math.atan2(sine, cosine) / sine if sine > 1e-9 else 1.0
+    moved = np.empty(6)
+    moved[:3], moved[3:] = place - from_place, 0.5 * factor * doubled
+    return moved
+
+
+@kernel
+def relative_velocity(held: Array, gel: Array, arm: Array, turn: Array) -> Array:
+    """Of the object relative to the gel, (6,) m/s and rad/s, gel frame.
+
+    held, gel: as MuJoCo has them, rotation first, world axes.  arm: from gel to object.
+    turn (3, 3): of the gel.
+    """
+    along = held[3:] - gel[3:] - _cross(gel[:3], arm)
+    found = np.empty(6)
+    found[:3], found[3:] = turn.T @ along, turn.T @ (held[:3] - gel[:3])
+    return found

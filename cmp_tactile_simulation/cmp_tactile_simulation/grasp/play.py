@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -52,10 +53,53 @@ class GraspFrame:
     controls: Mapping[str, float]
 
 
-class Grasp:
-    """A grasp that can be played once.
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of gripper and object at one time step.
 
-    pictures: whether cameras see it; without, `fingers` are empty.
+    controls: of actuators, by name.  push (6,) N and N m: on the object.  mass kg: of the object.
+    """
+
+    phase: GraspPhase
+    controls: dict[str, float] = field(default_factory=dict)
+    push: Array = field(default_factory=lambda: np.zeros(6))
+    mass: float = 0.0
+
+
+def motion_of(
+    scene: GraspScene, step: float, lasts: Callable[[GraspPhase], bool] = lambda _: False
+) -> Iterator[Asked]:
+    """What a scene asks, for each time step of `step` s.
+
+    lasts: whether a phase goes on as it is where its duration is over.
+    """
+    before = Asked(scene.motion[0], mass=scene.mass)
+    for phase in scene.motion:
+        goal = _goal(phase, before.controls)
+        heavier = before.mass if phase.mass is None else phase.mass
+        push = np.array([*phase.force, *phase.torque])
+        steps = max(1, round(phase.duration / step))
+        for number in count(1):
+            share = min(1.0, number / steps)
+            smooth = share * share * (3 - 2 * share)
+            controls = {
+                name: (1 - smooth) * before.controls.get(name, 0.0) + smooth * value
+                for name, value in goal.items()
+            }
+            if phase.shake:
+                angle = 2 * math.pi * phase.shake_hz * number * step
+                controls[SHAKE] = phase.shake * math.sin(angle)
+            now_push = (1 - smooth) * before.push + smooth * push
+            yield Asked(phase, controls, now_push, before.mass + (heavier - before.mass) * share)
+            if number >= steps and not lasts(phase):
+                break
+        before = Asked(phase, goal, push, heavier)
+
+
+class Grasp:
+    """A grasp: the rigid world, and a simulator of each finger by side.
+
+    pictures: whether cameras see it; without, `fingers` of its frames are empty.
     Raises InputError without MuJoCo, and for a scene that cannot be built; ContactError where the
     object is inside a fingertip at the start.
     """
@@ -71,7 +115,7 @@ class Grasp:
         self.scene = scene
         self.world = World(_model(scene), SIDES, OBJECT, scene.gripper.speed)
         self._pictures = pictures
-        self._fingers = {
+        self.fingers = {
             side: Simulator(
                 scene.fingertip,
                 _body(scene, self.world.pose(number)),
@@ -85,7 +129,14 @@ class Grasp:
             )
             for number, side in enumerate(SIDES)
         }
-        self.world.hold([finger.contact for finger in self._fingers.values()])
+        self.world.hold([finger.contact for finger in self.fingers.values()])
+
+    def restart(self) -> None:
+        """Everything as at the beginning, the gels never touched."""
+        self.world.reset()
+        for finger in self.fingers.values():
+            finger.reset()
+        self.world.hold([finger.contact for finger in self.fingers.values()])
 
     def frames(self) -> Iterator[GraspFrame]:
         """The frames, in order; ContactError with the time where a gel cannot follow."""
@@ -94,48 +145,23 @@ class Grasp:
         period, index = 1 / scene.rate, 0
         now, phase = 0.0, ""
         try:
-            for now, phase, controls, force, mass in self._commands(step):
+            for number, asked in enumerate(motion_of(scene, step)):
+                now, phase = number * step, asked.phase.name
                 if now >= index * period - step / 2:
                     # The picture shows the gel as it is at this moment.
                     world.solve(always=True)
-                    yield self._frame(index, phase, controls, mass)
+                    yield self._frame(index, asked)
                     index += 1
-                world.step(controls, force, mass)
+                world.step(asked.controls, asked.push, asked.mass)
         except ContactError as error:
             msg = f"{scene.name}: {now:.2f} s, {phase}: {error}"
             raise ContactError(msg) from None
 
-    def _commands(self, step: float) -> Iterator[tuple[float, str, dict[str, float], Array, float]]:
-        """For each time step: time, phase, controls, force on the object and its mass."""
-        now, mass, pushed = 0.0, self.scene.mass, np.zeros(6)
-        held: dict[str, float] = {}
-        for phase in self.scene.motion:
-            goal = _goal(phase, held)
-            heavier = mass if phase.mass is None else phase.mass
-            push = np.array([*phase.force, *phase.torque])
-            count = max(1, round(phase.duration / step))
-            for number in range(1, count + 1):
-                share = number / count
-                smooth = share * share * (3 - 2 * share)
-                controls = {
-                    name: (1 - smooth) * held.get(name, 0.0) + smooth * value
-                    for name, value in goal.items()
-                }
-                if phase.shake:
-                    angle = 2 * math.pi * phase.shake_hz * number * step
-                    controls[SHAKE] = phase.shake * math.sin(angle)
-                force = (1 - smooth) * pushed + smooth * push
-                yield now, phase.name, controls, force, mass + (heavier - mass) * share
-                now += step
-            held, mass, pushed = goal, heavier, push
-
-    def _frame(
-        self, index: int, phase: str, controls: Mapping[str, float], mass: float
-    ) -> GraspFrame:
-        world = self.world
+    def _frame(self, index: int, asked: Asked) -> GraspFrame:
+        world, phase = self.world, asked.phase.name
         stamp = FIRST_STAMP_NS + round(index * NS_PER_S / self.scene.rate)
         fingers = {}
-        for number, (side, finger) in enumerate(self._fingers.items() if self._pictures else ()):
+        for number, (side, finger) in enumerate(self.fingers.items() if self._pictures else ()):
             state = world.touch(number).state
             moved = finger.elastomer.marker_displacement(state.force)
             fingers[side] = finger.observe(state, moved, index, stamp, phase)
@@ -147,8 +173,8 @@ class Grasp:
             wrenches={side: world.wrench(number) for number, side in enumerate(SIDES)},
             fingertips={side: world.world_pose(side) for side in SIDES},
             held=world.world_pose(OBJECT),
-            mass=mass,
-            controls=dict(controls),
+            mass=asked.mass,
+            controls=asked.controls,
         )
 
 

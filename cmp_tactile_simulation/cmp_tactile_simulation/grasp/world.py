@@ -14,7 +14,12 @@ from cmp_tactile_processing.cache.threads import one_thread
 from cmp_tactile_processing.errors import ContactError, InputError
 from cmp_tactile_simulation.contact.indentation import ContactSimulation
 from cmp_tactile_simulation.contact.laws import Pose
-from cmp_tactile_simulation.grasp.coupling import FingerContact, FingerTouch
+from cmp_tactile_simulation.grasp.coupling import (
+    FingerContact,
+    FingerTouch,
+    relative_velocity,
+    shifted,
+)
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene
 
 Array = NDArray[np.float64]
@@ -24,6 +29,9 @@ INSTALL = "found no MuJoCo: pip install mujoco"
 # Names in the packaged gripper, of its actuators (a grip is one of each finger) and of what it
 # holds.
 LIFT, SHAKE, TILT, GRIP, OBJECT = "lift", "shake", "tilt", "grip", "object"
+# What a controller asks of the packaged gripper instead of a grip: the opening, m, reached with
+# this time constant, s.
+OPENING, OPENING_S = "opening", 0.01
 
 
 def load_mujoco() -> Any:
@@ -94,8 +102,10 @@ class World:
         self._sites = [self._number("site", name) for name in sites]
         self._held = self._number("body", held)
         self._fingers = [int(self.model.site_bodyid[site]) for site in self._sites]
-        self._mujoco.mj_forward(self.model, self.data)
+        self._limits = self.model.actuator_forcerange.copy()
+        self._masses = self.model.body_mass.copy(), self.model.body_inertia.copy()
         self._gels: list[FingerContact] = []
+        self.reset()
 
     def _number(self, kind: str, name: str) -> int:
         finder = getattr(self.model, kind)
@@ -107,12 +117,20 @@ class World:
             msg = f"model: found the {kind} names {names}, expected {name}"
             raise InputError(msg) from None
 
+    def reset(self) -> None:
+        """Everything where it was at the beginning; gels have to be held again."""
+        self._mujoco.mj_resetData(self.model, self.data)
+        self.model.body_mass[:], self.model.body_inertia[:] = self._masses
+        self._mujoco.mj_forward(self.model, self.data)
+        self._warnings.clear()
+
     def hold(self, contacts: Sequence[ContactSimulation]) -> None:
         """Let these gels act between the fingertips and the object from now on.
 
         Raises ContactError where the object is inside a gel.
         """
         self._gels = [self._held_by(finger, contact) for finger, contact in enumerate(contacts)]
+        self._poses = [self.pose(finger) for finger in range(len(contacts))]
         # The object and the fingers' other parts meet in the gels alone.
         for body in self._fingers:
             geoms = np.flatnonzero(self.model.geom_bodyid == body)
@@ -140,6 +158,12 @@ class World:
             return Pose(place.copy(), turn.copy())
         return Pose(data.xpos[self._held].copy(), data.xmat[self._held].reshape(3, 3).copy())
 
+    @property
+    def opening(self) -> float:
+        """From the first gel to the second, along the first one's normal, m."""
+        (here, turn), (there, _) = (self._frame(finger) for finger in range(2))
+        return float((there - here) @ turn[:, 2])
+
     def gel(self, finger: int) -> FingerContact:
         """The gel of a finger."""
         return self._gels[finger]
@@ -152,13 +176,14 @@ class World:
         """On the gel now, (6,) N and N m about the gel frame's origin, gel frame."""
         pose = self.pose(finger)
         wrench = self._gels[finger].touch.ahead(pose, self._velocity(finger))
-        wrench[3:] += np.cross(pose.position, wrench[:3])
+        wrench[3:] = shifted(wrench[3:], pose.position, wrench[:3])
         return wrench
 
     def step(self, controls: Mapping[str, float], force: Array, mass: float) -> None:
         """One time step.
 
-        controls: of actuators, by name; GRIP: N, of both fingers of the packaged gripper.
+        controls: of actuators, by name; of both fingers of the packaged gripper: GRIP, N, or
+        OPENING, m.
         force (6,) N and N m: on the object at its centre of mass, world frame.
         mass: of the object, kg.
         Raises ContactError where a gel cannot follow or the rigid world has no solution, and
@@ -168,6 +193,8 @@ class World:
         for name, value in controls.items():
             if name == GRIP:
                 self._grip(value)
+            elif name == OPENING:
+                self._open(value)
             else:
                 data.ctrl[self._number("actuator", name)] = value
         if mass != model.body_mass[self._held]:
@@ -176,7 +203,7 @@ class World:
         data.xfrc_applied[:] = 0.0
         data.xfrc_applied[self._held] = force
         for finger, gel in enumerate(self._gels):
-            wrench = gel.touch.ahead(self.pose(finger), self._velocity(finger))
+            wrench = gel.touch.ahead(self._poses[finger], self._velocity(finger))
             _, turn = self._frame(finger)
             on_gel, moment = turn @ wrench[:3], turn @ wrench[3:]
             self._push(self._fingers[finger], on_gel, moment)
@@ -196,10 +223,10 @@ class World:
 
         Raises ContactError where a gel cannot follow.
         """
-        with one_thread():
-            for finger, gel in enumerate(self._gels):
-                pose = self.pose(finger)
-                if always or not gel.touch.holds_at(pose):
+        for finger, gel in enumerate(self._gels):
+            pose = self._poses[finger] = self.pose(finger)
+            if (always and gel.touch.touches) or not gel.touch.holds_at(pose):
+                with one_thread():
                     gel.move(pose)
 
     def _grip(self, force: float) -> None:
@@ -209,12 +236,20 @@ class World:
             self.model.actuator_forcerange[number] = -abs(force), abs(force)
             self.data.ctrl[number] = math.copysign(self._speed, force)
 
+    def _open(self, opening: float) -> None:
+        """Drive the fingers towards this opening, at their speed and force at most."""
+        speed = (self.opening - opening) / 2 / OPENING_S
+        for side in SIDES:
+            number = self._number("actuator", f"{GRIP}_{side}")
+            self.model.actuator_forcerange[number] = self._limits[number]
+            self.data.ctrl[number] = max(-self._speed, min(speed, self._speed))
+
     def _push(self, body: int, force: Array, moment: Array) -> None:
         """Add a force and a moment about the object's origin, world frame."""
         data = self.data
         arm = data.xpos[self._held] - data.xipos[body]
         data.xfrc_applied[body, :3] += force
-        data.xfrc_applied[body, 3:] += moment + np.cross(arm, force)
+        data.xfrc_applied[body, 3:] += shifted(moment, arm, force)
 
     def _frame(self, finger: int) -> tuple[Array, Array]:
         """Place (3,) m and rotation (3, 3) of a gel in the world."""
@@ -229,6 +264,4 @@ class World:
         find(self.model, self.data, kinds.mjOBJ_XBODY, self._held, held, 0)
         find(self.model, self.data, kinds.mjOBJ_SITE, self._sites[finger], gel, 0)
         place, turn = self._frame(finger)
-        arm = self.data.xpos[self._held] - place
-        along = held[3:] - gel[3:] - np.cross(gel[:3], arm)
-        return np.concatenate([turn.T @ along, turn.T @ (held[:3] - gel[:3])])
+        return relative_velocity(held, gel, self.data.xpos[self._held] - place, turn)

@@ -1,0 +1,184 @@
+"""A grasp in real time: a scene's motion, and fingers that the scene or a controller moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmp_tactile_processing.processes import OnProgress, no_progress
+from cmp_tactile_processing.sensor.parameters import Parameters, parameter
+from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.grasp.play import Asked, Grasp, motion_of
+from cmp_tactile_simulation.grasp.scene import SIDES, GraspPhase, GraspScene
+from cmp_tactile_simulation.grasp.world import GRIP, OBJECT, OPENING
+from cmp_tactile_simulation.live.mechanics import REST_PICTURES
+from cmp_tactile_simulation.live.sensor import with_half_the_pixels
+from cmp_tactile_simulation.rendering.surface import DeformedSurface
+from cmp_tactile_simulation.simulator import Look, SensorCamera
+
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+DRIVES = SCENE, COMMAND = "scene", "command"
+# An object is held where a controller presses with this share of the scene's grip for so long, s.
+HELD_SHARE, HELD_S = 0.5, 1.0
+
+
+@dataclass(frozen=True)
+class LiveGraspSettings(Parameters):
+    """How a grasp is simulated live."""
+
+    drive: str = parameter(
+        SCENE,
+        "what moves the fingers: the scene, or gripper/command; then the motion goes on "
+        "when the object is held",
+        choices=DRIVES,
+    )
+    loop: bool = parameter(True, "play the scene's motion again and again")
+    rate: float = parameter(
+        0.0, "frames per second of each sensor; 0: those of the scene", unit="Hz", within=(0, 60)
+    )
+    contact_nodes: int = parameter(
+        16, "number of contact nodes along each side, unless the scene has fewer", within=(8, 100)
+    )
+
+
+@dataclass(frozen=True)
+class GraspMoment:
+    """What is true at one moment, by side.
+
+    surfaces: of the gels.  wrenches (6,) N and N m: on the gels, gel frames.  fingertips: gel
+    frames, and held: the object, in the world.
+    """
+
+    number: int
+    surfaces: Mapping[str, DeformedSurface]
+    wrenches: Mapping[str, Array]
+    fingertips: Mapping[str, Pose]
+    held: Pose
+
+
+class LiveGrasp:
+    """Advances a grasp in steps of time, and takes pictures of it.
+
+    Its motion begins when the sensors had time to take their references.  Frames are those of a
+    recorded grasp, with what there is time for: a linear gel, one sample of a pixel, the rays of
+    2 x 2 pixels found together.
+
+    command: opening that a controller asks for, m; None as long as it has asked for none.
+    controls: of actuators, by name, which take precedence over those of the scene.
+    phase: what the scene does now.
+    """
+
+    def __init__(
+        self, scene: GraspScene, settings: LiveGraspSettings, progress: OnProgress = no_progress
+    ) -> None:
+        """Raises what `Grasp` raises."""
+        tip = scene.fingertip
+        tip = replace(tip, elastomer=replace(tip.elastomer, model="linear"))
+        nodes = min(scene.contact_nodes, settings.contact_nodes)
+        self._scene = replace(scene, fingertip=tip, contact_nodes=nodes)
+        self._settings = settings
+        self._grasp = Grasp(self._scene, progress=progress)
+        self._cameras = {
+            side: SensorCamera(
+                tip, Look(camera=scene.camera, samples=1, seed=number), with_half_the_pixels(tip)
+            )
+            for number, side in enumerate(SIDES)
+        }
+        self._gripping = next((item for item in scene.motion if (item.grip or 0) > 0), None)
+        self._step_s = float(self._grasp.world.model.opt.timestep)
+        self._moments = 0
+        self.command: float | None = None
+        self.controls: Mapping[str, float] = {}
+        self._begin()
+
+    def restart(self) -> None:
+        """Begin again: the object on the table, the gripper open."""
+        self._grasp.restart()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._held_s = 0.0
+        self._asked = Asked(self._scene.motion[0], mass=self._scene.mass)
+        self._motion: Iterator[Asked] = motion_of(self._scene, self._step_s, self._lasts)
+
+    @property
+    def phase(self) -> str:
+        """Name of the phase of the motion; of what is waited for before it."""
+        return "taking references" if self._moments < REST_PICTURES else self._asked.phase.name
+
+    @property
+    def opening(self) -> float:
+        """Between the fingertips, m."""
+        return self._grasp.world.opening
+
+    @property
+    def grips(self) -> list[float]:
+        """With which each finger presses, N."""
+        return [-float(wrench[2]) for wrench in self.wrenches().values()]
+
+    def advance(self, duration: float) -> None:
+        """Let time pass, s.
+
+        Raises ContactError where a gel cannot follow, and InputError for an unknown actuator; it
+        has to be started again then.
+        """
+        world = self._grasp.world
+        for _ in range(round(duration / self._step_s)):
+            if self._moments >= REST_PICTURES:
+                found = next(self._motion, None)
+                if found is None and self._settings.loop:
+                    self.restart()
+                self._asked = found or self._asked
+            world.step(self._controls(), self._asked.push, self._asked.mass)
+
+    def _controls(self) -> dict[str, float]:
+        controls = {**self._asked.controls, **self.controls}
+        # At the end of a scene the hand opens, whatever a controller asks for.
+        if self._settings.drive == COMMAND and controls.get(GRIP, 0.0) >= 0:
+            controls.pop(GRIP, None)
+            controls[OPENING] = (
+                self._scene.gripper.opening if self.command is None else self.command
+            )
+        return controls
+
+    def _lasts(self, phase: GraspPhase) -> bool:
+        """Whether the object is not held yet, where a controller is to grip it."""
+        if self._settings.drive == SCENE or phase is not self._gripping or phase.grip is None:
+            return False
+        pressed = min(self.grips) > HELD_SHARE * phase.grip
+        self._held_s = self._held_s + self._step_s if pressed else 0.0
+        return self._held_s < HELD_S
+
+    def wrenches(self) -> dict[str, Array]:
+        """True wrenches on the gels now, (6,) N and N m by side, gel frames."""
+        return {side: self._grasp.world.wrench(number) for number, side in enumerate(SIDES)}
+
+    def moment(self) -> GraspMoment:
+        """What is true now; ContactError where a gel cannot follow."""
+        world = self._grasp.world
+        world.solve(always=True)
+        surfaces = {}
+        for number, (side, finger) in enumerate(self._grasp.fingers.items()):
+            moved = finger.elastomer.marker_displacement(world.touch(number).state.force)
+            pattern, observers = finger.sensor.pattern, finger.elastomer.observers
+            surfaces[side] = DeformedSurface(pattern, observers, moved)
+        self._moments += 1
+        return GraspMoment(
+            number=self._moments,
+            surfaces=surfaces,
+            wrenches=self.wrenches(),
+            fingertips={side: world.world_pose(side) for side in SIDES},
+            held=world.world_pose(OBJECT),
+        )
+
+    def pictures(self, moment: GraspMoment) -> dict[str, Image]:
+        """The camera frames of a moment, (H, W) by side; for one other thread."""
+        return {
+            side: camera.picture(moment.number, moment.surfaces[side])
+            for side, camera in self._cameras.items()
+        }
