@@ -64,12 +64,14 @@ class GraspMoment:
 class LiveGrasp:
     """Advances a grasp in steps of time, and takes pictures of it.
 
-    Its motion begins when the sensors had time to take their references.  Frames are those of a
+    Its motion begins when the sensors had time to take their references: somebody took the pictures
+    of so many moments.  Frames are those of a
     recorded grasp, with what there is time for: a linear gel, one sample of a pixel, the rays of
     2 x 2 pixels found together.
 
     command: opening that a controller asks for, m; None as long as it has asked for none.
     controls: of actuators, by name, which take precedence over those of the scene.
+    taken: number of moments whose pictures somebody took.
     phase: what the scene does now.
     """
 
@@ -91,7 +93,7 @@ class LiveGrasp:
         }
         self._gripping = next((item for item in scene.motion if (item.grip or 0) > 0), None)
         self._step_s = float(self._grasp.world.model.opt.timestep)
-        self._moments = 0
+        self._moments = self.taken = 0
         self.command: float | None = None
         self.controls: Mapping[str, float] = {}
         self._begin()
@@ -109,7 +111,7 @@ class LiveGrasp:
     @property
     def phase(self) -> str:
         """Name of the phase of the motion; of what is waited for before it."""
-        return "taking references" if self._moments < REST_PICTURES else self._asked.phase.name
+        return "taking references" if self.taken < REST_PICTURES else self._asked.phase.name
 
     @property
     def opening(self) -> float:
@@ -129,7 +131,7 @@ class LiveGrasp:
         """
         world = self._grasp.world
         for _ in range(round(duration / self._step_s)):
-            if self._moments >= REST_PICTURES:
+            if self.taken >= REST_PICTURES:
                 found = next(self._motion, None)
                 if found is None and self._settings.loop:
                     self.restart()

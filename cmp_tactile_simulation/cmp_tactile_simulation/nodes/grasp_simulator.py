@@ -170,6 +170,7 @@ class GraspSimulator(ReportingNode):
                         if drawn is not None:
                             drawn.result()
                         drawn = drawing.submit(self._draw, stamp_ns, grasp, grasp.moment())
+                        grasp.taken += all(item.is_seen for item in self._fingers.values())
                     grasp.advance(chunk)
                 except CmpTactileError as error:
                     self._problem = f"{self._scene.name}: {grasp.phase}: {error}"
@@ -239,6 +240,11 @@ class _Finger:
         self._info = node.create_publisher(CameraInfo, f"{name}/camera_info", image_qos())
         self._truth = node.create_publisher(WrenchStamped, f"{name}/truth/wrench", 10)
         self._calibration = camera_info_of(sensor, ROS_MESSAGES.header(0, camera_frame(sensor)))
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether somebody subscribes to the frames."""
+        return self._image.get_subscription_count() > 0
 
     def publish(self, stamp_ns: int, image: NDArray[np.uint8], wrench: Array) -> None:
         make = ROS_MESSAGES

@@ -35,7 +35,7 @@ def started(scene: GraspScene, **settings: object) -> LiveGrasp:
     for _ in range(REST_PICTURES):
         assert grasp.phase == "taking references"
         grasp.advance(CHUNK_S)
-        grasp.moment()
+        grasp.taken += 1
     return grasp
 
 
