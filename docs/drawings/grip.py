@@ -1,11 +1,10 @@
-"""Draws docs/images/grip.png of what docs/examples/cup.py wrote down, with and without reaction.
+"""Draws docs/images/grip.png of two recordings of the tutorial, with and without reaction to slip.
 
-`setup/run python3 docs/drawings/grip.py held.csv lost.csv docs/images/grip.png`
+`setup/run python3 docs/drawings/grip.py held lost docs/images/grip.png`
 """
 
 from __future__ import annotations
 
-import csv
 import io
 import sys
 from pathlib import Path
@@ -16,62 +15,72 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from cmp_tactile_driver.bags.storage import BagStorage
+from cmp_tactile_processing.measured import SlipState
+
 mpl.use("agg")
 from matplotlib import pyplot as plt
 from matplotlib.ticker import MultipleLocator
 
-FRICTION = 0.4  # of the scene ball:16mm
+FRICTION = 0.4  # of the grasp flask
+LIFTED_M = 0.021  # height of the flask's middle, just above the table
 BLUE, ORANGE, MAGENTA, GREY = "#0072b2", "#d55e00", "#cc3399", "#888888"
 COLOURS = 32
 
-Table = dict[str, NDArray[Any]]
+Rows = NDArray[np.float64]
 
 
-def read(path: Path) -> Table:
-    """The columns of a table; times count from when the cup is lifted."""
-    with path.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    words = [row.pop("state") for row in rows]
-    table = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
-    lifted = table["time"][np.argmax(table["asked"] > 0)]
-    return {**table, "time": table["time"] - lifted, "state": np.array(words)}
+def rows(bag: Path, topic: str, values: Any) -> Rows:
+    """Stamps and what `values` takes of each message of a topic, (n, 1 + k)."""
+    found = []
+    for message in BagStorage(bag).decoded([topic]):
+        stamp = message.header.stamp
+        found.append([stamp.sec + 1e-9 * stamp.nanosec, *values(message)])
+    return np.array(found)
 
 
-def draw_force(axes: Any, table: Table) -> None:
-    """Target, measured and true normal force, and where slip was reported."""
-    time = table["time"]
-    axes.plot(time, table["target"], color=BLUE, lw=1.2, ls="--", label="target")
-    axes.plot(time, table["true_normal"], color="black", lw=1.2, label="true")
-    axes.plot(time, table["felt_normal"], color=ORANGE, lw=1.6, label="measured")
-    axes.plot(
-        time,
-        table["asked"] / FRICTION,
-        color=GREY,
-        lw=1.2,
-        ls=":",
-        label="least that holds the cup",
+def recorded(bag: Path) -> tuple[Rows, Rows, Rows]:
+    """Measured normal force and slip state; true forces; heights; time from the lift on, s."""
+    felt = rows(
+        bag, "/left_finger/force_field", lambda item: (-item.wrench.force.z, item.slip_state)
     )
-    slips = table["slip_state"] >= 3
-    axes.plot(
-        time[slips], table["felt_normal"][slips], "o", ms=4, color=MAGENTA, label="slip is reported"
+    true = rows(
+        bag,
+        "/left_finger/truth/wrench",
+        lambda item: (-item.wrench.force.z, np.hypot(item.wrench.force.x, item.wrench.force.y)),
     )
-    close = np.char.endswith(table["state"], "close to slip") & ~slips
-    axes.plot(
-        time[close], table["felt_normal"][close], ".", ms=4, color=BLUE, label="close to the limit"
-    )
+    place = rows(bag, "/object/pose", lambda item: (item.pose.position.z,))
+    begin = place[np.argmax(place[:, 1] > LIFTED_M), 0]
+    for table in (felt, true, place):
+        table[:, 0] -= begin
+    return felt, true, place
 
 
-def draw_friction(axes: Any, table: Table) -> None:
-    """Share of the friction that is used, and how far the cup slid."""
+def draw_force(axes: Any, felt: Rows, true: Rows) -> None:
+    """Measured and true normal force, and where slip was reported."""
+    axes.plot(*true[:, :2].T, color="black", lw=1.2, label="true")
+    axes.plot(*felt[:, :2].T, color=ORANGE, lw=1.6, label="measured")
+    least = true[:, 2] / FRICTION
+    axes.plot(true[:, 0], least, color=GREY, lw=1.2, ls=":", label="least that holds the flask")
+    slips = felt[felt[:, 2] >= SlipState.INCIPIENT]
+    axes.plot(*slips[:, :2].T, "o", ms=4, color=MAGENTA, label="slip is reported")
+
+
+def draw_friction(axes: Any, true: Rows, place: Rows) -> None:
+    """Share of the friction that is used, and how high the flask is."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        used = table["true_tangential"] / table["true_normal"]
-    axes.plot(table["time"], used, color="black", lw=1.2)
+        axes.plot(true[:, 0], true[:, 2] / true[:, 1], color="black", lw=1.2)
     axes.axhline(FRICTION, color=GREY, lw=1, ls=":")
     axes.annotate(
         "friction", (0.01, FRICTION), xycoords=("axes fraction", "data"), va="bottom", color=GREY
     )
     axes.set_ylim(0, 0.48)
-    axes.set_xlabel("time since the cup is lifted, s")
+    axes.set_xlabel("time since the flask is lifted, s")
+    height = axes.twinx()
+    height.plot(place[:, 0], 100 * place[:, 1], color=BLUE, lw=1.2)
+    height.set_ylim(0, 7)
+    height.set_ylabel("height, cm", color=BLUE)
+    height.spines["top"].set_visible(False)
 
 
 def main(held: Path, lost: Path, picture: Path) -> None:
@@ -87,9 +96,9 @@ def main(held: Path, lost: Path, picture: Path) -> None:
     )
     titles = ("With the reaction to slip", "Without (boost:=1.0)")
     for column, path, title in zip(grid.T, (held, lost), titles, strict=True):
-        table = read(path)
-        draw_force(column[0], table)
-        draw_friction(column[1], table)
+        felt, true, place = recorded(path)
+        draw_force(column[0], felt, true)
+        draw_friction(column[1], true, place)
         column[0].set_title(title, loc="left", weight="bold")
         for axes in column:
             axes.set_xlim(-4, None)
