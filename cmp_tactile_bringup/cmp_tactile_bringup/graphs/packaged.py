@@ -139,9 +139,9 @@ def grasp(given: Mapping[str, Any]) -> list[Component]:
 
     file = str(load_grasp(given["scene"]).sensor_file)
     fixed = {"source": TOPIC, "sensor": file, "use_sim_time": True, "frame_queue": "newest"}
-    fingers = [sensor_components({}, name=name, **fixed)[0] for name in FINGERS]
+    fingers = [sensor_components({**fixed, "name": name})[0] for name in FINGERS]
     package = "cmp_tactile_simulation"
-    parameters = {**given, "sensor_names": " ".join(FINGERS)}
+    parameters = {**given, "sensor_names": " ".join(FINGERS), "gripper_frame": "gripper"}
     gripper = Component(
         package,
         f"{package}::GraspSimulator",

@@ -21,12 +21,13 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from tf2_ros import TransformBroadcaster
+from visualization_msgs.msg import Marker
 
 from cmp_tactile_driver.nodes.camera_calibration import camera_info_of, image_qos
 from cmp_tactile_driver.sources.capture import Worker
 from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.measured import NS_PER_S
-from cmp_tactile_processing.ros.base_nodes import ReportingNode
+from cmp_tactile_processing.ros.base_nodes import ReportingNode, latched_qos
 from cmp_tactile_processing.ros.diagnostics import SentFrames
 from cmp_tactile_processing.ros.messages.conversions import (
     ROS_MESSAGES,
@@ -39,13 +40,13 @@ from cmp_tactile_processing.ros.process import run_node
 from cmp_tactile_processing.sensor.description import SensorDescription
 from cmp_tactile_processing.sensor.parameters import parameter
 from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.grasp.body import OBJECT_FRAME, object_marker
 from cmp_tactile_simulation.grasp.live import GraspMoment, LiveGrasp, LiveGraspSettings
 from cmp_tactile_simulation.grasp.scene import SIDES, load_grasp
 from cmp_tactile_simulation.grasp.world import load_mujoco
 from cmp_tactile_simulation.recording.truth import pose_message
 
 Array = NDArray[np.float64]
-OBJECT_FRAME = "object"
 # Commands are taken, and clock and opening published, about so often, s of simulated time.
 CHUNK_S = 0.01
 # Simulated time that is later than this, s, is not caught up with.
@@ -105,6 +106,9 @@ class GraspSimulator(ReportingNode):
         }
         self._transforms = TransformBroadcaster(self)
         self._object = self.create_publisher(PoseStamped, "object/pose", 10)
+        # Held, or a late subscriber would not get it.
+        self._marker = self.create_publisher(Marker, "object/marker", latched_qos())
+        self._marker.publish(object_marker(ROS_MESSAGES, self._scene))
         self._opening = self.create_publisher(Float64, "gripper/opening", 10)
         self._clock_publisher = self.create_publisher(Clock, "/clock", QoSProfile(depth=10))
         self.create_subscription(Float64, "gripper/command", self._on_command, 10)

@@ -16,6 +16,7 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
@@ -42,6 +43,7 @@ def test_frames_poses_and_clock_of_one_moment_come_with_one_stamp(ros, scene):
     poses, transforms = ros.listen(PoseStamped, "object/pose"), ros.listen(TFMessage, "/tf")
     clocks, openings = ros.listen(Clock, "/clock"), ros.listen(Float64, "gripper/opening")
     ros.start(GraspSimulator, scene=scene)
+    markers = ros.listen(Marker, "object/marker", latched=True)
     stamped = [*images.values(), *infos.values(), *truths.values(), poses]
     ros.wait(lambda: min(map(len, stamped)) >= 4, "frames", timeout_s=300)
     stamps = [stamp_ns(item.header.stamp) for item in images[SIDES[0]]][:4]
@@ -58,6 +60,10 @@ def test_frames_poses_and_clock_of_one_moment_come_with_one_stamp(ros, scene):
         "right_finger_gel_frame": "gripper",
     }
     places = {item.child_frame_id: item.transform for item in transforms[0].transforms}
+    # The marker is the box of 40 x 30 x 60 mm.
+    points = np.array([(item.x, item.y, item.z) for item in markers[0].points])
+    assert markers[0].header.frame_id == "object"
+    assert np.ptp(points, axis=0) == pytest.approx([0.04, 0.03, 0.06])
     half = places["left_finger_gel_frame"].translation.y
     assert half == pytest.approx(-places["right_finger_gel_frame"].translation.y)
     assert 2 * half == pytest.approx(openings[0].data)
