@@ -107,12 +107,15 @@ def _rviz(graph: Graph) -> Node:
         get_logger(PACKAGE).info(
             f"RViz opens with its saved settings: delete {settings} for the packaged ones"
         )
-    # Markers would vanish by the clock of the machine while a replay is paused.
-    replayed = all(item.parameters.get("use_sim_time", False) for item in graph.components)
+    # Markers would vanish by the clock of the machine while a replay is paused, or a grasp slow.
+    of_sensors = [item for item in graph.components if item.sensor]
+    simulated = bool(of_sensors) and all(
+        item.parameters.get("use_sim_time", False) for item in of_sensors
+    )
     return Node(
         package="rviz2",
         executable="rviz2",
         namespace=graph.namespace,
         arguments=["-d", str(settings)],
-        parameters=[{"use_sim_time": replayed}],
+        parameters=[{"use_sim_time": simulated}],
     )

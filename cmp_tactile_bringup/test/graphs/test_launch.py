@@ -15,6 +15,7 @@ GRAPHS = {
     "simulate": {"autoplay": "false", "name": "left_finger", "container": "/box"},
     "sensor": {"sensor": "sample_rig", "device": "/dev/video7", "record": "nowhere/bag"},
     "gripper": {"left_source": "replay", "left_input": "grasp", "right_mount": "0 0 1 0 0 0"},
+    "grasp": {"scene": "flask", "drive": "command"},
 }
 
 pytestmark = [
@@ -102,7 +103,7 @@ def test_a_container_is_started_or_joined(name, actions):
 
     _, started = actions(container="")
     _, joined = actions(container="/hand/box")
-    containers = 2 if name == "gripper" else 1
+    containers = {"gripper": 2, "grasp": 3}.get(name, 1)
     assert [type(action) for action in started] == [ComposableNodeContainer] * containers
     assert [type(action) for action in joined] == [LoadComposableNodes]
 
@@ -117,7 +118,7 @@ def test_rviz_is_started_when_asked_for(name, actions, tmp_path, monkeypatch):
     assert (rviz.node_package, rviz.node_executable) == ("rviz2", "rviz2")
     # Else the markers of a replay that is paused would vanish.
     (parameters,) = evaluate_parameters(context, rviz._Node__parameters)
-    assert parameters == {"use_sim_time": name == "replay"}
+    assert parameters == {"use_sim_time": name in ("replay", "grasp")}
 
 
 def test_the_page_is_started_when_asked_for(name, actions):
@@ -135,6 +136,6 @@ def test_the_page_is_started_when_asked_for(name, actions):
     # A text that looks like a number stays one.
     assert parameters["token"] == word
     assert parameters["allow_hosts"].split() == ["a.example", "b.example"]
-    count = 2 if name == "gripper" else 1
+    count = 2 if name in ("gripper", "grasp") else 1
     assert len(parameters["sensors"].split()) == count
     assert len(parameters["mounts"].split(",")) == count
