@@ -57,8 +57,10 @@ class Grasp(Command):
         return self._record(scenes[0])
 
     def _record(self, name: str) -> int:
-        from cmp_tactile_bringup.terminal import shown_stages
+        from cmp_tactile_bringup.report.grasp import write_grasp_page
+        from cmp_tactile_bringup.terminal import print_findings, shown_stages
         from cmp_tactile_processing.cache.files import expanded_path
+        from cmp_tactile_processing.errors import warnings_of
         from cmp_tactile_simulation.grasp.play import Grasp as Played
         from cmp_tactile_simulation.grasp.record import record_grasp
         from cmp_tactile_simulation.grasp.scene import load_grasp
@@ -68,11 +70,15 @@ class Grasp(Command):
         with shown_stages() as on_stage:
             grasp = Played(scene, progress=on_stage)
             found = record_grasp(grasp, folder, lambda share: on_stage("grasping", share))
-        print(f"{folder}: {found.frames} frames of each finger, {scene.duration:g} s")
         error = ", ".join(f"{1e3 * value:.1f}" for value in found.error)
         most = ", ".join(f"{1e3 * value:.1f}" for value in found.most)
-        print(
+        measured = (
             f"measured force of {found.usable} of {2 * found.frames} (usable): error RMS ({error}) "
             f"mN, largest ({most}) mN along x, y, z"
         )
+        page = write_grasp_page(folder, scene, measured)
+        print(f"{folder}: {found.frames} frames of each finger, {scene.duration:g} s\n{measured}")
+        print(f"page: {page}")
+        if found.ended:
+            print_findings(warnings_of(f"it ended early: {found.ended}"))
         return 0

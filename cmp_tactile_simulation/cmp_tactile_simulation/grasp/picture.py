@@ -26,7 +26,8 @@ Colour = tuple[int, int, int]
 
 WIDTH_PX, HEIGHT_PX, SCENE_PX = 1280, 720, 720
 CAMERA_PX = (280, 210)
-CODEC = "mp4v"
+# The first one plays in browsers; not every build of OpenCV writes it.
+CODECS = ("vp09", "mp4v")
 BACKGROUND, INK, FAINT = (250, 248, 246), (40, 40, 40), (200, 196, 192)
 HOUSING: Colour = (110, 105, 100)
 GELS: Mapping[str, Colour] = {"left": (200, 120, 40), "right": (60, 110, 220)}
@@ -144,9 +145,12 @@ class VideoWriter:
     """Writes pictures as an MP4; a context manager.  OutputError where OpenCV cannot."""
 
     def __init__(self, path: Path, rate: float) -> None:
-        codec = cv2.VideoWriter.fourcc(*CODEC)
-        self._writer = cv2.VideoWriter(str(path), codec, rate, (WIDTH_PX, HEIGHT_PX))
-        if not self._writer.isOpened():
+        for codec in CODECS:
+            code = cv2.VideoWriter.fourcc(*codec)
+            self._writer = cv2.VideoWriter(str(path), code, rate, (WIDTH_PX, HEIGHT_PX))
+            if self._writer.isOpened():
+                break
+        else:
             msg = f"{path}: OpenCV cannot write a video to this path"
             raise OutputError(msg)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from cmp_tactile_driver.bags.writer import LATCHED, BagWriter
 from cmp_tactile_processing.cache.files import partial_folder
-from cmp_tactile_processing.errors import OutputError
+from cmp_tactile_processing.errors import ContactError, OutputError
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.pipeline import Pipeline
@@ -56,19 +56,21 @@ class GraspSummary:
     """What came of a grasp.
 
     error, most (3,) N: of the force of usable frames, RMS and largest, over both fingers.
+    ended: why it ended before its scene did, such as that an object slid off a gel; or empty.
     """
 
     frames: int
     usable: int
     error: Array
     most: Array
+    ended: str = ""
 
 
 def record_grasp(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> GraspSummary:
-    """Play a grasp into a new folder; it is there whole, or not at all.
+    """Play a grasp into a new folder.
 
-    Raises OutputError where the folder is there already or its disk is full, and what the grasp
-    raises.
+    Where a gel cannot follow any more, the folder has all frames before.  Raises OutputError where
+    the folder is there already or its disk is full, and what a grasp raises before its first frame.
     """
     with partial_folder(folder) as partial:
         if folder.exists():
@@ -83,6 +85,7 @@ def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> Gr
     scene = grasp.scene
     count = scene.duration * scene.rate
     errors: list[Array] = []
+    ended: list[str] = []
     usable = frames = 0
     with ExitStack() as stack:
         bag = _GraspBag(stack.enter_context(BagWriter(folder)), grasp)
@@ -91,7 +94,8 @@ def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> Gr
         rows.writerow(COLUMNS)
         video = stack.enter_context(VideoWriter(folder / VIDEO_FILE, scene.rate))
         painter = GraspPainter(scene)
-        for frame in grasp.frames():
+        played = grasp.frames()
+        while frame := _next_frame(played, ended):
             found = bag.append(frame)
             for side, field in found.items():
                 rows.writerow(_row(frame, side, field, scene.rate))
@@ -101,13 +105,25 @@ def _record(grasp: Grasp, folder: Path, on_share: Callable[[float], None]) -> Gr
             video.add(painter.draw(frame, {side: found[side].wrench for side in SIDES}))
             frames += 1
             on_share(min(1.0, frames / count))
+        if not frames:
+            raise ContactError(*ended)
     content = read_yaml(scene.sensor_file).content
     for side in SIDES:
         text = dump_yaml({**content, "name": side})
         (folder / f"{side}.yaml").write_text(text, encoding="utf-8")
     shutil.copyfile(scene.file, folder / "scene.yaml")
     size = np.array(errors or [np.full(3, np.nan)])
-    return GraspSummary(frames, usable, np.sqrt((size**2).mean(axis=0)), np.abs(size).max(axis=0))
+    error, most = np.sqrt((size**2).mean(axis=0)), np.abs(size).max(axis=0)
+    return GraspSummary(frames, usable, error, most, "".join(ended))
+
+
+def _next_frame(played: Iterator[GraspFrame], ended: list[str]) -> GraspFrame | None:
+    """None at the end; why it is one goes into `ended`, where a gel cannot follow."""
+    try:
+        return next(played, None)
+    except ContactError as error:
+        ended.append(str(error))
+        return None
 
 
 class _GraspBag:
