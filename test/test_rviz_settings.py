@@ -19,9 +19,14 @@ from markers import look_of, mounts, moved
 from rviz_view import View, picture_px, read_settings, text_box
 
 from cmp_tactile_bringup.graphs.packaged import load_graph
+from cmp_tactile_processing.force.grasp import GraspState
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
-from cmp_tactile_processing.ros.rviz_markers import force_markers, surface_markers
+from cmp_tactile_processing.ros.rviz_markers import (
+    force_markers,
+    grasp_markers,
+    surface_markers,
+)
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -84,11 +89,13 @@ def test_every_topic_is_published_with_the_type_of_its_display(name, settings):
     for kind, display in _displays(settings["Visualization Manager"]):
         if "Topic" not in display:
             continue
-        namespace, topic = display["Topic"]["Value"].removeprefix("/").split("/", 1)
+        first, _, rest = display["Topic"]["Value"].removeprefix("/").partition("/")
+        namespace, topic = (first, rest) if rest else ("", first)
         assert published[topic] == TYPES[kind]
         # Images are large: of a best-effort subscription most are lost.
         assert display["Topic"]["Reliability Policy"] == "Reliable"
         shown.setdefault(namespace, set()).add(topic)
+    assert shown.pop("", set()) == ({"grasp_markers"} if len(namespaces) == 2 else set())
     assert set(shown) == namespaces
     for topics in shown.values():
         assert topics >= {"markers", "wrench", "left/grid_overlay", "right/grid_overlay"}
@@ -215,8 +222,11 @@ def test_both_fingers_are_whole_and_alike_in_panels_of_other_shapes(panel_px):
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):
     """The list of namespaces is there before the first message comes."""
-    drawn, *_ = _shown(name, _touch(0.0, 0.0))
+    of_sensor, *_ = _shown(name, _touch(0.0, 0.0))
+    state = GraspState(grip_force=3.0, grip_axis=-np.eye(3)[1], centre_of_contact=np.zeros(3))
     for kind, display in _displays(settings["Visualization Manager"]):
         if kind == "MarkerArray":
+            is_grasp = display["Topic"]["Value"] == "/grasp_markers"
+            drawn = grasp_markers(state, 0.005) if is_grasp else of_sensor
             expected = {marker.namespace: True for marker in drawn}
             assert display["Namespaces"] == expected

@@ -30,6 +30,8 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 __all__ = ["Argument", "Component", "Graph", "GraphFunction", "GraphSensor", "graph"]
 CONTAINER = "tactile_container"
 """Name of the container that is started for a sensor."""
+GRASP_STATE = "grasp_state"
+"""Name of the node of two fingers, and of its topic."""
 REPLAY = "cmp_tactile_driver::Replay"
 RECORDER = "cmp_tactile_driver::Recorder"
 
@@ -253,13 +255,14 @@ class Graph:
     def by_sensor(self) -> tuple[Graph, ...]:
         """A graph for the container of each sensor: Python runs on one core in a process.
 
-        One, where a component has no sensor.
+        Components without a sensor are loaded with the first one.
         """
-        if any(item.sensor is None for item in self.components):
-            return (self,)
+        first, *_ = self.sensors or (None,)
         return tuple(
-            replace(self, components=tuple(c for c in self.components if c.sensor is sensor))
-            for sensor in self.sensors
+            replace(
+                self, components=tuple(c for c in self.components if (c.sensor or first) is sensor)
+            )
+            for sensor in self.sensors or (None,)
         )
 
     def with_parameters(self, parameters: Mapping[str, Mapping[str, Value]]) -> Graph:
@@ -328,6 +331,7 @@ def _viewer(found: Graph, values: Mapping[str, Any]) -> dict[str, Value]:
         "sensor_descriptions": os.pathsep.join(str(sensor.description) for sensor in sensors),
         "sensor_names": " ".join(sensor.name for sensor in sensors),
         "mounts": ", ".join(" ".join(f"{number:.9g}" for number in pose) for pose in poses),
+        "grasp": next((i.full_name for i in found.components if i.name == GRASP_STATE), ""),
         "host": values["view_host"],
         "port": values["view_port"],
         "token": values["view_token"],
