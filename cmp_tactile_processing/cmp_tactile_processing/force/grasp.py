@@ -318,7 +318,7 @@ class GraspEstimator:
 def _held(left: Finger, right: Finger, axis: Array) -> GraspState:
     """Forces, moments and slip of both fingers together."""
     fingers = left, right
-    normal_force = np.array([-finger.field.wrench[2] for finger in fingers])
+    normal_force = 0.0 - np.array([finger.field.wrench[2] for finger in fingers])
     centre = _centre_of_contact(fingers, normal_force)
     # Without a centre the moments are NaN, not the forces.
     (on_left, left_covariance), (on_right, right_covariance) = (

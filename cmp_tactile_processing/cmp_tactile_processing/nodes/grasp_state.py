@@ -108,8 +108,8 @@ class StampPairs:
 class GraspStateEstimator(InputNode):
     """Computes `grasp_state` of a gripper with two fingers from the `force_field` of both.
 
-    The newest forces whose stamps differ by `slop` at most, and by half a period, are a pair.  Both
-    gel frames must be known to tf in `frame`; its newest transforms are used.  Without a pair for
+    Two forces are a pair if their stamps differ by no more than `slop` and about half a period.
+    tf must know both gel frames in `frame`; its newest transforms are used.  Without a pair for
     `timeout`, or without a transform, all is NaN and flags say why; a last value is never repeated.
 
     `supported_weight` is what the fingers carry against gravity while it is steady for a second.

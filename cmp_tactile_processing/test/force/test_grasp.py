@@ -56,7 +56,7 @@ def disc(radius, nodes=61, pressure=lambda _: 1.0):
 
 
 def finger(T, wrench, *, centre=(0, 0, 0), reference=(0.001, -0.002, 0.003), **fields):
-    """A finger on whose gel a wrench (6,) about the origin of the common frame acts."""
+    """A finger with a wrench (6,) on its gel, about the origin of the common frame."""
     R, centre, reference = T[:3, :3], np.array(centre, float), np.array(reference, float)
     moment = wrench[3:] - np.cross(R @ reference + T[:3, 3], wrench[:3])
     own = np.concatenate([wrench[:3] @ R, moment @ R])

@@ -19,11 +19,16 @@ class Buffer:
     """Keeps the newest transform to each frame; the real one also keeps and interpolates others."""
 
     def __init__(self) -> None:
-        self._by_child: dict[str, TransformStamped] = {}
+        # Parent of each frame, and the pose (4, 4) in it.
+        self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
 
     def set_transform(self, transform: TransformStamped, _authority: str) -> None:
         """Keep a transform."""
-        self._by_child[transform.child_frame_id] = transform
+        place, turn = transform.transform.translation, transform.transform.rotation
+        T = np.eye(4)
+        T[:3, 3] = place.x, place.y, place.z
+        T[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+        self._parents[transform.child_frame_id] = transform.header.frame_id, T
 
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Time
@@ -48,13 +53,9 @@ class Buffer:
     def _to_root(self, frame: str) -> tuple[str, NDArray[np.float64]]:
         """The frame that has no parent, or closes a circle, and the pose (4, 4) in it."""
         T, passed = np.eye(4), {frame}
-        while frame in self._by_child:
-            step = self._by_child[frame]
-            place, turn = step.transform.translation, step.transform.rotation
-            T_parent = np.eye(4)
-            T_parent[:3, 3] = place.x, place.y, place.z
-            T_parent[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
-            T, frame = T_parent @ T, step.header.frame_id
+        while frame in self._parents:
+            frame, T_parent = self._parents[frame]
+            T = T_parent @ T
             if frame in passed:
                 break
             passed.add(frame)
