@@ -4,6 +4,7 @@ RViz shows nothing of a topic that is not there, without a word.
 """
 
 import re
+from dataclasses import replace
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -47,6 +48,12 @@ LEAST_TEXT_PX = 12
 LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.025}}
 # Sizes of RViz's 3-D panel beside that of the packaged window, px.
 PANELS_PX = (960, 720), (1280, 720)
+GRASP = GraspState(
+    grip_force=3.0,
+    grip_axis=-np.eye(3)[1],
+    load=-np.eye(6)[2],
+    centre_of_contact=np.zeros(3),
+)
 
 
 @pytest.fixture(params=FILES)
@@ -192,6 +199,21 @@ def _extents(markers, view):
     return gel, [*bars, *(text_box(m, view) for m in markers if m.text)]
 
 
+@pytest.mark.parametrize("panel_px", PANELS_PX)
+def test_the_line_of_a_grasp_stands_clear_of_the_fingers(panel_px):
+    """Whole, high enough, and beside all that is written of the contacts."""
+    settings = read_settings("gripper.rviz")
+    view = View.of(settings["Visualization Manager"]["Views"]["Current"], panel_px[1])
+    known = {"slip_margin": 0.4, "supported_weight": 1.5}
+    line = grasp_markers(replace(GRASP, **known), 0.005)[-1]
+    fingers = _shown("gripper.rviz", _touch(-5e-3, 4e-3), _touch(5e-3, -4e-3, SlipState.FULL))
+    low, high = text_box(line, view)
+    assert (np.abs([low, high]) < np.array(panel_px) / 2).all()
+    assert high[1] - low[1] >= LEAST_TEXT_PX
+    texts = [marker for markers in fingers for marker in markers if marker.text]
+    assert _are_apart([(low, high), *(text_box(marker, view) for marker in texts)])
+
+
 def test_gels_are_large_and_whole_in_each_view(name, settings):
     """With all texts of one contact in the picture."""
     sensors = _shown(name, _touch(0.0, 0.0))
@@ -223,10 +245,9 @@ def test_both_fingers_are_whole_and_alike_in_panels_of_other_shapes(panel_px):
 def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):
     """The list of namespaces is there before the first message comes."""
     of_sensor, *_ = _shown(name, _touch(0.0, 0.0))
-    state = GraspState(grip_force=3.0, grip_axis=-np.eye(3)[1], centre_of_contact=np.zeros(3))
     for kind, display in _displays(settings["Visualization Manager"]):
         if kind == "MarkerArray":
             is_grasp = display["Topic"]["Value"] == "/grasp_markers"
-            drawn = grasp_markers(state, 0.005) if is_grasp else of_sensor
+            drawn = grasp_markers(GRASP, 0.005) if is_grasp else of_sensor
             expected = {marker.namespace: True for marker in drawn}
             assert display["Namespaces"] == expected
