@@ -11,6 +11,8 @@ node_classes = {
     "stereo_triangulator": "StereoTriangulator",
     "force_reconstructor": "ForceReconstructor",
     "surface_visualizer": "SurfaceVisualizer",
+    "grasp_state": "GraspStateEstimator",
+    "wrench_broadcaster": "WrenchBroadcaster",
 }
 
 # Only what has no rosdep key; package.xml names the rest.

@@ -41,6 +41,8 @@ CHAIN = (
     "StereoTriangulator",
     "ForceReconstructor",
     "SurfaceVisualizer",
+    "GraspStateEstimator",
+    "WrenchBroadcaster",
 )
 # What every node of ROS 2 has, or every lifecycle node.
 COMMON_TOPICS = ("/rosout", "/parameter_events", "transition_event")

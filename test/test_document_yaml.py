@@ -65,6 +65,8 @@ OWN_KEYS = {
 def kind_of(block: str) -> str:
     content = yaml_value(block)
     keys = {"motion"} if isinstance(content, list) else set(content)
+    if "controller_manager" in keys:
+        return "ros2_control"
     if PARAMETERS in block:
         return "parameters"
     of_one_kind = [kind for kind, own in OWN_KEYS.items() if keys & own]
@@ -127,6 +129,14 @@ def read_grasp(folder: Path, block: str) -> None:
     assert load_grasp(str(folder / "grasp.yaml")).motion
 
 
+def read_ros2_control(_folder: Path, block: str) -> None:
+    """Its nodes are not ours: each has parameters, and one axis has as many numbers as the next."""
+    nodes = yaml_value(block)
+    assert all(set(node) == {PARAMETERS} for node in nodes.values())
+    admittance = nodes["admittance_controller"][PARAMETERS]["admittance"]
+    assert {len(value) for value in admittance.values() if isinstance(value, list)} == {6}
+
+
 READERS: dict[str, Callable[[Path, str], None]] = {
     "scene": read_scene_text,
     "scene's part": read_part_of_a_scene,
@@ -136,6 +146,7 @@ READERS: dict[str, Callable[[Path, str], None]] = {
     "feature map": read_map,
     "recipe": read_recipe_with,
     "grasp": read_grasp,
+    "ros2_control": read_ros2_control,
 }
 BLOCKS = list(documented())
 

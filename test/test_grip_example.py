@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Float64, String
 
-from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_msgs.msg import ForceField, GraspState
 from cmp_tactile_simulation.grasp.scene import packaged_grasps
 
 pytestmark = pytest.mark.ros
@@ -316,6 +316,28 @@ def test_without_a_gripper_nothing_is_commanded(ros):
 
     ros.wait(said, "what it waits for")
     assert commands == []
+
+
+def test_of_two_fingers_the_weaker_force_is_held(ros):
+    """None where one finger is missing."""
+    ros.start(hold_force.HoldForce, grasp=f"{ros.namespace}/grasp_state")
+    openings = ros.publisher(Float64, "gripper/opening")
+    grasps = ros.publisher(GraspState, "grasp_state")
+    states = ros.listen(String, "gripper/state")
+    openings.publish(Float64(data=0.04))
+
+    def says(text, **values):
+        message = GraspState(**values)
+        message.header.stamp = ros.node.get_clock().now().to_msg()
+        grasps.publish(message)
+        ros.run(0.05)
+        return any(text in state.data for state in states)
+
+    ros.wait(lambda: says("closing", normal_force=[3.0, 0.0]), "a finger without contact")
+    slips = {"slip_state": ForceField.SLIP_FULL, "traction_ratio": 0.3}
+    ros.wait(lambda: says("it slips", normal_force=[3.0, 2.0], **slips), "the slip")
+    gone = {"normal_force": [math.nan] * 2, "flags": GraspState.FLAG_STALE}
+    ros.wait(lambda: says(f"flags {GraspState.FLAG_STALE}", **gone), "the stop")
 
 
 def test_settings_change_while_it_runs_but_not_to_nan(ros):

@@ -4,6 +4,7 @@ RViz shows nothing of a topic that is not there, without a word.
 """
 
 import re
+from dataclasses import replace
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -19,9 +20,14 @@ from markers import look_of, mounts, moved
 from rviz_view import View, picture_px, read_settings, text_box
 
 from cmp_tactile_bringup.graphs.packaged import load_graph
+from cmp_tactile_processing.force.grasp import GraspState
 from cmp_tactile_processing.measured import SlipEstimate, SlipState
 from cmp_tactile_processing.ros.messages.making import gel_frame
-from cmp_tactile_processing.ros.rviz_markers import force_markers, surface_markers
+from cmp_tactile_processing.ros.rviz_markers import (
+    force_markers,
+    grasp_markers,
+    surface_markers,
+)
 from cmp_tactile_processing.sensor.description import load_sensor
 from cmp_tactile_processing.surface.displacement import Reference, surface_at_rest
 
@@ -43,6 +49,12 @@ LEAST_TEXT_PX = 12
 LEAST_SHARES = {"cmp_tactile.rviz": {1: 0.2}, "gripper.rviz": {1: 0.15, 2: 0.025}}
 # Sizes of RViz's 3-D panel beside that of the packaged window, px.
 PANELS_PX = (960, 720), (1280, 720)
+GRASP = GraspState(
+    grip_force=3.0,
+    grip_axis=-np.eye(3)[1],
+    load=-np.eye(6)[2],
+    centre_of_contact=np.zeros(3),
+)
 
 
 @pytest.fixture(params=FILES)
@@ -82,18 +94,19 @@ def _published():
 def test_every_topic_is_published_with_the_type_of_its_display(name, settings):
     published, namespaces = _published(), FILES[name][1]
     shown = {}
-    # What a gripper holds belongs to no sensor.
-    held = {"object/marker"} & set(published)
     for kind, display in _displays(settings["Visualization Manager"]):
         if "Topic" not in display:
             continue
         whole = display["Topic"]["Value"].removeprefix("/")
-        namespace, topic = ("", whole) if whole in held else whole.split("/", 1)
+        first, _, rest = whole.partition("/")
+        # What a gripper is and holds belongs to no sensor.
+        namespace, topic = (first, rest) if rest and whole not in published else ("", whole)
         assert published[topic] == TYPES[kind]
         # Images are large: of a best-effort subscription most are lost.
         assert display["Topic"]["Reliability Policy"] == "Reliable"
-        if namespace:
-            shown.setdefault(namespace, set()).add(topic)
+        shown.setdefault(namespace, set()).add(topic)
+    of_gripper = {"grasp_markers", "object/marker"}
+    assert shown.pop("", set()) == (of_gripper if len(namespaces) == 2 else set())
     assert set(shown) == namespaces
     for topics in shown.values():
         assert topics >= {"markers", "wrench", "left/grid_overlay", "right/grid_overlay"}
@@ -190,6 +203,21 @@ def _extents(markers, view):
     return gel, [*bars, *(text_box(m, view) for m in markers if m.text)]
 
 
+@pytest.mark.parametrize("panel_px", PANELS_PX)
+def test_the_line_of_a_grasp_stands_clear_of_the_fingers(panel_px):
+    """Whole, high enough, and beside all that is written of the contacts."""
+    settings = read_settings("gripper.rviz")
+    view = View.of(settings["Visualization Manager"]["Views"]["Current"], panel_px[1])
+    known = {"slip_margin": 0.4, "supported_weight": 1.5}
+    line = grasp_markers(replace(GRASP, **known), 0.005)[-1]
+    fingers = _shown("gripper.rviz", _touch(-5e-3, 4e-3), _touch(5e-3, -4e-3, SlipState.FULL))
+    low, high = text_box(line, view)
+    assert (np.abs([low, high]) < np.array(panel_px) / 2).all()
+    assert high[1] - low[1] >= LEAST_TEXT_PX
+    texts = [marker for markers in fingers for marker in markers if marker.text]
+    assert _are_apart([(low, high), *(text_box(marker, view) for marker in texts)])
+
+
 def test_gels_are_large_and_whole_in_each_view(name, settings):
     """With all texts of one contact in the picture."""
     sensors = _shown(name, _touch(0.0, 0.0))
@@ -220,8 +248,10 @@ def test_both_fingers_are_whole_and_alike_in_panels_of_other_shapes(panel_px):
 
 def test_each_kind_of_marker_can_be_switched_on_and_off(name, settings):
     """The list of namespaces is there before the first message comes."""
-    drawn, *_ = _shown(name, _touch(0.0, 0.0))
+    of_sensor, *_ = _shown(name, _touch(0.0, 0.0))
     for kind, display in _displays(settings["Visualization Manager"]):
         if kind == "MarkerArray":
+            is_grasp = display["Topic"]["Value"] == "/grasp_markers"
+            drawn = grasp_markers(GRASP, 0.005) if is_grasp else of_sensor
             expected = {marker.namespace: True for marker in drawn}
             assert display["Namespaces"] == expected

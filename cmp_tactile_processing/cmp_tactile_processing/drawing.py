@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmp_tactile_processing.force.advice import SLIP_WORDS
+from cmp_tactile_processing.force.grasp import GraspState
 from cmp_tactile_processing.measured import (
     Contact,
     Grid,
@@ -98,6 +99,16 @@ def contact_lines(contact: Contact) -> list[str]:
     if contact.slip.state not in (SlipState.UNKNOWN, SlipState.NO_CONTACT):
         lines.append(SLIP_WORDS[contact.slip.state])
     return lines
+
+
+def grasp_line(state: GraspState) -> str:
+    """Grip, margin to slip and weight of a grasp, as far as they are known."""
+    parts = [f"grip {state.grip_force:.1f} N"]
+    if math.isfinite(state.slip_margin):
+        parts.append(f"margin {100 * state.slip_margin:.0f} %")
+    if math.isfinite(state.supported_weight):
+        parts.append(f"carries {state.supported_weight:.2f} N")
+    return ", ".join(parts)
 
 
 def arrows(

@@ -1,6 +1,7 @@
 """Holds a normal force with a gripper, and grips harder before the object slips.
 
 Start a sensor, then `python3 docs/examples/hold_force.py --ros-args -p sensor:=my_sensor`.
+With two sensors, `-p grasp:=/grasp_state` in place of the sensor holds the weaker force of both.
 It takes the gripper's opening in m from `gripper/opening` and asks for one on `gripper/command`.
 docs/gripper.md shows how to connect it to a real gripper and tune it; docs/grip_controller.md
 explains how it works.
@@ -21,7 +22,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Float64, String
 
-from cmp_tactile_msgs.msg import ForceField
+from cmp_tactile_msgs.msg import ForceField, GraspState
 
 # With these flags, do not use the force (docs/results.md, "Flags").
 UNUSABLE = (
@@ -150,6 +151,7 @@ class HoldForce(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("hold_force", **options)
         sensor = self.declare_parameter("sensor", "sample_rig").value
+        grasp = self.declare_parameter("grasp", "").value
         self._settings = Settings(**{item.name: self._declare(item) for item in fields(Settings)})
         self.add_on_set_parameters_callback(self._on_parameters)
         self._grip: Grip | None = None
@@ -162,7 +164,8 @@ class HoldForce(Node):
         self._state = self.create_publisher(String, "gripper/state", 10)
         self.create_subscription(Float64, "gripper/opening", self._on_opening, 10)
         # Only the newest force counts.
-        self.create_subscription(ForceField, f"/{sensor}/force_field", self._on_force, 1)
+        source = (GraspState, grasp) if grasp else (ForceField, f"/{sensor}/force_field")
+        self.create_subscription(*source, self._on_force, 1)
         self.create_timer(PERIOD_S, self._on_timer, clock=self._steady)
 
     def _declare(self, item: Any) -> float:
@@ -188,7 +191,7 @@ class HoldForce(Node):
             # Begins at the present opening, so that the gripper does not jump.
             self._grip = self._grip or Grip(self._settings, message.data)
 
-    def _on_force(self, message: ForceField) -> None:
+    def _on_force(self, message: ForceField | GraspState) -> None:
         self._last, limit = self._steady.now(), self._settings.timeout
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         age, dt = 1e-9 * self.get_clock().now().nanoseconds - stamp, stamp - self._stamp
@@ -221,10 +224,11 @@ class HoldForce(Node):
             self._state.publish(String(data=state))
 
 
-def felt_in(message: ForceField) -> Felt:
+def felt_in(message: ForceField | GraspState) -> Felt:
     """The values that the controller uses; a press has a negative z."""
+    one_finger = isinstance(message, ForceField)
     return Felt(
-        -message.wrench.force.z,
+        -message.wrench.force.z if one_finger else min(message.normal_force),
         message.traction_ratio,
         message.friction_coefficient,
         message.slip_state,

@@ -15,5 +15,5 @@ setup(
     maintainer="cmp_tactile maintainers",
     maintainer_email="maintainers@cmp-tactile.example",
     license="Apache-2.0",
-    description="Stand-in for the Python transform broadcasters of tf2_ros.",
+    description="Stand-in for broadcasters, buffer and listener of tf2_ros in Python.",
 )

@@ -30,6 +30,8 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 __all__ = ["Argument", "Component", "Graph", "GraphFunction", "GraphSensor", "graph"]
 CONTAINER = "tactile_container"
 """Name of the container that is started for a sensor."""
+GRASP_STATE = "grasp_state"
+"""Name of the node of two fingers, and of its topic."""
 REPLAY = "cmp_tactile_driver::Replay"
 RECORDER = "cmp_tactile_driver::Recorder"
 
@@ -256,13 +258,13 @@ class Graph:
     def by_process(self) -> tuple[Graph, ...]:
         """A graph for each process: Python runs on one core in a process.
 
-        Each sensor has one; there is only one where a component has neither sensor nor process.
+        Each sensor has one; what has neither sensor nor process is loaded with the first one.
         """
+        first = self.sensors[0].namespace if self.sensors else ""
         processes = [
-            item.sensor.namespace if item.sensor else item.process for item in self.components
+            item.sensor.namespace if item.sensor else item.process or first
+            for item in self.components
         ]
-        if "" in processes:
-            return (self,)
         return tuple(
             replace(
                 self,
@@ -341,6 +343,7 @@ def _viewer(found: Graph, values: Mapping[str, Any]) -> dict[str, Value]:
         "sensor_descriptions": os.pathsep.join(str(sensor.description) for sensor in sensors),
         "sensor_names": " ".join(sensor.name for sensor in sensors),
         "mounts": ", ".join(" ".join(f"{number:.9g}" for number in pose) for pose in poses),
+        "grasp": next((i.full_name for i in found.components if i.name == GRASP_STATE), ""),
         "host": values["view_host"],
         "port": values["view_port"],
         "token": values["view_token"],

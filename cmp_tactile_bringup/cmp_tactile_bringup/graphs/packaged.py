@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from cmp_tactile_bringup.graphs.description import (
+    GRASP_STATE,
     Argument,
     Component,
     Graph,
     GraphFunction,
     Value,
+    absolute_name,
     graph,
     load_graph_file,
 )
@@ -80,6 +82,7 @@ def _finger_arguments(side: str, y: float, turned: float) -> tuple[Argument, ...
         "folder to record into, with a bag for each finger; it must not exist yet; empty: the "
         "recorders wait for their services",
     ),
+    Argument("grasp_state", "compute how both fingers hold an object", default=True),
     *(item for item in SENSOR_ARGUMENTS if item.name in OF_BOTH),
     *_finger_arguments("left", 0.02, 1.5707963),
     *_finger_arguments("right", -0.02, -1.5707963),
@@ -89,8 +92,30 @@ def gripper(given: Mapping[str, Any]) -> list[Component]:
     # Two clocks would contradict each other.
     left = _finger(given, "left_", publish_clock=True)
     right = _finger(given, "right_", publish_clock=given["left_source"] != REPLAY)
+    both = [_grasp_state(given, left[0], right[0])] if given["grasp_state"] else []
     # The sources last, so that all is there when they begin.
-    return [*left[0], *right[0], *left[1], *right[1]]
+    return [*left[0], *right[0], *both, *left[1], *right[1]]
+
+
+def _grasp_state(given: Mapping[str, Any], *fingers: list[Component]) -> Component:
+    """Of both fingers, in the frame that the left one is mounted on."""
+    parameters: dict[str, Value] = {
+        "use_sim_time": all(finger[0].parameters["use_sim_time"] for finger in fingers)
+    }
+    if given["left_parent_frame"]:
+        parameters["frame"] = given["left_parent_frame"]
+    topics = {
+        f"{side}/force_field": f"{finger[0].namespace}/force_field"
+        for side, finger in zip(("left", "right"), fingers, strict=True)
+    }
+    return Component(
+        "cmp_tactile_processing",
+        "cmp_tactile_processing::GraspStateEstimator",
+        GRASP_STATE,
+        absolute_name(given["namespace"]),
+        topics,
+        parameters,
+    )
 
 
 def _finger(
@@ -150,7 +175,8 @@ def grasp(given: Mapping[str, Any]) -> list[Component]:
         parameters=parameters,
         process="/grasp",
     )
-    return [*fingers[0], *fingers[1], gripper]
+    state = _grasp_state({"left_parent_frame": "gripper", "namespace": ""}, *fingers)
+    return [*fingers[0], *fingers[1], state, gripper]
 
 
 GRAPHS = {item.function.__name__: item for item in (sensor, simulate, replay, gripper, grasp)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from cmp_tactile_bringup.graphs.description import Graph
+from cmp_tactile_bringup.graphs.description import GRASP_STATE, Graph
 from cmp_tactile_processing.cache.files import (
     atomic_path,
     config_dir,
@@ -43,6 +43,9 @@ def rviz_settings(graph: Graph) -> str:
     for name, sensor in zip(names, graph.sensors, strict=True):
         places[f"/{name}/"] = f"{sensor.namespace}/"
         places[f"{name}_"] = f"{sensor.name}_"
+    for item in graph.components:
+        if item.name == GRASP_STATE:
+            places["/grasp_markers"] = f"{item.namespace.rstrip('/')}/grasp_markers"
     # At once, so that nothing is put in the place of what was put there.
     either = "|".join(rf"(?<!\w){re.escape(place)}" for place in places)
     text = re.sub(either, lambda match: places[match[0]], text)

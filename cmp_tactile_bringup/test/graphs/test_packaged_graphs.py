@@ -126,9 +126,29 @@ def test_a_gripper_has_two_sensors_with_sources_of_their_own():
         assert {c.parameters["sensor_name"] for c in parts} == {finger}
     parts = graph.by_process()
     assert [part.namespace for part in parts] == ["/left_finger", "/right_finger"]
+    # It has no sensor, and still there are two processes.
+    assert "/grasp_state" in [c.full_name for c in parts[0].components]
     assert sorted(c.full_name for part in parts for c in part.components) == sorted(
         c.full_name for c in graph.components
     )
+
+
+def test_the_state_of_a_grasp_is_that_of_both_fingers_where_they_are_mounted():
+    (state,) = (c for c in _load("gripper").components if c.sensor is None)
+    assert state.remappings == {
+        "left/force_field": "/left_finger/force_field",
+        "right/force_field": "/right_finger/force_field",
+    }
+    assert state.parameters == {"use_sim_time": False, "frame": "gripper"}
+    given = {"namespace": "hand", "left_name": "thumb", "left_parent_frame": "tool"}
+    graph = _load("gripper", **given)
+    (state,) = (c for c in graph.components if c.sensor is None)
+    assert state.full_name == "/hand/grasp_state"
+    assert state.remappings["left/force_field"] == "/hand/thumb/force_field"
+    assert state.parameters["frame"] == "tool"
+    assert "Value: /hand/grasp_markers\n" in rviz_settings(graph)
+    without = _load("gripper", grasp_state="false").components
+    assert [c.name for c in without if c.sensor is None] == []
 
 
 def test_the_fingers_of_a_gripper_face_one_another():

@@ -226,24 +226,27 @@ class FrameService(Generic[Frame]):
         return found
 
 
-class StageNode(ReportingNode):
+class InputNode(ReportingNode):
     """A node around one stage; subclasses build stage, publishers and subscriptions in `_set_up`.
 
     Keyword arguments are those of rclpy.node.Node.  Raises CmpTactileError, with the node
-    destroyed, where sensor description or parameters cannot be used.
+    destroyed, where parameters cannot be used.
     """
 
     default_name: str
+    hardware_id = ""
 
     def __init__(self, **node_kwargs: Any) -> None:
         super().__init__(self.default_name, **node_kwargs)
         with self.destroyed_on_error():
             self.diagnostics = StageDiagnostics()
-            own = declare_parameters(self, SensorParameters())
-            self.sensor = load_sensor(own.sensor_description, own.sensor_name)
+            self._find_hardware()
             self._set_up()
             self.start_reporting()
             self.warn_of_unknown_parameters()
+
+    def _find_hardware(self) -> None:
+        """What the node belongs to; none but for a StageNode."""
 
     @abstractmethod
     def _set_up(self) -> None:
@@ -367,4 +370,13 @@ class StageNode(ReportingNode):
         topics = [watch.end.subscription.topic_name for watch in self.diagnostics.inputs]
         self.diagnostics.unpublished = [item for item in topics if not self.count_publishers(item)]
         values, findings = self.diagnostics.report()
-        return self.status_of(self.sensor.ros_name, values, findings, "running")
+        return self.status_of(self.hardware_id, values, findings, "running")
+
+
+class StageNode(InputNode):
+    """An InputNode of one sensor; raises CmpTactileError also for its description."""
+
+    def _find_hardware(self) -> None:
+        own = declare_parameters(self, SensorParameters())
+        self.sensor = load_sensor(own.sensor_description, own.sensor_name)
+        self.hardware_id = self.sensor.ros_name

@@ -19,9 +19,11 @@ from cmp_tactile_processing.drawing import (
     closed,
     contact_lines,
     depth_colours,
+    grasp_line,
     mesh_vertices,
     turning_arrow,
 )
+from cmp_tactile_processing.force.grasp import GraspState
 from cmp_tactile_processing.measured import Contact, ForceField, Surface
 from cmp_tactile_processing.ros.rviz import RGBA, DrawnMarker, Page, clear_places, stacked
 from cmp_tactile_processing.sensor.parameters import Parameters, parameter
@@ -36,6 +38,11 @@ TEXT_HEIGHT = 4.0
 BAR_STEPS, BAR_GAP, BAR_WIDTH = 32, 2.0, 1.5
 # From the gel down to the middle of what is written of the arrows, in letters.
 SCALES_BELOW = 6.0
+# Of a grasp: diameter of its centre, width of its arrows, height of its text and place above it.
+GRASP_CENTRE_M = 1.5e-3
+GRASP_ARROW_M = 4e-4
+GRASP_TEXT_M = 1.2e-3
+GRASP_TEXT_ABOVE_M = 0.02
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,38 @@ def force_markers(field: ForceField, look: MarkerParameters) -> list[DrawnMarker
     return [
         _lines("force", lines, FORCE_COLOUR, look.line_width),
         *_contact_markers(field, look, lines),
+    ]
+
+
+def grasp_markers(state: GraspState, force_gain: float) -> list[DrawnMarker]:
+    """Centre of contact, arrows of grip and load, and a line of text, in the frame of the state.
+
+    force_gain: length of an arrow per force, m/N.
+    """
+    centre, colour = state.centre_of_contact, SLIP_COLOURS[state.slip_state]
+    if not (state.usable and np.isfinite(centre).all()):
+        return []
+    grip = force_gain * state.grip_force * np.outer([-1.0, 1.0], state.grip_axis)
+    load = force_gain * state.load[None, :3]
+    x, y, z = centre.tolist()
+    return [
+        DrawnMarker(
+            "centre_of_contact",
+            Marker.SPHERE_LIST,
+            points=centre[None],
+            colour=colour,
+            scale=(GRASP_CENTRE_M,) * 3,
+        ),
+        _lines("grip", arrows(centre + np.zeros((2, 3)), grip), colour, GRASP_ARROW_M),
+        _lines("load", arrows(centre - load, load), FORCE_COLOUR, GRASP_ARROW_M),
+        DrawnMarker(
+            "grasp_text",
+            Marker.TEXT_VIEW_FACING,
+            colour=colour,
+            scale=(GRASP_TEXT_M, 0.0, GRASP_TEXT_M),
+            position=(x, y, z + GRASP_TEXT_ABOVE_M),
+            text=grasp_line(state),
+        ),
     ]
 
 

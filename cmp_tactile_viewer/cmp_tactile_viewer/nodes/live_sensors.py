@@ -23,7 +23,8 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
-from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_msgs.msg import ForceField, GraspState, Grid, Surface
+from cmp_tactile_processing.drawing import grasp_line
 from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import NS_PER_S
@@ -274,10 +275,15 @@ class LiveSensors:
     playback: Playback | None = None
 
     def __init__(
-        self, node: Node, sensors: Sequence[RunningSensor], rate_hz: float = RATE_HZ
+        self,
+        node: Node,
+        sensors: Sequence[RunningSensor],
+        rate_hz: float = RATE_HZ,
+        grasp: str = "",
     ) -> None:
-        """rate_hz: snapshots a second at most."""
-        self._node = node
+        """rate_hz: snapshots a second at most.  grasp: topic of a GraspState; empty for none."""
+        self._node, self._grasp_topic = node, grasp
+        self._grasp: tuple[float, Any] | None = None
         self._audience: Audience | None = None
         self._is_looked_at = False
         self.sensors = tuple(sensor.shown for sensor in sensors)
@@ -367,6 +373,10 @@ class LiveSensors:
         self._others.append(
             self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_report, 100)
         )
+        if self._grasp_topic:
+            self._others.append(
+                self._node.create_subscription(GraspState, self._grasp_topic, self._on_grasp, 1)
+            )
         for timer in self._timers:
             timer.reset()
 
@@ -392,7 +402,8 @@ class LiveSensors:
         if self._audience is None:
             return
         now_s = time.monotonic()
-        lines = [line for item in self._watched for line in item.silence()]
+        lines = list(self._held(now_s))
+        lines += [line for item in self._watched for line in item.silence()]
         lines += [
             Finding(Severity.WARNING, text, about=topic)
             for topic, (time_s, text) in self._problems.items()
@@ -400,6 +411,17 @@ class LiveSensors:
         ]
         lines += self._reported(now_s)
         self._audience.show_health(lines)
+
+    def _on_grasp(self, message: GraspState) -> None:
+        self._grasp = time.monotonic(), message
+
+    def _held(self, now_s: float) -> Iterator[Finding]:
+        """A line about the grasp, while its state comes."""
+        if self._grasp is not None and now_s - self._grasp[0] < SILENT_S:
+            state = self._grasp[1]
+            severity = Severity.OK if state.usable else Severity.WARNING
+            text = grasp_line(state) if state.usable else "the forces of both fingers are not known"
+            yield Finding(severity, text, about="grasp")
 
     def _reported(self, now_s: float) -> Iterator[Finding]:
         """What the nodes report of late; those without trouble are only counted."""

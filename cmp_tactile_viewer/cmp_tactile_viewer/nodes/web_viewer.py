@@ -46,6 +46,9 @@ class WebViewerParameters(Parameters):
         "poses of the gel frames in the scene, x y z in m and roll pitch yaw in rad, separated by "
         "commas; empty: all at the origin",
     )
+    grasp: str = parameter(
+        "", "topic of the grasp's state, to show grip, margin and weight; empty for none"
+    )
     host: str = parameter("127.0.0.1", "address to listen on; 0.0.0.0 for all interfaces")
     port: int = parameter(
         0, f"port to listen on; 0 for the first free one from {DEFAULT_PORT}", within=(0, 65535)
@@ -79,7 +82,7 @@ class WebViewer(ReportingNode):
         with self.destroyed_on_error():
             own = declare_parameters(self, WebViewerParameters())
             sensors = running_sensors(own, self.get_namespace())
-            self._live = LiveSensors(self, sensors, own.max_rate)
+            self._live = LiveSensors(self, sensors, own.max_rate, own.grasp)
             access = Access(
                 own.host,
                 own.port or None,

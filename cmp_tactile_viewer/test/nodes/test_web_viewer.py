@@ -1,5 +1,6 @@
 """Sensors that run on topics: what the page gets of them, what it costs them, what buttons do."""
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from cmp_tactile_driver.bags.reader import BagReader
-from cmp_tactile_msgs.msg import ForceField, Grid, Surface
+from cmp_tactile_msgs.msg import ForceField, GraspState, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError, Finding, InputError, Severity
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
 from cmp_tactile_processing.ros.messages.conversions import (
@@ -58,7 +59,8 @@ class Rig:
     def __init__(self, ros: Any, description: str) -> None:
         self.ros, self.description = ros, description
         given = WebViewerParameters(sensor_descriptions=description, sensor_names="thumb")
-        self.live = LiveSensors(ros.node, running_sensors(given, ros.namespace))
+        grasp = f"{ros.namespace}/grasp_state"
+        self.live = LiveSensors(ros.node, running_sensors(given, ros.namespace), grasp=grasp)
         self.audience = Audience()
         self.action = {item.label: item.run for item in self.live.actions()["thumb"]}
 
@@ -115,6 +117,20 @@ def test_the_last_browser_may_leave_after_the_node_has_gone(ros, grasp_bag):
     live.start(Audience())
     node.destroy_node()
     live.pause()
+
+
+def test_the_state_of_a_grasp_is_a_line(rig, ros):
+    rig.look()
+    grasps = ros.publisher(GraspState, "grasp_state")
+
+    def said(text, **values):
+        grasps.publish(GraspState(**values))
+        ros.run(0.05)
+        return any(text in line.text for line in rig.audience.health)
+
+    known = {"usable": True, "grip_force": 3.0, "slip_margin": 0.4, "supported_weight": math.nan}
+    ros.wait(lambda: said("grip 3.0 N, margin 40 %", **known), "the grasp")
+    ros.wait(lambda: said("of both fingers are not known", usable=False), "the warning")
 
 
 def test_what_belongs_to_a_frame_comes_together(rig, ros, snapshots):

@@ -55,6 +55,7 @@ def _array(values: NDArray[Any]) -> Any:
 ROS_MESSAGES = MessageMaker(_new, _array)
 camera_info_to_msg = ROS_MESSAGES.camera_info
 force_field_to_msg = ROS_MESSAGES.force_field
+grasp_state_to_msg = ROS_MESSAGES.grasp_state
 grid_to_msg = ROS_MESSAGES.grid
 organised_cloud = ROS_MESSAGES.cloud
 surface_to_msg = ROS_MESSAGES.surface

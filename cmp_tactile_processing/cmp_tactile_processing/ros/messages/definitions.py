@@ -27,7 +27,7 @@ def simulation_typestore() -> Typestore:
     Raises CmpTactileError where the definitions are not installed.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for kind in (making.GRID, making.SURFACE, making.CONTACT, making.FORCE_FIELD):
+    for kind in making.OUR_TYPES:
         text = _file(kind, ".msg").read_text(encoding="utf-8")
         store.register(get_types_from_msg(text, kind))
     return store

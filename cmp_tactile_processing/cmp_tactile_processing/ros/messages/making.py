@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,15 @@ from cmp_tactile_processing.geometry.rectification import ROS_MODEL, Rectificati
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.sensor.description import SensorDescription
 
+if TYPE_CHECKING:  # the driver does without the room of forces
+    from cmp_tactile_processing.force.grasp import GraspState
+
 GRID = "cmp_tactile_msgs/msg/Grid"
 SURFACE = "cmp_tactile_msgs/msg/Surface"
 CONTACT = "cmp_tactile_msgs/msg/Contact"
 FORCE_FIELD = "cmp_tactile_msgs/msg/ForceField"
+GRASP_STATE = "cmp_tactile_msgs/msg/GraspState"
+OUR_TYPES = GRID, SURFACE, CONTACT, FORCE_FIELD, GRASP_STATE
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 MARKER = "visualization_msgs/msg/Marker"
 TRIANGLE_LIST = 11
@@ -202,6 +208,22 @@ class MessageMaker:
             corrected=bool(field.corrected),
             relaxed=bool(field.relaxed),
         )
+
+    def grasp_state(self, state: GraspState, header: Any) -> Any:
+        """cmp_tactile_msgs/GraspState."""
+        values = {item.name: getattr(state, item.name) for item in fields(state)}
+        vectors = {
+            name: self.point(values[name], "Vector3") for name in ("grip_axis", "load_across")
+        }
+        values |= {
+            **vectors,
+            "centre_of_contact": self.point(state.centre_of_contact),
+            "load": self.wrench(state.load),
+            "load_covariance": state.load_covariance.ravel(),
+            "slip_state": int(state.slip_state),
+            "flags": int(state.flags),
+        }
+        return self.new(GRASP_STATE, header=header, usable=state.usable, **values)
 
     def _contact(self, contact: measured.Contact) -> Any:
         return self.new(
