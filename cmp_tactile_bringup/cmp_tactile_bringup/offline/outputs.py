@@ -15,26 +15,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import (
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
 
 from cmp_tactile_bringup.offline.jobs import OPTIONAL_SUFFIXES, Job
 from cmp_tactile_bringup.recordings import results
 from cmp_tactile_bringup.recordings.results import COLUMN_TYPES, COLUMNS, unit_of
 from cmp_tactile_bringup.terminal import installed_version
 from cmp_tactile_driver.bags.reader import RecordedFrame
-from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_driver.bags.writer import LATCHED, BagWriter
 from cmp_tactile_processing.cache.compiled import compiled_digest
 from cmp_tactile_processing.cache.files import check_free, partial_folder
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.geometry.rectification import Rectification
-from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.pipeline import PipelineResult
 from cmp_tactile_processing.ros.messages import making
 from cmp_tactile_processing.ros.messages.definitions import (
@@ -47,19 +38,6 @@ from cmp_tactile_processing.sensor.description import SensorDescription
 
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
-# What a player needs to offer late listeners the last message, as rosbag2 writes it.
-FOREVER = QosTime(2**63 // NS_PER_S, 2**63 % NS_PER_S - 1)
-LATCHED = Qos(
-    history=QosHistory.KEEP_LAST,
-    depth=1,
-    reliability=QosReliability.RELIABLE,
-    durability=QosDurability.TRANSIENT_LOCAL,
-    deadline=FOREVER,
-    lifespan=FOREVER,
-    liveliness=QosLiveliness.AUTOMATIC,
-    liveliness_lease_duration=FOREVER,
-    avoid_ros_namespace_conventions=False,
-)
 # Of a surface, by their names there.
 SURFACE_ARRAYS = (
     *("reference", "position", "displacement", "status", "ray_gap"),

@@ -16,11 +16,20 @@ from pathlib import Path
 from typing import Any, cast
 
 import zstandard
-from rosbags.interfaces import Connection, Qos
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from cmp_tactile_processing.errors import CmpTactileError, Finding, OutputError, Severity
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.messages.definitions import MessageDefinition, message_definition
 from cmp_tactile_processing.sensor.description import find_sensor_description
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
@@ -31,6 +40,19 @@ SENSOR_FILE = "sensor.yaml"
 ZSTD_LEVEL = 1
 SYNC_PERIOD_S = 0.5
 MESSAGE_LIMIT = 20_000
+FOREVER = QosTime(2**63 // NS_PER_S, 2**63 % NS_PER_S - 1)
+LATCHED = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=1,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.TRANSIENT_LOCAL,
+    deadline=FOREVER,
+    lifespan=FOREVER,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=FOREVER,
+    avoid_ros_namespace_conventions=False,
+)
+"""What a player needs to offer late listeners the last message, as rosbag2 writes it."""
 
 
 def put_sensor_beside(bag: Path, sensor_description: str, sensor_name: str = "") -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_simulation.contact.laws import Pose
+from cmp_tactile_simulation.grasp.body import OBJECT_COLOUR, object_mesh
 from cmp_tactile_simulation.grasp.play import GraspFrame
 from cmp_tactile_simulation.grasp.scene import SIDES, GraspScene
 
@@ -28,7 +28,6 @@ WIDTH_PX, HEIGHT_PX, SCENE_PX = 1280, 720, 720
 CAMERA_PX = (280, 210)
 CODEC = "mp4v"
 BACKGROUND, INK, FAINT = (250, 248, 246), (40, 40, 40), (200, 196, 192)
-OBJECT_COLOUR: Colour = (120, 170, 90)
 HOUSING: Colour = (110, 105, 100)
 GELS: Mapping[str, Colour] = {"left": (200, 120, 40), "right": (60, 110, 220)}
 # Behind the gel, m.
@@ -57,10 +56,10 @@ class GraspPainter:
         housing = trimesh.creation.box([size[0] * 1.1, size[1] * 1.1, HOUSING_M])
         housing.apply_translation([0, 0, -size[2] - HOUSING_M / 2])
         # Small enough to be drawn in the right order.
-        self._gel, self._housing = (
-            part.subdivide_to_size(LARGEST_M).triangles for part in (gel, housing)
+        self._gel, self._housing, self._object = (
+            np.asarray(part.subdivide_to_size(LARGEST_M).triangles, np.float64)
+            for part in (gel, housing, object_mesh(self.scene))
         )
-        self._object = _triangles(self.scene)
 
     def draw(self, frame: GraspFrame, measured: Mapping[str, Array]) -> Image:
         """The picture (720, 1280, 3) BGR.  measured (6,): wrenches by side, NaN where unknown."""
@@ -95,7 +94,7 @@ class GraspPainter:
                 a, b = view.pixels(np.array(ends))[0].round().astype(int)
                 cv2.line(picture, a.tolist(), b.tolist(), FAINT, 1, cv2.LINE_AA)
         parts: list[tuple[Array, Colour]] = [
-            (frame.held.to_gel(self._object), OBJECT_COLOUR),
+            (frame.held.to_gel(self._object), OBJECT_COLOUR[::-1]),
             *((frame.fingertips[side].to_gel(self._gel), GELS[side]) for side in SIDES),
             *((frame.fingertips[side].to_gel(self._housing), HOUSING) for side in SIDES),
         ]
@@ -190,24 +189,6 @@ def _paint(picture: Image, view: _View, parts: list[tuple[Array, Colour]]) -> No
         corner = (pixels[n] * 16).round().astype(np.int32)
         colour = (shades[n] * colours[n]).astype(int).tolist()
         cv2.fillConvexPoly(picture, corner, colour, cv2.LINE_AA, shift=4)
-
-
-def _triangles(scene: GraspScene) -> Array:
-    """The object's surface in its own frame, (n, 3, 3) m."""
-    kind, values = scene.object.type, scene.object.values
-    mesh: Any
-    if scene.object.file is not None:
-        mesh = trimesh.load_mesh(scene.object.file)
-        mesh.apply_scale(values.get("scale") or 1.0)
-    elif kind == "cuboid":
-        mesh = trimesh.creation.box(values["size"])
-    elif kind == "sphere":
-        mesh = trimesh.creation.icosphere(3, values["radius"])
-    else:
-        mesh = trimesh.creation.cylinder(values["radius"], values["length"], sections=48)
-        mesh.vertices = mesh.vertices[:, [2, 1, 0]]
-        mesh.invert()
-    return np.asarray(mesh.subdivide_to_size(LARGEST_M).triangles, dtype=np.float64)
 
 
 def _tick(most: float) -> float:

@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from cmp_tactile_driver.bags.writer import BagWriter
+from cmp_tactile_driver.bags.writer import LATCHED, BagWriter
 from cmp_tactile_processing.cache.files import partial_folder
 from cmp_tactile_processing.errors import OutputError
 from cmp_tactile_processing.force.advice import UNUSABLE
 from cmp_tactile_processing.measured import ForceField
 from cmp_tactile_processing.pipeline import Pipeline
 from cmp_tactile_processing.ros.messages import making
-from cmp_tactile_processing.ros.messages.definitions import bag_messages
+from cmp_tactile_processing.ros.messages.definitions import bag_messages, simulation_definition
 from cmp_tactile_processing.sensor.yaml_file import read_yaml
 from cmp_tactile_processing.sensor.yaml_text import dump_yaml
+from cmp_tactile_simulation.grasp.body import MARKER_TOPIC, OBJECT_FRAME, object_marker
 from cmp_tactile_simulation.grasp.picture import GraspPainter, VideoWriter
 from cmp_tactile_simulation.grasp.play import Grasp, GraspFrame
 from cmp_tactile_simulation.grasp.scene import SIDES
@@ -39,7 +40,7 @@ Array = NDArray[np.float64]
 OBJECT_TOPIC, CONTROL_TOPIC, TF_TOPIC = "/object/pose", "/gripper/controls", "/tf"
 JOINT_STATE, TF_MESSAGE = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
-WORLD_FRAME, OBJECT_FRAME = "world", "object"
+WORLD_FRAME = "world"
 TABLE_FILE, VIDEO_FILE = "wrenches.csv", "grasp.mp4"
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 COLUMNS = (
@@ -125,6 +126,10 @@ class _GraspBag:
         self._topics = topics
         for topic, kind in topics.items():
             add_simulated_topic(writer, topic, kind)
+        self._topics[MARKER_TOPIC] = making.MARKER
+        definition = simulation_definition(making.MARKER)
+        writer.add_topic(MARKER_TOPIC, making.MARKER, [LATCHED], definition)
+        self._marker = object_marker(self._make, grasp.scene)
 
     def append(self, frame: GraspFrame) -> dict[str, ForceField]:
         """Write a frame; what was measured in it, by side."""
@@ -146,6 +151,8 @@ class _GraspBag:
 
     def _write_world(self, frame: GraspFrame) -> None:
         make, header = self._make, self._make.header(frame.stamp_ns, WORLD_FRAME)
+        if frame.index == 0:
+            self._write(MARKER_TOPIC, frame, self._marker)
         self._write(OBJECT_TOPIC, frame, pose_message(make, frame.held, header))
         poses = {OBJECT_FRAME: frame.held}
         poses |= {self._gels[side]: frame.fingertips[side] for side in SIDES}

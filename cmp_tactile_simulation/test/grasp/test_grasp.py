@@ -120,6 +120,10 @@ def test_recorded_grasp_holds_both_sensors_with_truth(box: GraspScene, tmp_path:
         expected |= {f"/{side}/{name}" for name in ("wrench", "force_field", "truth/wrench")}
         expected |= {f"/{side}/image_raw/compressed", f"/{side}/truth/surface"}
     assert expected <= topics.keys()
+    (marker,) = BagStorage(tmp_path / "out").decoded(["/object/marker"])
+    corners = np.array([[corner.x, corner.y, corner.z] for corner in marker.points])
+    assert (marker.type, marker.header.frame_id) == (marker.TRIANGLE_LIST, "object")
+    np.testing.assert_allclose(np.ptp(corners, axis=0), box.object.values["size"])
     with (tmp_path / "out" / "wrenches.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * summary.frames == 2 * 4

@@ -24,6 +24,8 @@ SURFACE = "cmp_tactile_msgs/msg/Surface"
 CONTACT = "cmp_tactile_msgs/msg/Contact"
 FORCE_FIELD = "cmp_tactile_msgs/msg/ForceField"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+MARKER = "visualization_msgs/msg/Marker"
+TRIANGLE_LIST = 11
 # A symmetric (3, 3) travels as its six entries xx, xy, xz, yy, yz, zz.
 UPPER_TRIANGLE = np.triu_indices(3)
 SLIP_FIGURES = ("slip_ratio", "traction_ratio", "friction_coefficient", "friction_std")
@@ -261,6 +263,45 @@ class MessageMaker:
             row_step=cols * step,
             data=self._array(points.ravel().view(np.uint8)),
             is_dense=bool(np.isfinite(positions).all() and np.isfinite(vectors).all()),
+        )
+
+    def triangles(
+        self, triangles: NDArray[np.float64], colour: tuple[int, int, int], header: Any
+    ) -> Any:
+        """visualization_msgs/Marker of triangles (n, 3, 3) m, fixed to the frame of the header.
+
+        colour: red, green, blue, 0 to 255.
+        """
+        no_data = self._bytes(np.zeros(0, np.uint8))
+        red, green, blue = (part / 255 for part in colour)
+        place = self.new(
+            "geometry_msgs/msg/Pose",
+            position=self.point(np.zeros(3)),
+            orientation=self.quaternion(Rotation.identity()),
+        )
+        return self.new(
+            MARKER,
+            header=header,
+            ns=header.frame_id,
+            id=0,
+            type=TRIANGLE_LIST,
+            action=0,
+            pose=place,
+            scale=self.point(np.ones(3), "Vector3"),
+            color=self.new("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=1.0),
+            lifetime=self.new("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+            frame_locked=True,
+            points=[self.point(corner) for corner in triangles.reshape(-1, 3)],
+            colors=[],
+            texture_resource="",
+            texture=self.new(
+                "sensor_msgs/msg/CompressedImage", header=header, format="", data=no_data
+            ),
+            uv_coordinates=[],
+            text="",
+            mesh_resource="",
+            mesh_file=self.new("visualization_msgs/msg/MeshFile", filename="", data=no_data),
+            mesh_use_embedded_materials=False,
         )
 
     def _floats(self, values: NDArray[Any] | None) -> Any:
