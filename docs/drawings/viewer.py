@@ -29,6 +29,7 @@ from cmp_tactile_viewer.page.server import Access
 from cmp_tactile_viewer.recording import snapshot_health
 from cmp_tactile_viewer.snapshot import (
     PassiveSource,
+    Pose,
     ShownSensor,
     Snapshot,
 )
@@ -73,8 +74,8 @@ def main() -> int:
         _take(tab, one, [shown[: CONTACT + 1]], "viewer_contact")
         _take(tab, one, [[*shown[:CONTACT], fault]], "viewer_fault")
         two = (
-            ShownSensor("left_finger", sensor, (-HALF_WAY_M, 0.0, 0.0), TO_THE_RIGHT),
-            ShownSensor("right_finger", sensor, (HALF_WAY_M, 0.0, 0.0), TO_THE_LEFT),
+            ShownSensor("left_finger", sensor, Pose((-HALF_WAY_M, 0.0, 0.0), TO_THE_RIGHT)),
+            ShownSensor("right_finger", sensor, Pose((HALF_WAY_M, 0.0, 0.0), TO_THE_LEFT)),
         )
         _take(tab, two, [shown[: CONTACT + 1]] * 2, "viewer_fingers")
         _take(tab, one, [shown], "viewer_plots", clip=(0, 0, 400, 720))

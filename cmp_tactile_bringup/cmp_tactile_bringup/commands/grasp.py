@@ -17,7 +17,7 @@ class Grasp(Command):
 
     examples:
       cmp_tactile grasp box --output box
-      cmp_tactile view box --sensor box/left.yaml
+      cmp_tactile view box
       cmp_tactile grasp my_grasp.yaml --output mine
     """
 
