@@ -58,7 +58,7 @@ FILLED, ABOVE_MM = 0.9, 2.0
 # Height above the gel at which simulated indenters begin, mm.
 INDENTER_MM = 8.0
 # Around a gel that moves, mm: the camera goes farther away only where the gel leaves this room.
-ROOM_MM = 25.0
+ROOM_MM = 15.0
 # Windows whose ratio of width to height differs by less are of one shape.
 SAME_SHAPE = 0.01
 
@@ -181,7 +181,6 @@ def _place(handle: viser.SceneNodeHandle, pose: Pose) -> None:
 
 def _add_housing(scene: viser.SceneApi, root: str, sensor: ShownSensor, colour: RGB) -> None:
     width, height, thickness = MM * np.array(sensor.description.elastomer.size)
-    middle = -thickness - HOUSING_MM / 2
     scene.add_box(
         f"{root}/housing",
         colour,
@@ -189,9 +188,11 @@ def _add_housing(scene: viser.SceneApi, root: str, sensor: ShownSensor, colour: 
         opacity=OPACITY,
         cast_shadow=False,
         receive_shadow=False,
-        position=(0.0, 0.0, middle),
+        position=(0.0, 0.0, -thickness - HOUSING_MM / 2),
     )
-    scene.add_label(f"{root}/housing/name", sensor.name)
+    # Away from the texts of the contacts.
+    back = (0.0, 0.0, -thickness - HOUSING_MM)
+    scene.add_label(f"{root}/name", sensor.name, position=back, anchor="top-center")
 
 
 def _values(surface: Surface, force: ForceField | None, colour: str) -> Array:
@@ -335,8 +336,10 @@ class Framing:
 
     def __init__(self, sensors: Sequence[ShownSensor], dragged: Container[str] = ()) -> None:
         """dragged: names of the sensors whose indenter has a handle, which is framed as well."""
+        several = len(sensors) > 1
         self._gels = {
-            sensor.name: _corners(sensor, is_dragged=sensor.name in dragged) for sensor in sensors
+            sensor.name: _corners(sensor, is_dragged=sensor.name in dragged, has_housing=several)
+            for sensor in sensors
         }
         self._boxes = {
             sensor.name: _placed(self._gels[sensor.name], sensor.mount) for sensor in sensors
@@ -361,11 +364,16 @@ class Framing:
         return True
 
 
-def _corners(sensor: ShownSensor, *, is_dragged: bool) -> Array:
-    """Of the box around a gel and what stands above it, (8, 3) mm, gel frame."""
+def _corners(sensor: ShownSensor, *, is_dragged: bool, has_housing: bool) -> Array:
+    """Of the box around a gel, its housing and what stands above it, (8, 3) mm, gel frame."""
     corners = MM * sensor.description.pattern.corners().reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if has_housing:
+        width, height, thickness = MM * np.array(sensor.description.elastomer.size)
+        low = np.array((-width / 2, -height / 2, -thickness - HOUSING_MM))
+        high = np.array((width / 2, height / 2, high[2]))
     above = INDENTER_MM + HANDLE_MM if is_dragged else ABOVE_MM
-    return _box(corners.min(axis=0), corners.max(axis=0) + (0.0, 0.0, above))
+    return _box(low, high + (0.0, 0.0, above))
 
 
 def _box(low: Array, high: Array) -> Array:
