@@ -93,6 +93,12 @@ def whole_mesh(points: NDArray[np.float64]) -> Mesh:
     return _compact(points.reshape(-1, 3), faces)
 
 
+def triangle_mesh(triangles: NDArray[np.float64]) -> Mesh:
+    """Triangles (n, 3, 3) m; none shares a corner with another, which shows its edges."""
+    faces = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
+    return Mesh((MM * triangles.reshape(-1, 3)).astype(np.float32), faces)
+
+
 def colour_bands(
     points: NDArray[np.float64], values: NDArray[np.float64], top: float
 ) -> list[Mesh]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from heapq import merge
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,12 +18,14 @@ from cmp_tactile_driver.bags.recording import frames_within, is_bag, open_record
 from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.timeline import WHOLE, TimeSpan, timeline
 from cmp_tactile_driver.sources.capture import Pacer
-from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
+from cmp_tactile_processing.errors import CmpTactileError, Finding, FrameSourceError, Severity
 from cmp_tactile_processing.force.advice import RECORDED_ADVICE, single_flags
 from cmp_tactile_processing.image.encodings import COMPRESSED, BitDepth
+from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.ros.messages.reading import stamp_ns
 from cmp_tactile_processing.sensor.description import SensorDescription
+from cmp_tactile_viewer.moving_scene import RecordedScene
 from cmp_tactile_viewer.snapshot import (
     Audience,
     PassiveSource,
@@ -50,6 +54,10 @@ PREPARING = (
     "preparing the models of optics and gel for the first frame; where nothing was compiled yet, "
     "this takes about a minute"
 )
+# Frames of several sensors belong to one moment within this time.
+SAME_MOMENT_S = 1e-6
+# Sensors of which no poses are known stand side by side, so many widths of their gel apart.
+SIDE_BY_SIDE = 1.5
 # Messages of one frame come within so many others.
 MOST_OPEN = 20
 
@@ -88,12 +96,13 @@ class IndenterPoses:
 
 
 class Frames(Protocol):
-    """The snapshots of a recording, from anywhere in it.
+    """The snapshots of a sensor in a recording, from anywhere in it.
 
-    length_s: from its first frame to its last message.  problem: what of it is not as it should
-    be; empty for nothing.
+    begin_ns: stamp of the first frame.  length_s: from there to the last message.  problem: what of
+    it is not as it should be; empty for nothing.
     """
 
+    begin_ns: int
     length_s: float
     problem: str
 
@@ -107,7 +116,8 @@ class ProcessedFrames:
     def __init__(self, path: Path, sensor: SensorDescription, topic: str = "") -> None:
         """Raises FrameSourceError where there is nothing to read."""
         self._recording = open_recording_of(sensor, path, topic=topic)
-        next(frames_within(self._recording, WHOLE))
+        first = next(frames_within(self._recording, WHOLE))
+        self.begin_ns = first.time_ns - round(first.time_s * NS_PER_S)
         self.problem = self._recording.gaps
         self.length_s = self._recording.duration
         self._sensor = sensor
@@ -149,6 +159,8 @@ class StoredResults:
         messages = self._storage.index(list(self._topics))
         first = next((topic for topic, field in self._topics.items() if field == "frame"), "")
         self._timeline = timeline(messages, first)
+        moments = (item.moment_ns for item in self._timeline.messages if item.topic == first)
+        self.begin_ns = next(moments, messages[0].moment_ns if messages else 0)
         self.length_s = self._timeline.duration
         self.problem = self._storage.loss or self._timeline.gaps
 
@@ -171,6 +183,47 @@ class StoredResults:
                 yield open_ones.pop(next(iter(open_ones)))
         self.problem = self._storage.loss or self.problem
         yield from open_ones.values()
+
+
+class JoinedFrames:
+    """The snapshots of all sensors of a recording by name, those of one moment together.
+
+    length_s: from the first frame of any to the last message.
+    """
+
+    def __init__(self, frames: Mapping[str, Frames]) -> None:
+        begin_ns = min(item.begin_ns for item in frames.values())
+        self._frames = frames
+        self._late_s = {n: (item.begin_ns - begin_ns) / NS_PER_S for n, item in frames.items()}
+        self.length_s = max(self._late_s[name] + item.length_s for name, item in frames.items())
+
+    @property
+    def problem(self) -> str:
+        """What is not as it should be; empty for nothing."""
+        return "; ".join(
+            dict.fromkeys(item.problem for item in self._frames.values() if item.problem)
+        )
+
+    def read(self, start_s: float) -> Iterator[tuple[float, dict[str, Snapshot]]]:
+        """Moments and their times since the first frame, s, from a time on."""
+        begun, moment = 0.0, dict[str, Snapshot]()
+        each = (self._read(name, start_s) for name in self._frames)
+        for time_s, name, snapshot in merge(*each, key=itemgetter(0)):
+            if moment and (time_s > begun + SAME_MOMENT_S or name in moment):
+                yield begun, moment
+                moment = {}
+            begun = begun if moment else time_s
+            moment[name] = snapshot
+            if len(moment) == len(self._frames):
+                yield begun, moment
+                moment = {}
+        if moment:
+            yield begun, moment
+
+    def _read(self, name: str, start_s: float) -> Iterator[tuple[float, str, Snapshot]]:
+        late_s = self._late_s[name]
+        for time_s, snapshot in self._frames[name].read(max(0.0, start_s - late_s)):
+            yield time_s + late_s, name, snapshot
 
 
 def _result_topics(path: Path, topics: dict[str, str], sensor: SensorDescription) -> dict[str, str]:
@@ -234,12 +287,17 @@ class RecordingSource(PassiveSource):
     playback: Playback
 
     def __init__(
-        self, sensor: ShownSensor, frames: Frames, indenter: IndenterPoses | None = None
+        self,
+        sensors: Sequence[ShownSensor],
+        frames: JoinedFrames,
+        indenter: IndenterPoses | None = None,
+        scene: RecordedScene | None = None,
     ) -> None:
         loops = frames.length_s <= LOOPED_S
         playback = Playback(frames.length_s, loop=loops, preparing=True)
-        super().__init__((sensor,), playback)
-        self.frames, self.indenter = frames, indenter
+        super().__init__(tuple(sensors), playback)
+        self.frames, self.indenter, self.scene = frames, indenter, scene
+        self._newest: dict[str, Snapshot] = {}
         self._player = threading.Thread(target=self._play, name="recording", daemon=True)
         self._looked_at, self._ended = threading.Event(), threading.Event()
         self._touch = Touch()
@@ -294,7 +352,7 @@ class RecordingSource(PassiveSource):
         pacer = Pacer()
         sought = True
         shown = 0
-        for time_s, snapshot in frames.read(start_s):
+        for time_s, moment in frames.read(start_s):
             if not sought and not self._may_go_on(playback):
                 return
             if playback.playing and not sought:
@@ -306,7 +364,7 @@ class RecordingSource(PassiveSource):
             sought = False
             playback.position_s = time_s
             shown += 1
-            self._show(snapshot, audience)
+            self._show(moment, audience)
         if not shown:
             self._report(Severity.WARNING, frames.problem or f"no frame from {start_s:.2f} s on")
         # One picture, or none, would be read again without a pause.
@@ -328,11 +386,14 @@ class RecordingSource(PassiveSource):
             if self._ended.wait(min(left_s, 0.1)):
                 return
 
-    def _show(self, snapshot: Snapshot, audience: Audience) -> None:
-        if self.indenter:
-            self._touch.pose = self.indenter.at(snapshot.stamp_ns)
-        audience.show(self.sensors[0].name, snapshot)
-        self._report_frame(snapshot)
+    def _show(self, moment: Mapping[str, Snapshot], audience: Audience) -> None:
+        for name, snapshot in moment.items():
+            if self.indenter:
+                self._touch.pose = self.indenter.at(snapshot.stamp_ns)
+            placed = self.scene.placed(name, snapshot) if self.scene else snapshot
+            audience.show(name, placed)
+        self._newest |= moment
+        self._report_frames()
 
     def _may_go_on(self, playback: Playback) -> bool:
         """Wait while it is paused; False where another place is asked for."""
@@ -359,8 +420,12 @@ class RecordingSource(PassiveSource):
             back_s *= 4
         playback.seek_s = before or 0.0
 
-    def _report_frame(self, snapshot: Snapshot) -> None:
-        lines = list(snapshot_health(snapshot))
+    def _report_frames(self) -> None:
+        lines = [
+            replace(line, about=f"{name}, {line.about}" if len(self.sensors) > 1 else line.about)
+            for name, snapshot in self._newest.items()
+            for line in snapshot_health(snapshot)
+        ]
         if self.frames.problem:
             lines.append(Finding(Severity.WARNING, self.frames.problem, about="recording"))
         if lines:
@@ -388,14 +453,33 @@ def snapshot_health(snapshot: Snapshot) -> Iterator[Finding]:
             yield Finding(Severity.WARNING, RECORDED_ADVICE[flag], about="force")
 
 
-def open_source(
-    path: Path, sensor: SensorDescription, topic: str = "", name: str = ""
-) -> RecordingSource:
+def open_source(path: Path, *sensors: SensorDescription, topic: str = "") -> RecordingSource:
     """A source that plays a bag, a results file, a folder of images or a video.
 
-    name: on the page; empty for the sensor's.  Raises CmpTactileError for what cannot be read.
+    sensors: of a bag with topics of several, those that are shown, by their namespaces.
+    Raises CmpTactileError for what cannot be read.
     """
     storage = _bag(path)
-    frames = _frames(path, storage, sensor, topic)
-    shown = ShownSensor(name or sensor.ros_name, sensor)
-    return RecordingSource(shown, frames, IndenterPoses(storage) if storage else None)
+    if len(sensors) > 1:
+        _check_several(path, storage, [sensor.ros_name for sensor in sensors])
+    apart_m = SIDE_BY_SIDE * max(sensor.elastomer.size[0] for sensor in sensors)
+    shown = [
+        ShownSensor(sensor.ros_name, sensor, Pose((number * apart_m, 0.0, 0.0)))
+        for number, sensor in enumerate(sensors)
+    ]
+    frames = {item.name: _frames(path, storage, item.description, topic) for item in shown}
+    scene = RecordedScene(storage, shown) if storage and len(shown) > 1 else None
+    indenter = IndenterPoses(storage) if storage else None
+    return RecordingSource(shown, JoinedFrames(frames), indenter, scene)
+
+
+def _check_several(path: Path, storage: BagStorage | None, names: Sequence[str]) -> None:
+    """Raise FrameSourceError unless each of these sensors has topics of its own."""
+    topics = storage.topics if storage else ()
+    found = sorted({topic.strip("/").partition("/")[0] for topic in topics})
+    if len(set(names)) < len(names) or not set(names) <= set(found):
+        msg = (
+            f"{path}: found sensors named {', '.join(names)}, expected different names, each the "
+            f"namespace of topics in a bag; namespaces: {', '.join(found) or 'none'}"
+        )
+        raise FrameSourceError(msg)

@@ -16,20 +16,33 @@ from cmp_tactile_processing.measured import ForceField, Grid, Surface
 from cmp_tactile_processing.ros.messages import reading
 from cmp_tactile_processing.sensor.description import SensorDescription
 
-NO_TURN = (1.0, 0.0, 0.0, 0.0)
+
+@dataclass(frozen=True)
+class Pose:
+    """position (x, y, z) m; orientation, a quaternion (w, x, y, z)."""
+
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class ShownSensor:
-    """A sensor on the page.
-
-    position (x, y, z) m and orientation, a quaternion (w, x, y, z): the gel frame in the scene.
-    """
+    """A sensor on the page.  mount: the gel frame in the scene, as long as no snapshot has it."""
 
     name: str
     description: SensorDescription
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    orientation: tuple[float, float, float, float] = NO_TURN
+    mount: Pose = Pose()
+
+
+@dataclass(frozen=True)
+class Body:
+    """What the sensors hold.  triangles (n, 3, 3) m, in the frame that has this pose in the scene.
+
+    The same array means the same mesh.
+    """
+
+    triangles: NDArray[np.float64]
+    pose: Pose
 
 
 @dataclass(frozen=True)
@@ -40,6 +53,7 @@ class Snapshot:
     and right it may be of a frame shortly before.
     latency_s: from the frame's stamp until its force was there; NaN where that means nothing.
     rate_hz: of the sensor's frames, not all of which are shown; NaN where all are.
+    mount: the gel frame in the scene; None where it stays.  body: None where nothing is held.
     """
 
     stamp_ns: int
@@ -50,6 +64,8 @@ class Snapshot:
     force: ForceField | None = None
     latency_s: float = float("nan")
     rate_hz: float = float("nan")
+    mount: Pose | None = None
+    body: Body | None = None
 
     @property
     def has_image(self) -> bool:
@@ -87,14 +103,6 @@ class Setting:
     low: float | None = None
     high: float | None = None
     choices: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Pose:
-    """position (x, y, z) m; orientation, a quaternion (w, x, y, z)."""
-
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    orientation: tuple[float, float, float, float] = NO_TURN
 
 
 @dataclass

@@ -1,11 +1,21 @@
 """The page in a real browser: what is drawn is read back from the scene, not from a picture."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cmp_tactile_processing.errors import CmpTactileError
 from cmp_tactile_viewer.recording import open_source
-from cmp_tactile_viewer.snapshot import Action, PassiveSource, Pose, Setting, ShownSensor, Touch
+from cmp_tactile_viewer.snapshot import (
+    Action,
+    Body,
+    PassiveSource,
+    Pose,
+    Setting,
+    ShownSensor,
+    Touch,
+)
 
 BUTTON = "press me"
 
@@ -26,6 +36,39 @@ def test_the_surface_moves_when_the_gel_is_pressed(source, serve, opened, snapsh
     # And asks no other server for anything.
     own = (page.url, page.url.replace("http", "ws"), "blob:", "data:")
     assert [url for url in tab.requests if not url.startswith(own)] == []
+
+
+# Of each mesh: number of points, and where its origin is.
+PLACES = """() => window.gels().map(mesh => {
+  mesh.updateWorldMatrix(true, false);
+  return [mesh.geometry.attributes.position.count, ...mesh.matrixWorld.elements.slice(12, 15)];
+})"""
+# Of what two fingers hold; none of its triangles shares a point.
+TRIANGLES = np.random.default_rng(0).normal(size=(12, 3, 3), scale=0.01)
+
+
+def test_two_fingers_and_what_they_hold_are_where_their_poses_say(sensor, serve, opened, snapshots):
+    source = PassiveSource(tuple(ShownSensor(side, sensor) for side in ("left", "right")))
+    page = serve(source)
+    tab = opened(page)
+
+    def distances() -> list[float]:
+        """From what they hold to each gel, mm."""
+        found = np.array(tab.tab.evaluate(PLACES)).reshape(-1, 4)
+        is_held = found[:, 0] == 3 * len(TRIANGLES)
+        if is_held.sum() != 1:
+            return []
+        away = np.linalg.norm(found[~is_held, 1:] - found[is_held, 1:], axis=1)
+        return sorted({round(value, 2) for value in away.tolist()})
+
+    for number, height in enumerate((0.0, 0.04)):
+        for side, y in (("left", -0.01), ("right", 0.02)):
+            mount, body = Pose((0.0, y, height)), Body(TRIANGLES, Pose((0.0, 0.0, height)))
+            shown = replace(snapshots[-1], stamp_ns=number, mount=mount, body=body)
+            page.show(side, shown)
+        tab.wait(lambda: distances() == [10.0, 20.0], "the object between the fingers")
+    tab.sees("left")
+    assert not tab.console
 
 
 class Controlled(PassiveSource):

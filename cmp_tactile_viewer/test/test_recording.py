@@ -198,7 +198,7 @@ def test_compressed_frames_are_shown_beside_recorded_results(
             for stored in storage.read(storage.index([topic])):
                 writer.write(topic, stored.time_ns, stored.data)
     with closing(open_source(bag, sensor)) as source:
-        shown = [snapshot for _, snapshot in source.frames.read(0.0)]
+        shown = [moment["sample_rig"] for _, moment in source.frames.read(0.0)]
     assert len(shown) == FRAMES
     assert all(item.frame is not None and item.surface is not None for item in shown)
 

@@ -1,4 +1,4 @@
-"""Takes the pictures of docs/viewer.md: the page in a headless Chromium.
+"""Takes the pictures of docs/viewer.md and docs/grasp.md: the page in a headless Chromium.
 
 Run it in the environment of the repository, with Debian's package chromium installed:
 `setup/run python3 docs/drawings/viewer.py`
@@ -14,21 +14,28 @@ from contextlib import contextmanager
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
 from playwright.sync_api import Page as Tab
 from playwright.sync_api import sync_playwright
 
+from cmp_tactile_bringup.recordings.library import required_sensors
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_processing import Pipeline, SensorDescription
 from cmp_tactile_processing.errors import Finding, Severity
+from cmp_tactile_processing.sensor.description import load_sensor
+from cmp_tactile_simulation.grasp.play import Grasp
+from cmp_tactile_simulation.grasp.record import record_grasp
+from cmp_tactile_simulation.grasp.scene import load_grasp
 from cmp_tactile_simulation.recording.run import recording_of
 from cmp_tactile_viewer.page.page import Page
 from cmp_tactile_viewer.page.server import Access
-from cmp_tactile_viewer.recording import snapshot_health
+from cmp_tactile_viewer.recording import open_source, snapshot_health
 from cmp_tactile_viewer.snapshot import (
     PassiveSource,
+    Pose,
     ShownSensor,
     Snapshot,
 )
@@ -44,6 +51,8 @@ CONTACT = 28
 HALF_WAY_M = 0.02
 TO_THE_RIGHT = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0)
 TO_THE_LEFT = (np.sqrt(0.5), 0.0, -np.sqrt(0.5), 0.0)
+# Of the packaged grasp `box`: while it is tilted.
+HELD_S = 2.0
 # What covers the left view of the picture of a fault, px, and its grey.
 COVER, COVER_GREY = (slice(200, 420), slice(60, 260)), 70
 TIMEOUT_MS = 60_000
@@ -73,12 +82,13 @@ def main() -> int:
         _take(tab, one, [shown[: CONTACT + 1]], "viewer_contact")
         _take(tab, one, [[*shown[:CONTACT], fault]], "viewer_fault")
         two = (
-            ShownSensor("left_finger", sensor, (-HALF_WAY_M, 0.0, 0.0), TO_THE_RIGHT),
-            ShownSensor("right_finger", sensor, (HALF_WAY_M, 0.0, 0.0), TO_THE_LEFT),
+            ShownSensor("left_finger", sensor, Pose((-HALF_WAY_M, 0.0, 0.0), TO_THE_RIGHT)),
+            ShownSensor("right_finger", sensor, Pose((HALF_WAY_M, 0.0, 0.0), TO_THE_LEFT)),
         )
         _take(tab, two, [shown[: CONTACT + 1]] * 2, "viewer_fingers")
         _take(tab, one, [shown], "viewer_plots", clip=(0, 0, 400, 720))
         _film(tab, one[0], shown[::2], "viewer_grasp")
+        _take_held(tab)
     return 0
 
 
@@ -105,6 +115,22 @@ def _take(
         box = dict(zip(("x", "y", "width", "height"), clip, strict=True)) if clip else None
         picture = Image.open(BytesIO(tab.screenshot(clip=box))).convert("RGB")
     picture.save(OUTPUT / f"{name}.webp", quality=QUALITY)
+
+
+def _take_held(tab: Tab) -> None:
+    """Both fingers of a grasp with what they hold."""
+    with TemporaryDirectory() as folder:
+        bag = Path(folder) / "box"
+        record_grasp(Grasp(load_grasp("box")), bag, lambda _: None)
+        source = open_source(bag, *map(load_sensor, required_sensors(bag)))
+        shown: dict[str, list[Snapshot]] = {sensor.name: [] for sensor in source.sensors}
+        for time_s, moment in source.frames.read(0.0):
+            for name, snapshot in moment.items():
+                shown[name].append(source.scene.placed(name, snapshot))
+            if time_s >= HELD_S:
+                break
+        source.close()
+    _take(tab, source.sensors, [*shown.values()], "grasp_view")
 
 
 def _film(tab: Tab, sensor: ShownSensor, snapshots: Sequence[Snapshot], name: str) -> None:

@@ -19,6 +19,7 @@ class Grasp(Command):
 
     examples:
       cmp_tactile grasp box --output box
+      cmp_tactile view box
       cmp_tactile grasp my_grasp.yaml --output mine
       cmp_tactile grasp cup --live view:=true drive:=command
     """

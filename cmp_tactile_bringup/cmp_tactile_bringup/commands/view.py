@@ -37,10 +37,12 @@ class View(Command):
         ),
     ]
     sensor: Annotated[
-        str | None,
+        list[str] | None,
         option(
             "sensor description: a file or a packaged name; not needed for a packaged scene, for "
-            "results, or with a sensor.yaml in the recording's folder"
+            "results, or with descriptions in the recording's folder: sensor.yaml, or NAME.yaml of "
+            "each sensor; may be repeated for a bag of several sensors",
+            metavar="SENSOR",
         ),
     ] = None
     topic: Annotated[
@@ -76,13 +78,14 @@ class View(Command):
             check_source,
             is_packaged,
             recorded_source,
-            required_sensor,
+            required_sensors,
         )
         from cmp_tactile_bringup.terminal import shown_stages
         from cmp_tactile_processing.sensor.description import load_sensor
 
         check_source(self.source)
-        sensor = load_sensor(required_sensor(self.source, self.sensor))
+        files = self.sensor or required_sensors(self.source)
+        sensors = [load_sensor(file) for file in files]
         path = expanded_path(self.source)
         if is_packaged(self.source):
             with shown_stages() as on_stage:
@@ -90,7 +93,7 @@ class View(Command):
         from cmp_tactile_viewer.page.server import Access
         from cmp_tactile_viewer.recording import open_source
 
-        source = open_source(path, sensor, self.topic)
+        source = open_source(path, *sensors, topic=self.topic)
         source.playback.playing = not self.paused
         access = Access(
             self.host, self.port, self.token, self.read_only, tuple(self.allow_host or ())

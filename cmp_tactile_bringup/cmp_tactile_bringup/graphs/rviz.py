@@ -24,8 +24,6 @@ RVIZ_SETTINGS = {
 }
 # The tf frame that gripper.rviz shows them in.
 PARENT_FRAME = "gripper"
-# Parameter of a simulated gripper, which moves the sensors in this frame.
-GRIPPER = "gripper_frame"
 
 
 def rviz_settings(graph: Graph) -> str:
@@ -54,10 +52,9 @@ def rviz_settings(graph: Graph) -> str:
 
 def _fixed_frame(graph: Graph) -> str:
     """What two sensors are mounted on, or a gripper gives; else the first one's gel frame."""
+    if graph.gripper_frame:
+        return graph.gripper_frame
     first = graph.sensors[0]
-    for item in graph.components:
-        if GRIPPER in item.parameters:
-            return str(item.parameters[GRIPPER])
     mounts = (
         item.parameters.get("parent_frame") for item in graph.components if item.sensor is first
     )

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from cmp_tactile_driver.bags.recording import check_folder
+from cmp_tactile_driver.bags.recording import check_folder, is_bag
+from cmp_tactile_driver.bags.storage import BagStorage
 from cmp_tactile_driver.bags.writer import SENSOR_FILE
 from cmp_tactile_processing.cache.files import atomic_path, default_cache_dir, digest, expanded_path
 from cmp_tactile_processing.errors import FrameSourceError
@@ -70,6 +71,19 @@ def required_sensor(source: Path, given: str | None, *more: Path) -> str:
     packaged = ", ".join(packaged_sensors())
     msg = f"{source}: found no --sensor, expected the file of a description or one of {packaged}"
     raise FrameSourceError(msg)
+
+
+def required_sensors(source: Path) -> list[str]:
+    """The recording's own sensor; of a bag of several, NAME.yaml of each namespace in its folder.
+
+    Raises FrameSourceError where there is none.
+    """
+    path = expanded_path(source)
+    if sensor_of_recording(str(source)) or not (path.is_dir() and is_bag(path)):
+        return [required_sensor(source, None)]
+    names = sorted({topic.strip("/").partition("/")[0] for topic in BagStorage(path).topics})
+    beside = [path / f"{name}.yaml" for name in names]
+    return [str(file) for file in beside if file.is_file()] or [required_sensor(source, None)]
 
 
 def sensor_of_recordings(sources: Sequence[Path]) -> str:

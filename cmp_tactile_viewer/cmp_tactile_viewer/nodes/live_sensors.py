@@ -22,14 +22,18 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker
 
 from cmp_tactile_msgs.msg import ForceField, GraspState, Grid, Surface
 from cmp_tactile_processing.drawing import grasp_line
 from cmp_tactile_processing.errors import CmpTactileError, Finding, Severity
 from cmp_tactile_processing.image.encodings import BitDepth
 from cmp_tactile_processing.measured import NS_PER_S
+from cmp_tactile_processing.ros.base_nodes import latched_qos
 from cmp_tactile_processing.ros.messages.making import gel_frame
 from cmp_tactile_processing.ros.services import answer_of
+from cmp_tactile_viewer.moving_scene import MARKER_TOPIC, MovingScene
 from cmp_tactile_viewer.nodes.controls import RecordingButton, RunningSensor, node_settings
 from cmp_tactile_viewer.snapshot import (
     Action,
@@ -50,6 +54,8 @@ KEPT = 12
 RATE_FRAMES = 60
 # Of camera images, which the page draws less often than surfaces, somewhat more than it draws.
 RATE_HZ, IMAGE_HZ, HEALTH_HZ = 30.0, 15.0, 1.0
+# Transforms of each frame that are kept: surfaces come later than the poses of their moment.
+TRANSFORMS_KEPT, TRANSFORMS_DEPTH = 200, 100
 # Fields of a snapshot that every one has; images and grids are not drawn so often.
 MEASURED = ("surface", "force")
 # A topic is silent after that time, and a node that has not reported for so long is left out.
@@ -280,10 +286,15 @@ class LiveSensors:
         sensors: Sequence[RunningSensor],
         rate_hz: float = RATE_HZ,
         grasp: str = "",
+        scene_frame: str = "",
     ) -> None:
-        """rate_hz: snapshots a second at most.  grasp: topic of a GraspState; empty for none."""
+        """rate_hz: snapshots a second at most.  grasp: topic of a GraspState; empty for none.
+
+        scene_frame: in which tf has poses; empty for none.
+        """
         self._node, self._grasp_topic = node, grasp
         self._grasp: tuple[float, Any] | None = None
+        self._scene = MovingScene(scene_frame, TRANSFORMS_KEPT)
         self._audience: Audience | None = None
         self._is_looked_at = False
         self.sensors = tuple(sensor.shown for sensor in sensors)
@@ -377,8 +388,19 @@ class LiveSensors:
             self._others.append(
                 self._node.create_subscription(GraspState, self._grasp_topic, self._on_grasp, 1)
             )
+        if self._scene.frame:
+            self._watch_scene()
         for timer in self._timers:
             timer.reset()
+
+    def _watch_scene(self) -> None:
+        create, transforms = self._node.create_subscription, self._scene.take_transforms
+        latched = latched_qos(TRANSFORMS_DEPTH)
+        self._others += [
+            create(TFMessage, "/tf", transforms, TRANSFORMS_DEPTH),
+            create(TFMessage, "/tf_static", transforms, latched),
+            create(Marker, MARKER_TOPIC, self._scene.take_marker, latched_qos()),
+        ]
 
     def _show(self) -> None:
         if self._audience is None:
@@ -386,7 +408,8 @@ class LiveSensors:
         for item in self._watched:
             snapshot = item.newest()
             if snapshot is not None:
-                self._audience.show(item.name, snapshot)
+                placed = self._scene.placed(snapshot, item.sensor.shown.description)
+                self._audience.show(item.name, placed)
 
     def _note_problem(self, topic: str, text: str) -> None:
         self._problems[topic] = (time.monotonic(), text)

@@ -23,7 +23,7 @@ from cmp_tactile_viewer.nodes.controls import RunningSensor
 from cmp_tactile_viewer.nodes.live_sensors import LiveSensors
 from cmp_tactile_viewer.page.page import Page
 from cmp_tactile_viewer.page.server import DEFAULT_PORT, Access
-from cmp_tactile_viewer.snapshot import ShownSensor
+from cmp_tactile_viewer.snapshot import Pose, ShownSensor
 
 END_WITH_STDIN = "--end-with-stdin"
 
@@ -48,6 +48,11 @@ class WebViewerParameters(Parameters):
     )
     grasp: str = parameter(
         "", "topic of the grasp's state, to show grip, margin and weight; empty for none"
+    )
+    scene_frame: str = parameter(
+        "",
+        "tf frame, such as world, in which gels and a held object are shown where tf has them; "
+        "empty: all at their mounts",
     )
     host: str = parameter("127.0.0.1", "address to listen on; 0.0.0.0 for all interfaces")
     port: int = parameter(
@@ -75,6 +80,8 @@ class WebViewer(ReportingNode):
     While a browser looks, it subscribes to `surface`, `force_field`, `left/grid`, `right/grid` and
     `image_raw` of each sensor, and to `/diagnostics`.  If more messages come than `max_rate`, it
     reads only the newest.
+    With `scene_frame` it subscribes to `/tf`, `/tf_static` and `/object/marker` too: gels move as
+    their frames do, and the triangles of the marker are drawn as the object that they hold.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -82,7 +89,7 @@ class WebViewer(ReportingNode):
         with self.destroyed_on_error():
             own = declare_parameters(self, WebViewerParameters())
             sensors = running_sensors(own, self.get_namespace())
-            self._live = LiveSensors(self, sensors, own.max_rate, own.grasp)
+            self._live = LiveSensors(self, sensors, own.max_rate, own.grasp, own.scene_frame)
             access = Access(
                 own.host,
                 own.port or None,
@@ -132,8 +139,8 @@ def running_sensors(given: WebViewerParameters, namespace: str) -> list[RunningS
 def _running(namespace: str, file: str, name: str, mount: tuple[float, ...]) -> RunningSensor:
     description = load_sensor(file, name)
     x, y, z, w = Rotation.from_euler("xyz", mount[3:]).as_quat().tolist()
-    place = (mount[0], mount[1], mount[2])
-    shown = ShownSensor(name or description.ros_name, description, place, (w, x, y, z))
+    pose = Pose((mount[0], mount[1], mount[2]), (w, x, y, z))
+    shown = ShownSensor(name or description.ros_name, description, pose)
     return RunningSensor(f"/{namespace.strip('/')}", file, name, shown)
 
 

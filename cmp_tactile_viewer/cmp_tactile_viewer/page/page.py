@@ -24,7 +24,16 @@ from cmp_tactile_viewer.page.layout import (
 )
 from cmp_tactile_viewer.page.panels import ControlPanel, PlaybackPanel, ShowPanel, health_html
 from cmp_tactile_viewer.page.plots import History, Plots
-from cmp_tactile_viewer.page.scene import LEAST_RANGE, Aim, DraggedIndenter, Gel, framed_points
+from cmp_tactile_viewer.page.scene import (
+    HOUSING_COLOURS,
+    LEAST_RANGE,
+    Aim,
+    DraggedIndenter,
+    Framing,
+    Gel,
+    HeldBody,
+    Look,
+)
 from cmp_tactile_viewer.page.server import Access, PageServer
 from cmp_tactile_viewer.snapshot import ShownSensor, Snapshot, Source
 
@@ -156,15 +165,16 @@ class Page:
         server.scene.configure_environment_map(None)
         server.scene.add_light_hemisphere("/light", ground_color=GROUND, intensity=LIGHT)
         self._sensors = {
-            sensor.name: self._add_sensor(sensor, number == 0)
+            sensor.name: self._add_sensor(sensor, number)
             for number, sensor in enumerate(source.sensors)
         }
+        self._body = HeldBody(server.scene)
         dragged = {
             name
             for name, touch in source.touches().items()
             if touch.move is not None and not access.read_only
         }
-        self._framed = framed_points(source.sensors, dragged)
+        self._framing = Framing(source.sensors, dragged)
         gui.add_html(STYLE)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_PX)
@@ -197,9 +207,10 @@ class Page:
                 panel = ControlPanel(gui, actions, partial(self._source.settings, name))
             self._controls.append(panel)
 
-    def _add_sensor(self, sensor: ShownSensor, first: bool) -> _Shown:
+    def _add_sensor(self, sensor: ShownSensor, number: int) -> _Shown:
         gui, several = self._server.gui, len(self._source.sensors) > 1
-        gel = Gel(self._server.scene, sensor)
+        colour = HOUSING_COLOURS[number % len(HOUSING_COLOURS)] if several else None
+        gel = Gel(self._server.scene, sensor, colour)
         panel = gui.add_panel()
         with panel.add_tab(f"{sensor.name}: view"):
             image = gui.add_image(NO_IMAGE, format="jpeg", jpeg_quality=JPEG_QUALITY)
@@ -208,7 +219,7 @@ class Page:
                 PLOT_OF_SEVERAL_PX if several else PLOT_PX,
                 is_live=self._source.playback is None,
             )
-        if first:
+        if number == 0:
             panel.dock_left()
             panel.set_width(LEFT_OF_SEVERAL_PX if several else LEFT_PX)
             self._first_panel = panel
@@ -232,7 +243,7 @@ class Page:
             aim.take(preset)
 
     def _come(self, client: viser.ClientHandle) -> None:
-        self._aims[client.client_id] = Aim(client, self._framed)
+        self._aims[client.client_id] = Aim(client, self._framing)
         with self._guard:
             self._viewers += 1
             first = self._viewers == 1
@@ -278,21 +289,32 @@ class Page:
             for shown in self._sensors.values():
                 shown.gel.range.start(look.colour, LEAST_RANGE.get(look.colour, 1.0))
         with self._server.atomic():
-            for shown in self._sensors.values():
-                snapshot = shown.newest
-                if snapshot is None or (snapshot is shown.drawn and not changed):
-                    continue
-                shown.gel.draw(snapshot, look)
-                if shown.indenter is not None:
-                    shown.indenter.draw()
-                shown.drawn = snapshot
-                self.pictures += 1
+            has_moved = self._draw_scene(changed, look)
             if self._image.has_turn(now_s) or changed:
                 for shown in self._sensors.values():
                     if shown.imaged is not shown.pictured or changed:
                         self._draw_image(shown)
             if self._slow.has_turn(now_s) or changed:
                 self._draw_slow(now_s, changed)
+        for aim in [*self._aims.values()] if has_moved else ():
+            aim.follow()
+
+    def _draw_scene(self, changed: bool, look: Look) -> bool:
+        """Draw the newest of each sensor; whether one has left what the camera frames."""
+        has_moved = False
+        for name, shown in self._sensors.items():
+            snapshot = shown.newest
+            if snapshot is None or (snapshot is shown.drawn and not changed):
+                continue
+            shown.gel.draw(snapshot, look)
+            self._body.draw(snapshot.body)
+            if snapshot.mount is not None:
+                has_moved |= self._framing.follow(name, snapshot.mount)
+            if shown.indenter is not None:
+                shown.indenter.draw()
+            shown.drawn = snapshot
+            self.pictures += 1
+        return has_moved
 
     def _draw_slow(self, now_s: float, changed: bool) -> None:
         self._panel.show_range(max(shown.gel.range.top for shown in self._sensors.values()))

@@ -1,4 +1,4 @@
-"""The 3-D scene of the page: gels, simulated indenters, and the camera that looks at them."""
+"""The 3-D scene of the page: gels, what they hold, simulated indenters, and the camera."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cmp_tactile_processing.measured import Contact, ForceField, SlipState, Surf
 from cmp_tactile_processing.surface.displacement import laid_on_known_surface
 from cmp_tactile_viewer import meshes
 from cmp_tactile_viewer.meshes import MM, ColourRange
-from cmp_tactile_viewer.snapshot import Pose, ShownSensor, Snapshot, Touch
+from cmp_tactile_viewer.snapshot import Body, Pose, ShownSensor, Snapshot, Touch
 
 COLOURS = ("displacement", "depth", "pressure", "none")
 ARROWS = ("force at the nodes", "displacement", "none")
@@ -41,6 +41,12 @@ HANDLE_MM, BALL_MM = 4.0, 0.4
 # Beside the handle until it is dragged.
 HANDLE_HINT = "drag the arrows to press and slide"
 INDENTER_COLOUR = (240, 228, 66)
+# Of several sensors, one after the other; behind each gel, mm.
+HOUSING_COLOURS = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167))
+HOUSING_MM = 8.0
+BODY_COLOUR = (90, 170, 120)
+# What stands before a gel must not hide it.
+OPACITY = 0.3
 # After so long without the mouse the handle is where the indenter is again.
 RELEASED_S = 2.0
 # Where the camera stands, seen from the gel; with several gels, x is the direction of their line.
@@ -51,6 +57,8 @@ UP = np.array((0.0, 0.0, 1.0))
 FILLED, ABOVE_MM = 0.9, 2.0
 # Height above the gel at which simulated indenters begin, mm.
 INDENTER_MM = 8.0
+# Around a gel that moves, mm: the camera goes farther away only where the gel leaves this room.
+ROOM_MM = 15.0
 # Windows whose ratio of width to height differs by less are of one shape.
 SAME_SHAPE = 0.01
 
@@ -70,17 +78,18 @@ class Look:
 class Gel:
     """Draws snapshots of one sensor below a node of the scene that has its pose."""
 
-    def __init__(self, scene: viser.SceneApi, sensor: ShownSensor) -> None:
+    def __init__(
+        self, scene: viser.SceneApi, sensor: ShownSensor, housing: RGB | None = None
+    ) -> None:
+        """housing: colour of a box behind the gel, with the sensor's name; None for no box."""
         self.name = sensor.name
         self.range = ColourRange(COLOURS[0], LEAST_RANGE[COLOURS[0]])
         self._known = sensor.description.pattern.surface
         self._root = f"/{sensor.name}"
-        scene.add_frame(
-            self._root,
-            show_axes=False,
-            position=MM * np.array(sensor.position),
-            wxyz=np.array(sensor.orientation),
-        )
+        self._frame = scene.add_frame(self._root, show_axes=False)
+        _place(self._frame, sensor.mount)
+        if housing is not None:
+            _add_housing(scene, self._root, sensor, housing)
         self._bands = [
             _mesh(scene, f"{self._root}/surface/{number:02d}", (red, green, blue))
             for number, (red, green, blue) in enumerate(meshes.band_colours().tolist())
@@ -103,6 +112,8 @@ class Gel:
 
     def draw(self, snapshot: Snapshot, look: Look) -> None:
         """Draw all that the snapshot holds; what it has not is taken off."""
+        if snapshot.mount is not None:
+            _place(self._frame, snapshot.mount)
         surface, force = snapshot.surface, snapshot.force
         if surface is not None:
             surface = laid_on_known_surface(surface, self._known)
@@ -143,6 +154,45 @@ class Gel:
             ends, colour = meshes.displacement_arrows(surface, look.arrow_gain), DISPLACEMENT_COLOUR
         self._arrows.colors = np.array(colour, np.uint8)
         self._arrows.points = ends.astype(np.float32)
+
+
+class HeldBody:
+    """Draws what the sensors hold."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._mesh = _mesh(scene, "/held_body", BODY_COLOUR)
+        self._mesh.opacity, self._mesh.visible = OPACITY, False
+        self._drawn: Array | None = None
+
+    def draw(self, body: Body | None) -> None:
+        """Draw it where it is, or take it off."""
+        self._mesh.visible = body is not None
+        if body is None:
+            return
+        if body.triangles is not self._drawn:
+            self._drawn = body.triangles
+            _set_mesh(self._mesh, meshes.triangle_mesh(body.triangles))
+        _place(self._mesh, body.pose)
+
+
+def _place(handle: viser.SceneNodeHandle, pose: Pose) -> None:
+    handle.position, handle.wxyz = MM * np.array(pose.position), np.array(pose.orientation)
+
+
+def _add_housing(scene: viser.SceneApi, root: str, sensor: ShownSensor, colour: RGB) -> None:
+    width, height, thickness = MM * np.array(sensor.description.elastomer.size)
+    scene.add_box(
+        f"{root}/housing",
+        colour,
+        (width, height, HOUSING_MM),
+        opacity=OPACITY,
+        cast_shadow=False,
+        receive_shadow=False,
+        position=(0.0, 0.0, -thickness - HOUSING_MM / 2),
+    )
+    # Away from the texts of the contacts.
+    back = (0.0, 0.0, -thickness - HOUSING_MM)
+    scene.add_label(f"{root}/name", sensor.name, position=back, anchor="top-center")
 
 
 def _values(surface: Surface, force: ForceField | None, colour: str) -> Array:
@@ -281,20 +331,59 @@ class DraggedIndenter:
         self._touch.move(Pose((x, y, z), (a, b, c, d)))
 
 
-def framed_points(sensors: Sequence[ShownSensor], dragged: Container[str] = ()) -> Array:
-    """Corners of the boxes around the gels, each with its pose, (8 n, 3) mm in the scene.
+class Framing:
+    """What the camera frames: a box around each gel, with room where that moves."""
 
-    dragged: names of the sensors whose indenter has a handle, which is framed as well.
-    """
-    boxes = []
-    for sensor in sensors:
-        corners = MM * sensor.description.pattern.corners().reshape(-1, 3)
-        above = INDENTER_MM + HANDLE_MM if sensor.name in dragged else ABOVE_MM
-        low, high = corners.min(axis=0), corners.max(axis=0) + (0.0, 0.0, above)
-        box = np.array(list(product(*zip(low, high, strict=True))))
-        w, x, y, z = sensor.orientation
-        boxes.append(Rotation.from_quat((x, y, z, w)).apply(box) + MM * np.array(sensor.position))
-    return np.concatenate(boxes)
+    def __init__(self, sensors: Sequence[ShownSensor], dragged: Container[str] = ()) -> None:
+        """dragged: names of the sensors whose indenter has a handle, which is framed as well."""
+        several = len(sensors) > 1
+        self._gels = {
+            sensor.name: _corners(sensor, is_dragged=sensor.name in dragged, has_housing=several)
+            for sensor in sensors
+        }
+        self._boxes = {
+            sensor.name: _placed(self._gels[sensor.name], sensor.mount) for sensor in sensors
+        }
+        self._moved: set[str] = set()
+
+    @property
+    def points(self) -> Array:
+        """Corners of the boxes, (8 n, 3) mm in the scene."""
+        return np.concatenate([*self._boxes.values()])
+
+    def follow(self, name: str, mount: Pose) -> bool:
+        """Make room where a gel has left its box; whether it had."""
+        gel, box = _placed(self._gels[name], mount), self._boxes[name]
+        if name in self._moved:
+            low, high = box.min(axis=0), box.max(axis=0)
+            if (gel >= low).all() and (gel <= high).all():
+                return False
+            gel = np.concatenate([gel, box.clip(low + ROOM_MM, high - ROOM_MM)])
+        self._moved.add(name)
+        self._boxes[name] = _box(gel.min(axis=0) - ROOM_MM, gel.max(axis=0) + ROOM_MM)
+        return True
+
+
+def _corners(sensor: ShownSensor, *, is_dragged: bool, has_housing: bool) -> Array:
+    """Of the box around a gel, its housing and what stands above it, (8, 3) mm, gel frame."""
+    corners = MM * sensor.description.pattern.corners().reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if has_housing:
+        width, height, thickness = MM * np.array(sensor.description.elastomer.size)
+        low = np.array((-width / 2, -height / 2, -thickness - HOUSING_MM))
+        high = np.array((width / 2, height / 2, high[2]))
+    above = INDENTER_MM + HANDLE_MM if is_dragged else ABOVE_MM
+    return _box(low, high + (0.0, 0.0, above))
+
+
+def _box(low: Array, high: Array) -> Array:
+    return np.array(list(product(*zip(low, high, strict=True))))
+
+
+def _placed(points: Array, pose: Pose) -> Array:
+    w, x, y, z = pose.orientation
+    turned = Rotation.from_quat((x, y, z, w)).apply(points)
+    return np.asarray(turned + MM * np.array(pose.position))
 
 
 def camera_position(points: Array, preset: str, fov_rad: float, aspect: float) -> Array:
@@ -338,21 +427,25 @@ class Aim:
     A camera that the user has moved stays where it is.
     """
 
-    def __init__(self, client: viser.ClientHandle, points: Array) -> None:
-        self._camera, self._points = client.camera, points
+    def __init__(self, client: viser.ClientHandle, framing: Framing) -> None:
+        self._camera, self._framing = client.camera, framing
         self.take(PRESETS[0])
         client.camera.on_update(self._on_update)
 
     def take(self, preset: str) -> None:
         """Turn the camera as one of PRESETS."""
-        camera = self._camera
+        camera, points = self._camera, self._framing.points
         self._preset, self._aspect = preset, camera.aspect
-        self._position = camera_position(self._points, preset, camera.fov, camera.aspect)
+        self._position = camera_position(points, preset, camera.fov, camera.aspect)
         # A new position moves `look_at` along: set it afterwards.
         camera.position = self._position
-        camera.look_at, camera.up_direction = middle_of(self._points), UP
+        camera.look_at, camera.up_direction = middle_of(points), UP
+
+    def follow(self) -> None:
+        """Frame what has moved, unless the user has moved the camera."""
+        if np.allclose(self._camera.position, self._position, rtol=0.0, atol=0.1):
+            self.take(self._preset)
 
     def _on_update(self, camera: viser.CameraHandle) -> None:
-        changed = abs(camera.aspect / self._aspect - 1.0) > SAME_SHAPE
-        if changed and np.allclose(camera.position, self._position, rtol=0.0, atol=0.1):
-            self.take(self._preset)
+        if abs(camera.aspect / self._aspect - 1.0) > SAME_SHAPE:
+            self.follow()

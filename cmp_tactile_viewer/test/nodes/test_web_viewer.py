@@ -15,14 +15,20 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from tf2_ros import StaticTransformBroadcaster
+from visualization_msgs.msg import Marker
 
 from cmp_tactile_driver.bags.reader import BagReader
 from cmp_tactile_msgs.msg import ForceField, GraspState, Grid, Surface
 from cmp_tactile_processing.errors import CmpTactileError, Finding, InputError, Severity
 from cmp_tactile_processing.nodes.stereo_triangulator import StereoTriangulator
+from cmp_tactile_processing.ros.base_nodes import latched_qos
 from cmp_tactile_processing.ros.messages.conversions import (
+    ROS_MESSAGES,
     force_field_to_msg,
     grid_to_msg,
     image_to_msg,
@@ -56,11 +62,11 @@ class Audience:
 class Rig:
     """A sensor of which the test publishes what it wants, and what the page gets of it."""
 
-    def __init__(self, ros: Any, description: str) -> None:
+    def __init__(self, ros: Any, description: str, scene_frame: str = "") -> None:
         self.ros, self.description = ros, description
         given = WebViewerParameters(sensor_descriptions=description, sensor_names="thumb")
-        grasp = f"{ros.namespace}/grasp_state"
-        self.live = LiveSensors(ros.node, running_sensors(given, ros.namespace), grasp=grasp)
+        grasp, sensors = f"{ros.namespace}/grasp_state", running_sensors(given, ros.namespace)
+        self.live = LiveSensors(ros.node, sensors, grasp=grasp, scene_frame=scene_frame)
         self.audience = Audience()
         self.action = {item.label: item.run for item in self.live.actions()["thumb"]}
 
@@ -281,6 +287,53 @@ def test_a_recording_has_what_came_while_it_ran(rig, ros, snapshots, tmp_path, m
     np.testing.assert_array_equal(images[0], frame)
 
 
+def test_gel_and_held_object_move_as_tf_says(ros, grasp_bag, snapshots):
+    """Below a gripper that moves; what is not finite is left out, and a late marker is shown."""
+    rig = Rig(ros, str(grasp_bag / "sensor.yaml"), scene_frame="world")
+    rig.look()
+    surfaces = ros.publisher(Surface, "surface")
+    static = StaticTransformBroadcaster(ros.node)
+    moving = ros.publisher(TFMessage, "/tf")
+    shown = rig.audience.snapshots
+
+    def show(stamp_ns: int, lift: float) -> Snapshot:
+        moving.publish(transforms(stamp_ns, ("world", "gripper", lift), ("world", "object", 0.03)))
+        ros.run(0.1)
+        surfaces.publish(surface_to_msg(snapshots[0].surface, header_at(stamp_ns)))
+        ros.wait(lambda: shown and shown[-1].stamp_ns == stamp_ns, "the surface")
+        return shown[-1]
+
+    assert show(1, 0.0).mount is None
+    fixed = transforms(0, ("gripper", "thumb_gel_frame", 0.01))
+    static.sendTransform(fixed.transforms)
+    ros.run(0.1)
+    first = show(2, 0.1)
+    assert first.mount.position == pytest.approx((0.0, 0.0, 0.11))
+    assert first.body is None
+    triangles = np.eye(3)[None]
+    latched = ros.node.create_publisher(Marker, "/object/marker", latched_qos())
+    latched.publish(ROS_MESSAGES.triangles(triangles, (1, 2, 3), header_at(0, "object")))
+    ros.run(0.2)
+    second = show(3, np.nan)
+    assert second.mount.position == pytest.approx((0.0, 0.0, 0.11))
+    assert second.body.pose.position == pytest.approx((0.0, 0.0, 0.03))
+    np.testing.assert_array_equal(second.body.triangles, triangles)
+    rig.live.pause()
+    ros.wait(lambda: not ros.node.count_subscribers("/tf"), "the end of its subscriptions")
+
+
+def transforms(stamp_ns: int, *items: tuple[str, str, float]) -> Any:
+    """A TFMessage of parents, children and heights."""
+    return TFMessage(
+        transforms=[
+            ROS_MESSAGES.transform(
+                header_at(stamp_ns, parent), child, np.array([0, 0, z]), Rotation.identity()
+            )
+            for parent, child, z in items
+        ]
+    )
+
+
 def test_a_drag_is_a_target_for_the_indenter(rig, ros):
     rig.look()
     targets = ros.listen(PoseStamped, "indenter/target")
@@ -324,9 +377,9 @@ def test_two_sensors_stand_at_their_mounting_poses():
     left, right = running_sensors(given, "")
     assert (left.namespace, right.namespace) == ("/rig/left", "/rig/right")
     assert (left.shown.name, right.shown.name) == ("left", "right")
-    assert left.shown.orientation == (1.0, 0.0, 0.0, 0.0)
-    assert right.shown.position == (0.0, 0.05, 0.0)
-    assert right.shown.orientation == pytest.approx((0.0, 1.0, 0.0, 0.0), abs=1e-12)
+    assert left.shown.mount.orientation == (1.0, 0.0, 0.0, 0.0)
+    assert right.shown.mount.position == (0.0, 0.05, 0.0)
+    assert right.shown.mount.orientation == pytest.approx((0.0, 1.0, 0.0, 0.0), abs=1e-12)
 
 
 def test_from_topic_to_browser(ros, grasp_bag, snapshots, opened):
