@@ -30,8 +30,8 @@ Value = bool | int | float | str | list[bool] | list[int] | list[float] | list[s
 __all__ = ["Argument", "Component", "Graph", "GraphFunction", "GraphSensor", "graph"]
 CONTAINER = "tactile_container"
 """Name of the container that is started for a sensor."""
-GRIPPER_FRAME = "gripper_frame"
-"""Parameter of a component that simulates a gripper."""
+GRIPPER_FRAME, WORLD_FRAME = "gripper_frame", "world_frame"
+"""Parameters of a component that simulates a gripper."""
 GRASP_STATE = "grasp_state"
 """Name of the node of two fingers, and of its topic."""
 REPLAY = "cmp_tactile_driver::Replay"
@@ -252,10 +252,9 @@ class Graph:
         found = (item.sensor for item in self.components if item.sensor is not None)
         return tuple(dict.fromkeys(found))
 
-    @property
-    def gripper_frame(self) -> str:
-        """tf frame in which a simulated gripper moves the sensors; empty without one."""
-        found = (item.parameters.get(GRIPPER_FRAME, "") for item in self.components)
+    def first_of(self, parameter: str) -> str:
+        """The first component's value of a parameter that it has; empty where none has it."""
+        found = (item.parameters.get(parameter, "") for item in self.components)
         return str(next(filter(None, found), ""))
 
     @property
@@ -352,7 +351,7 @@ def _viewer(found: Graph, values: Mapping[str, Any]) -> dict[str, Value]:
         "sensor_names": " ".join(sensor.name for sensor in sensors),
         "mounts": ", ".join(" ".join(f"{number:.9g}" for number in pose) for pose in poses),
         "grasp": next((i.full_name for i in found.components if i.name == GRASP_STATE), ""),
-        "scene_frame": found.gripper_frame,
+        "scene_frame": found.first_of(WORLD_FRAME),
         "host": values["view_host"],
         "port": values["view_port"],
         "token": values["view_token"],

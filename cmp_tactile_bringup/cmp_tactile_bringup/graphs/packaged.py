@@ -9,6 +9,8 @@ from typing import Any
 
 from cmp_tactile_bringup.graphs.description import (
     GRASP_STATE,
+    GRIPPER_FRAME,
+    WORLD_FRAME,
     Argument,
     Component,
     Graph,
@@ -112,6 +114,8 @@ def _grasp_state(given: Mapping[str, Any], *fingers: list[Component]) -> Compone
         "cmp_tactile_processing",
         "cmp_tactile_processing::GraspStateEstimator",
         GRASP_STATE,
+        GRIPPER_FRAME,
+        WORLD_FRAME,
         absolute_name(given["namespace"]),
         topics,
         parameters,
@@ -166,7 +170,12 @@ def grasp(given: Mapping[str, Any]) -> list[Component]:
     fixed = {"source": TOPIC, "sensor": file, "use_sim_time": True, "frame_queue": "newest"}
     fingers = [sensor_components({**fixed, "name": name})[0] for name in FINGERS]
     package = "cmp_tactile_simulation"
-    parameters = {**given, "sensor_names": " ".join(FINGERS), "gripper_frame": "gripper"}
+    parameters = {
+        **given,
+        "sensor_names": " ".join(FINGERS),
+        GRIPPER_FRAME: "gripper",
+        WORLD_FRAME: "world",
+    }
     gripper = Component(
         package,
         f"{package}::GraspSimulator",

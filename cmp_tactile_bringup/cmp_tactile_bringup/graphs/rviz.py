@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from cmp_tactile_bringup.graphs.description import GRASP_STATE, Graph
+from cmp_tactile_bringup.graphs.description import GRASP_STATE, GRIPPER_FRAME, Graph
 from cmp_tactile_processing.cache.files import (
     atomic_path,
     config_dir,
@@ -52,8 +52,8 @@ def rviz_settings(graph: Graph) -> str:
 
 def _fixed_frame(graph: Graph) -> str:
     """What two sensors are mounted on, or a gripper gives; else the first one's gel frame."""
-    if graph.gripper_frame:
-        return graph.gripper_frame
+    if found := graph.first_of(GRIPPER_FRAME):
+        return found
     first = graph.sensors[0]
     mounts = (
         item.parameters.get("parent_frame") for item in graph.components if item.sensor is first
