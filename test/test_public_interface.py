@@ -60,7 +60,7 @@ def test_every_parameter_and_node_is_described(interfaces):
     names = [node.name for node in interfaces]
     assert names[:3] == ["camera_driver", "replay", "recorder"]
     assert names[-2:] == ["web_viewer", "component_container"]
-    assert len(names) == 12
+    assert len(names) == 13
     for node in interfaces:
         assert node.description, node.plugin
         assert ("out", "/diagnostics") in {(t.direction, t.name) for t in node.topics}, node.name

@@ -114,8 +114,6 @@ def _grasp_state(given: Mapping[str, Any], *fingers: list[Component]) -> Compone
         "cmp_tactile_processing",
         "cmp_tactile_processing::GraspStateEstimator",
         GRASP_STATE,
-        GRIPPER_FRAME,
-        WORLD_FRAME,
         absolute_name(given["namespace"]),
         topics,
         parameters,
