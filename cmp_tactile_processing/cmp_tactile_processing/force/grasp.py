@@ -32,6 +32,8 @@ MIN_WEIGHED = 5
 MIN_WEIGHED_SHARE = 0.8
 # The load is steady while its standard deviation stays below so many of its random error.
 MAX_SCATTER_STD = 3.0
+# A contact without slip has shown the ratio that it used less so many standard deviations.
+SHOWN_BELOW_STD = 2.0
 # The worst of two states stands last.
 SLIP_ORDER = (
     SlipState.STICK,
@@ -74,8 +76,8 @@ class GraspState:
     the grip axis.
     traction_ratio: friction that the finger closer to slip uses, with the torque about its normal.
     friction_coefficient, friction_std: what is available.  friction_shown: the largest ratio that
-    a contact without slip has used; the friction is at least that.  slip_margin: share of the
-    friction that is not used, 1 for none; negative beyond the limit.
+    a contact without slip has used, less two standard deviations; the friction is at least that.
+    slip_margin: share of the friction that is not used, 1 for none; negative beyond the limit.
     slip_state, slip_ratio: the worse of both fingers.
     supported_weight: force against gravity that the fingers carry, while it is steady.
     flags: of ForceFlag, of both fingers, and of GraspFlag.
@@ -191,15 +193,16 @@ class KnownFriction:
         """Another object may come."""
         self._measured = self._std = self.shown = NAN
 
-    def update(self, slips: list[SlipEstimate], ratios: list[float]) -> None:
+    def update(self, slips: list[SlipEstimate], uses: list[tuple[float, float]]) -> None:
         """Take both fingers into account: the less rough one, where both slide."""
         sliding = [slip for slip in slips if slip.friction_coefficient > 0]
         if sliding:
             least = min(sliding, key=lambda slip: slip.friction_coefficient)
             self._measured, self._std = least.friction_coefficient, least.friction_std
-        for slip, ratio in zip(slips, ratios, strict=True):
+        for slip, (ratio, variance) in zip(slips, uses, strict=True):
             if slip.state is SlipState.STICK:
-                self.shown = float(np.fmax(self.shown, ratio))
+                shown = max(0.0, ratio - SHOWN_BELOW_STD * _root(variance))
+                self.shown = float(np.fmax(self.shown, shown))
 
     def available(self, given: float) -> tuple[float, float]:
         """Coefficient and standard deviation; given: where none was measured, 0 for unknown.
@@ -282,7 +285,7 @@ class GraspEstimator:
         self, state: GraspState, fingers: tuple[Finger, Finger], given: float
     ) -> GraspState:
         uses = [friction_use(finger.field) for finger in fingers]
-        self._friction.update([finger.field.slip for finger in fingers], [use[0] for use in uses])
+        self._friction.update([finger.field.slip for finger in fingers], uses)
         available, std = self._friction.available(given)
         # NaN counts as the larger one.
         ratio, variance = uses[int(np.argmax([use[0] for use in uses]))]
