@@ -101,7 +101,8 @@ def main(held: Path, lost: Path, picture: Path) -> None:
         draw_friction(column[1], true, place)
         column[0].set_title(title, loc="left", weight="bold")
         for axes in column:
-            axes.set_xlim(-4, None)
+            # Without the reaction, the simulation begins again.
+            axes.set_xlim(-1, 14)
             axes.xaxis.set_major_locator(MultipleLocator(2))
             axes.spines[["top", "right"]].set_visible(False)
     grid[0, 0].set_ylabel("normal force, N")
