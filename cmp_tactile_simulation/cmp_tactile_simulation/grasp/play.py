@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cmp_tactile_processing.errors import ContactError, InputError
+from cmp_tactile_processing.errors import ContactError
 from cmp_tactile_processing.measured import NS_PER_S
 from cmp_tactile_processing.processes import OnProgress, no_progress
 from cmp_tactile_simulation.contact.laws import Pose
@@ -22,8 +22,7 @@ from cmp_tactile_simulation.grasp.world import (
     SHAKE,
     TILT,
     World,
-    load_mujoco,
-    packaged_gripper,
+    gripper_model,
 )
 from cmp_tactile_simulation.indenters import Indenter, MeshIndenter
 from cmp_tactile_simulation.scenes.description import INDENTERS
@@ -69,7 +68,7 @@ class Grasp:
         progress: OnProgress = no_progress,
     ) -> None:
         self.scene = scene
-        self.world = World(_model(scene), SIDES, OBJECT, scene.gripper.speed)
+        self.world = World(gripper_model(scene), SIDES, OBJECT, scene.gripper.speed, scene.keyframe)
         self._pictures = pictures
         self._fingers = {
             side: Simulator(
@@ -111,6 +110,7 @@ class Grasp:
         held: dict[str, float] = {}
         for phase in self.scene.motion:
             goal = _goal(phase, held)
+            before = {name: held.get(name, self.world.control(name)) for name in goal}
             heavier = mass if phase.mass is None else phase.mass
             push = np.array([*phase.force, *phase.torque])
             count = max(1, round(phase.duration / step))
@@ -118,7 +118,7 @@ class Grasp:
                 share = number / count
                 smooth = share * share * (3 - 2 * share)
                 controls = {
-                    name: (1 - smooth) * held.get(name, 0.0) + smooth * value
+                    name: (1 - smooth) * before[name] + smooth * value
                     for name, value in goal.items()
                 }
                 if phase.shake:
@@ -162,18 +162,6 @@ def _goal(phase: GraspPhase, before: Mapping[str, float]) -> dict[str, float]:
     if phase.tilt_deg is not None:
         goal[TILT] = math.radians(phase.tilt_deg)
     return goal
-
-
-def _model(scene: GraspScene) -> object:
-    """The packaged gripper, or the user's model."""
-    if scene.model is None:
-        return packaged_gripper(scene)
-    path = scene.file.parent / scene.model
-    try:
-        return load_mujoco().MjSpec.from_file(str(path))
-    except ValueError as error:
-        msg = f"{path}: MuJoCo refuses it: {error}"
-        raise InputError(msg) from None
 
 
 def _body(scene: GraspScene, pose: Pose) -> Indenter:
